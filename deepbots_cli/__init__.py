@@ -1,0 +1,42 @@
+"""deepbots: one YAML scenario and a URDF robot become a trained, evaluated, explained robot policy.
+
+The way of the data, and the packages along it:
+
+    text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ IR ─▶ generated Python ─▶ environment ─▶ run
+    source      schema     compile (with lang, urdf)              ir       compile.emit      runtime      learning
+
+The documented Python API is `load`, `compile`, `make`, `train` and `evaluate`; each is imported when
+it is first asked for, so that importing this package costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deepbots_cli.api import compile, load, make
+    from deepbots_cli.learning import evaluate, train
+
+__version__ = "0.1.0"
+__all__ = ["__version__", "compile", "evaluate", "load", "make", "train"]
+
+_HOMES = {
+    "compile": "deepbots_cli.api",
+    "load": "deepbots_cli.api",
+    "make": "deepbots_cli.api",
+    "train": "deepbots_cli.learning",
+    "evaluate": "deepbots_cli.learning",
+}
+
+
+def __getattr__(name: str) -> object:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'deepbots_cli' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(home), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,153 @@
+"""The Python API: from a scenario to an environment.
+
+    import deepbots_cli
+
+    env = deepbots_cli.make("cartpole", render_mode="rgb_array")   # a Gymnasium environment
+    compiled = deepbots_cli.compile("my_scenario.yaml")            # .ir, .code, .digest, .findings
+    result = deepbots_cli.train(compiled, seed=0)
+
+A scenario is named by the path of a file or by the name of a shipped one (`cartpole`). Training and
+evaluation stand in `deepbots_cli.learning`. Importing this module loads neither simulator nor learner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepbots_cli import rules
+from deepbots_cli.canonical import digest
+from deepbots_cli.compile import Checked, check
+from deepbots_cli.compile.emit import emit
+from deepbots_cli.compile.emit.names import class_name
+from deepbots_cli.compile.lower import lower
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
+from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.source import load as read
+from deepbots_cli.source import shipped
+from deepbots_cli.source.text import write as to_yaml
+
+if TYPE_CHECKING:
+    from deepbots_cli.runtime import Supervisor
+
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A compiled scenario with all that a run records of it.
+
+    `inputs` maps the name of every file that was read to its bytes, the scenario first; `resolved` is
+    the merged scenario as YAML; `findings` holds warnings only.
+    """
+
+    ir: CompiledScenario
+    code: str
+    digest: str
+    source: Path
+    inputs: Mapping[str, bytes]
+    resolved: str
+    findings: tuple[Finding, ...]
+
+
+def locate(source: str | Path) -> tuple[Path, str]:
+    """The file of a scenario and how to call it.
+
+    Raises:
+        UsageError: There is neither such a file nor a shipped scenario of that name; lists those.
+    """
+    path = Path(source)
+    if path.exists():
+        return path, str(source)
+    found = shipped.scenario_path(str(source))
+    if found is not None:
+        return found, str(source) if found.parent == Path.cwd() else f"{source}.yaml"
+    raise UsageError(f"there is no file {source}, and no shipped scenario of that name; shipped are: {', '.join(shipped.scenario_names())}")
+
+
+def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> Checked:
+    """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
+
+    Args:
+        source: A path, or the name of a shipped scenario.
+        sets: Assignments `path=value`, as for `--set`.
+        allow_paths: Folders outside the project that the scenario may read from.
+
+    Raises:
+        UsageError: There is no such file.
+    """
+    path, name = locate(source)
+    return check(read(path, sets, display=name, allow_paths=allow_paths))
+
+
+def lint(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> list[Finding]:
+    """All findings of a scenario, sorted; suppressed ones are left out.
+
+    Raises:
+        UsageError: There is no such file.
+    """
+    checked = load(source, sets=sets, allow_paths=allow_paths)
+    robots = tuple(robot.file.source for robot in (checked.robots or {}).values())
+    kept, unused = suppress([*checked.findings, *rules.run(checked)], (*checked.document.sources, *robots))
+    return sorted([*kept, *unused], key=lambda finding: finding.sort_key)
+
+
+def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> Compiled:
+    """Compile a scenario: text to intermediate representation to generated Python.
+
+    Raises:
+        ScenarioError: The scenario has findings at error level.
+        UsageError: There is no such file.
+    """
+    checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths)
+    if checked.task is None or checked.findings.errors:
+        raise ScenarioError(list(checked.findings))
+    ir = lower(checked.task)
+    document = checked.document
+    resolved = to_yaml(document.root) if document.root else ""
+    return Compiled(ir, emit(ir), digest(ir), document.path, checked.inputs, resolved, tuple(checked.findings))
+
+
+def make(
+    source: str | Path | Checked | Compiled | CompiledScenario,
+    *,
+    sets: Sequence[str] = (),
+    allow_paths: Iterable[Path] = (),
+    engine: str = "pybullet",
+    render_mode: str | None = None,
+) -> Supervisor:
+    """The Gymnasium environment of a scenario.
+
+    Args:
+        engine: `pybullet`, or `exact` for the worlds whose equations that engine knows.
+        render_mode: None, or `rgb_array`.
+
+    Raises:
+        ScenarioError: The scenario has findings at error level.
+        UsageError: There is no such file, engine or render mode.
+        MissingExtraError: The simulator is not installed.
+        EngineError: The engine cannot build this world.
+    """
+    if isinstance(source, CompiledScenario):
+        return build(source, engine=engine, render_mode=render_mode)
+    compiled = source if isinstance(source, Compiled) else compile(source, sets=sets, allow_paths=allow_paths)
+    return build(compiled.ir, engine=engine, render_mode=render_mode)
+
+
+def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | None = None) -> Supervisor:
+    """The environment of a compiled scenario; see `make`."""
+    try:
+        from deepbots_cli import engines
+        from deepbots_cli.runtime import load_module
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("sim", "running a scenario") from error
+    code = emit(ir)
+    name = class_name(ir.name)
+    module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(ir)[:12]}>")
+    environment: Supervisor = vars(module)[f"{name}Supervisor"](ir, engines.create(engine, ir.world), render_mode)
+    environment.rebuild = partial(build, ir, engine=engine, render_mode=render_mode)
+    return environment

@@ -1,0 +1,32 @@
+"""The command `deepbots`.
+
+verbs/       one thin module per verb, imported when that verb is asked for
+group.py     how the verbs hang together
+options.py   arguments that several verbs share
+terminal.py  what goes to stdout and stderr, and when in colour
+tables.py    aligned columns
+exits.py     from exceptions to exit codes
+anatomy.py   what `inspect` shows          measure.py  what `bench` times
+ageing.py    when actions act, how old observations are
+picture.py   a picture as PNG              replay.py   episodes of a policy without a network
+copying.py   what `copy` writes            project.py  what `eject` writes
+health.py    what `doctor` looks at
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line, by default the process's own, and return its exit code.
+
+    0 done; 1 findings, or a demanded result not met; 2 wrong usage, a missing file, not a run, a missing extra;
+    3 a fault of deepbots; 130 interrupted.
+    """
+    from deepbots_cli.cli.exits import guarded
+    from deepbots_cli.cli.group import run
+
+    return guarded(lambda: run(arguments))

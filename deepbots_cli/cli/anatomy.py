@@ -1,0 +1,284 @@
+"""What a scenario means, as tables: `inspect` prints them, or gives them to programs as they are.
+
+A table is a list of rows; figures are in SI units. Expressions are shown as the user wrote them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping as Dictionary
+
+from deepbots_cli.cli.ageing import full_name, timing
+from deepbots_cli.cli.tables import Row
+from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageFormat, MessageLayout
+from deepbots_cli.source import Mapping, Node, Scalar, descend
+from deepbots_cli.urdf.model import Joint
+
+Sections = Dictionary[str, Row | list[Row]]
+
+
+def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
+    """All tables of a compiled scenario, whose text is the tree `root`; empty ones are left out."""
+    tables: dict[str, Row | list[Row]] = {
+        "scenario": _scenario(scenario, digest),
+        "robots": _robots(scenario),
+        "joints": [_joint(robot.name, joint) for robot in scenario.world.robots for joint in robot.model.joints],
+        "objects": [_object(scenario, index) for index in range(len(scenario.world.objects))],
+        "parameters": _parameters(scenario, root),
+        "sensors": _sensors(scenario),
+        "actuators": _actuators(scenario),
+        "messages": _messages(scenario),
+        "message_fields": _fields(scenario),
+        "action": [_action(part) for part in scenario.action],
+        "signals": _signals(scenario, root),
+        "observation": _observation(scenario),
+        "timing": timing(scenario),
+        "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.reward],
+        "endings": _endings(scenario, root),
+        "reset": _reset(scenario, root),
+        "training": _training(scenario),
+    }
+    return {name: rows for name, rows in tables.items() if rows}
+
+
+def wording(root: Node, *path: str) -> str:
+    """What the user wrote at `path`, on one line; nothing if nothing is there."""
+    node, _, reached = descend(root, path)
+    if reached < len(path):
+        return ""
+    return " ".join((node.text if isinstance(node, Scalar) else node.span.text).split())
+
+
+def _scenario(scenario: CompiledScenario, digest: str) -> Row:
+    world = scenario.world
+    return {
+        "name": scenario.name,
+        "summary": scenario.summary,
+        "digest": digest,
+        "timestep": world.timestep,
+        "substeps": world.substeps,
+        "physics_step": world.timestep / world.substeps,
+        "gravity": list(world.gravity),
+        "messages": scenario.format,
+        "message_timing": scenario.timing,
+        "observation_space": f"Box({len(scenario.observation)})",
+        "action_space": _space(scenario),
+        "max_steps": scenario.truncation.max_steps,
+        "max_time": scenario.truncation.max_time,
+        "solved": _solved(scenario),
+    }
+
+
+def _space(scenario: CompiledScenario) -> str:
+    sizes = [len(part.options) for part in scenario.action if isinstance(part, Choices)]
+    width = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, Interval))
+    spaces = [f"Box({width})"] if width else []
+    if sizes:
+        spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
+    return " and ".join(spaces)
+
+
+def _solved(scenario: CompiledScenario) -> str:
+    solved = scenario.solved
+    if solved is None:
+        return ""
+    wanted = [f"mean return {solved.mean_return:g}"] if solved.mean_return is not None else []
+    wanted += [f"success rate {solved.success_rate:g}"] if solved.success_rate is not None else []
+    return f"{' and '.join(wanted)} over {solved.episodes} episodes"
+
+
+def _robots(scenario: CompiledScenario) -> list[Row]:
+    return [
+        {
+            "robot": robot.name,
+            "model": robot.model.name,
+            "root": robot.model.root,
+            "base": "fixed" if robot.fixed_base else "free",
+            "links": len(robot.model.links),
+            "joints": len(robot.model.joints),
+            "moving_joints": len(robot.model.moving_joints),
+            "mass_kg": sum(link.inertial.mass for link in robot.model.links if link.inertial),
+        }
+        for robot in scenario.world.robots
+    ]
+
+
+def _joint(robot: str, joint: Joint) -> Row:
+    limit = joint.limit
+    return {
+        "robot": robot,
+        "joint": joint.name,
+        "type": joint.type,
+        "parent": joint.parent,
+        "child": joint.child,
+        "axis": " ".join(f"{value:.3g}" for value in joint.axis) if joint.moves else "",
+        "unit": ("m" if joint.type == "prismatic" else "rad") if joint.moves else "",
+        "lower": limit.lower,
+        "upper": limit.upper,
+        "max_velocity": limit.velocity,
+        "max_effort": limit.effort,
+    }
+
+
+def _object(scenario: CompiledScenario, index: int) -> Row:
+    body = scenario.world.objects[index]
+    return {
+        "object": body.name,
+        "shape": type(body.shape).__name__.lower(),
+        "mass_kg": body.mass,
+        "fixed": body.fixed,
+        "solid": body.solid,
+        "friction": body.friction,
+    }
+
+
+def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:
+    node = descend(root, ("parameters",))[0]
+    drawn = {entry.name for entry in scenario.parameters}
+    names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
+    return [
+        {"parameter": name, "is": wording(root, "parameters", name), "set": "in every episode" if name in drawn else "once"} for name in names
+    ]
+
+
+def _sensors(scenario: CompiledScenario) -> list[Row]:
+    return [
+        {"robot": robot.name, "sensor": sensor.name, "type": sensor.kind, "of": list(sensor.subjects), "unit": sensor.unit}
+        for robot in scenario.robots
+        for sensor in robot.sensors
+    ]
+
+
+def _actuators(scenario: CompiledScenario) -> list[Row]:
+    return [
+        {
+            "robot": robot.name,
+            "actuator": actuator.name,
+            "type": actuator.kind,
+            "joint": joint,
+            "max_torque": torque,
+            "max_velocity": velocity,
+        }
+        for robot in scenario.robots
+        for actuator in robot.actuators
+        for joint, torque, velocity in zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
+    ]
+
+
+def _layouts(scenario: CompiledScenario) -> list[MessageLayout]:
+    if scenario.format == "none":
+        return []
+    return [layout for robot in scenario.robots for layout in (robot.to_robot, robot.from_robot)]
+
+
+def _messages(scenario: CompiledScenario) -> list[Row]:
+    return [
+        {
+            "robot": layout.robot,
+            "direction": layout.direction.replace("_", " "),
+            "format": scenario.format,
+            "values": sum(max(1, len(field.components)) for field in layout.fields),
+            "stamp": f"{layout.stamp:08x}",
+            "bytes": message_size(layout, scenario.format) or "varies",
+        }
+        for layout in _layouts(scenario)
+    ]
+
+
+def message_size(layout: MessageLayout, format: MessageFormat) -> int | None:
+    """Bytes of a message: the stamp and the values; None where that depends on their figures."""
+    dtypes = [field.dtype for field in layout.fields for _ in field.components or (None,)]
+    if format == "struct":
+        return struct.calcsize("<I" + "".join("?" if dtype == "bool" else "d" for dtype in dtypes))
+    if format == "msgpack":
+        head = 1 if len(dtypes) < 15 else 3
+        stamp = next(size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.stamp < end)
+        return head + stamp + sum(1 if dtype == "bool" else 9 for dtype in dtypes)
+    return None
+
+
+def _fields(scenario: CompiledScenario) -> list[Row]:
+    return [
+        {
+            "robot": layout.robot,
+            "direction": layout.direction.replace("_", " "),
+            "field": field.name,
+            "components": list(field.components),
+            "dtype": field.dtype,
+            "unit": field.unit,
+        }
+        for layout in _layouts(scenario)
+        for field in layout.fields
+    ]
+
+
+def _action(part: Choices | Interval) -> Row:
+    if isinstance(part, Interval):
+        return {"action": part.name, "kind": "range", "of": list(part.components), "low": part.low, "high": part.high, "unit": part.unit}
+    options = (
+        f"{option.name} ({', '.join(f'{name} = {value:g}' for name, value in zip(part.variables, option.values, strict=True))})"
+        for option in part.options
+    )
+    return {"action": part.name, "kind": "choice", "options": " | ".join(options)}
+
+
+def _signals(scenario: CompiledScenario, root: Node) -> list[Row]:
+    return [
+        {"signal": entry.name, "components": list(entry.components), "is": text, "policy_may_see_it": bool(granted)}
+        for entry in scenario.signals
+        for granted in (wording(root, "augment", entry.name),)
+        for text in (granted or wording(root, "signals", entry.name),)
+    ]
+
+
+def _observation(scenario: CompiledScenario) -> list[Row]:
+    return [
+        {
+            "index": index,
+            "name": full_name(entry.name, entry.component),
+            "low": entry.low,
+            "high": entry.high,
+            "unit": entry.unit,
+            "seen_as": "0 or 1" if entry.truth else "-1 .. 1",
+        }
+        for index, entry in enumerate(scenario.observation)
+    ]
+
+
+def _endings(scenario: CompiledScenario, root: Node) -> list[Row]:
+    return [
+        {"ending": ending.name, "outcome": ending.outcome, "when": wording(root, "termination", ending.outcome, ending.name)}
+        for ending in scenario.endings
+    ]
+
+
+def _reset(scenario: CompiledScenario, root: Node) -> list[Row]:
+    rows: list[Row] = []
+    for section in ("place", "set"):
+        node, _, reached = descend(root, ("reset", section))
+        if reached == 2 and isinstance(node, Mapping):
+            rows += [{"reset": section, "of": name, "to": wording(root, "reset", section, name)} for name in node.entries]
+    if scenario.reset.settle:
+        rows.append({"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"})
+    return rows
+
+
+def _training(scenario: CompiledScenario) -> Row:
+    training = scenario.training
+    if training is None:
+        return {}
+    return {
+        "algorithm": training.algorithm,
+        "total_timesteps": training.total_timesteps,
+        "environments": training.environments,
+        "hidden_layers": list(training.policy.hidden),
+        "activation": training.policy.activation,
+        **{entry.name: _hyperparameter(entry.value) for entry in training.hyperparameters},
+        "evaluation_episodes": scenario.evaluation.episodes,
+    }
+
+
+def _hyperparameter(value: object) -> object:
+    from deepbots_cli.ir import Schedule
+
+    return f"{value.start:g} -> {value.end:g}" if isinstance(value, Schedule) else value

@@ -1,0 +1,63 @@
+"""Aligned columns of text."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Mapping, Sequence
+
+from deepbots_cli.cli.terminal import printable
+
+Row = Mapping[str, object]
+
+
+def table(rows: Sequence[Row], indent: str = "  ") -> str:
+    """Rows under the names of their keys; columns of numbers are aligned to the right.
+
+    The keys of the first row are the columns. A column that is empty in every row is left out.
+    """
+    names = [name for name in rows[0] if any(row.get(name) not in (None, "") for row in rows)] if rows else []
+    cells = [[cell(row.get(name)) for name in names] for row in rows]
+    right = [all(isinstance(row.get(name), int | float | None) for row in rows) for name in names]
+    heads = [name.replace("_", " ") for name in names]
+    widths = [max(map(columns, column)) for column in zip(heads, *cells, strict=True)]
+    lines = [_line(line, widths, right) for line in (heads, ["-" * width for width in widths], *cells)]
+    return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+
+
+def pairs(row: Row, indent: str = "  ") -> str:
+    """One row as lines of name and value; empty values are left out."""
+    shown = {name.replace("_", " "): cell(value) for name, value in row.items() if value not in (None, "", ())}
+    width = max(map(columns, shown), default=0)
+    return "\n".join(f"{indent}{name}{' ' * (width - columns(name))}  {value}" for name, value in shown.items())
+
+
+def cell(value: object) -> str:
+    """A value as the text of a cell: numbers short, nothing as a dash, lists with commas."""
+    match value:
+        case None:
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case int():
+            return f"{value:,}"
+        case float():
+            return f"{value:.5g}"
+        case list() | tuple():
+            return ", ".join(map(cell, value)) or "-"
+        case _:
+            return printable(str(value).replace("\n", " ")) or "-"
+
+
+def columns(text: str) -> int:
+    """How many columns of a terminal `text` takes."""
+    if text.isascii():
+        return len(text)
+    return sum(0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
+
+
+def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
+    padded = []
+    for text, width, to_right in zip(cells, widths, right, strict=True):
+        gap = " " * (width - columns(text))
+        padded.append(gap + text if to_right else text + gap)
+    return "  ".join(padded)

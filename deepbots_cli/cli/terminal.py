@@ -1,0 +1,93 @@
+"""What reaches the terminal: results on stdout, everything else on stderr; colour on terminals only."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import TextIO
+
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.render import render, summary
+
+
+def prepare() -> None:
+    """Let no character fail to be printed: a terminal of another encoding shows an escape instead."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def say(text: str = "") -> None:
+    """A result, on stdout."""
+    print(printable(text))
+
+
+def note(text: str) -> None:
+    """Something beside the result, on stderr."""
+    print(printable(text), file=sys.stderr)
+
+
+def complain(text: str) -> None:
+    """An error, on stderr."""
+    mark = "\x1b[1;31merror\x1b[0m" if colourful(sys.stderr) else "error"
+    print(f"{mark}: {printable(text)}", file=sys.stderr)
+
+
+def show_findings(findings: Sequence[Finding]) -> None:
+    """Findings in full on stderr, with their number."""
+    print(render(findings, "full", colourful(sys.stderr), width()), file=sys.stderr)
+    note(summary(findings))
+
+
+def mention(warnings: Sequence[Finding], scenario: str) -> None:
+    """Say on stderr that there are warnings, and how to see them."""
+    if warnings:
+        note(f"{summary(warnings)}; see: deepbots lint {scenario}")
+
+
+def show_json(data: object) -> None:
+    """Data as JSON on stdout."""
+    print(json_text(data), end="")
+
+
+def json_text(data: object) -> str:
+    """Data as JSON, with a line feed; what JSON cannot hold (infinite numbers) is null."""
+    return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
+
+
+def colourful(stream: TextIO) -> bool:
+    """Whether to colour what is written to `stream`; the variable NO_COLOR says no."""
+    return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def width() -> int:
+    """Columns to write in."""
+    return min(get_terminal_size((100, 24)).columns, 140)
+
+
+def printable(text: str) -> str:
+    """`text`, which may quote a file, without characters that a terminal would obey or hide."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
+
+
+def plain(data: object) -> object:
+    """`data` in lists, dictionaries, text and finite numbers."""
+    match data:
+        case float() if not math.isfinite(data):
+            return None
+        case Mapping():
+            return {str(key): plain(value) for key, value in data.items()}
+        case list() | tuple():
+            return [plain(item) for item in data]
+        case Path():
+            return str(data)
+        case _:
+            return data

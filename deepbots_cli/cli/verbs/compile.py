@@ -1,0 +1,46 @@
+"""`deepbots compile`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
+from deepbots_cli.errors import UsageError
+
+
+def command(
+    scenario: Scenario,
+    sets: Sets = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced.")] = None,
+    ir: Annotated[bool, typer.Option("--ir", help="Print the compiled scenario as canonical JSON instead.")] = False,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Print the Python that a scenario is compiled to.
+
+    What is printed is what runs: a class for each robot, and the supervisor, which is a Gymnasium environment.
+
+    \b
+      deepbots compile cartpole
+      deepbots compile cartpole -o environment.py
+      deepbots compile cartpole --ir
+    """
+    from deepbots_cli import api, canonical
+
+    if ir and as_json:
+        raise UsageError("--ir and --json exclude each other: the former is JSON already")
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    terminal.mention(compiled.findings, scenario)
+    if as_json:
+        data = {"name": compiled.ir.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
+        text = terminal.json_text(data)
+    else:
+        text = f"{canonical.to_json(compiled.ir)}\n" if ir else compiled.code
+    if output is None:
+        print(text, end="")
+    else:
+        output.write_text(text, encoding="utf-8")

@@ -1,0 +1,57 @@
+"""`deepbots inspect`."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
+
+
+def command(
+    scenario: Scenario,
+    sets: Sets = None,
+    picture: Annotated[Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode.")] = None,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Show what a scenario means: spaces, messages, reward, timing.
+
+    Figures are in SI units. The table of timing tells from which physics step an action acts and how old each observation is.
+
+    \b
+      deepbots inspect cartpole
+      deepbots inspect cartpole --picture world.png
+      deepbots inspect cartpole --set messages.timing=paper
+    """
+    from deepbots_cli import api
+    from deepbots_cli.cli import anatomy, picture as drawing
+
+    if picture is not None:
+        drawing.check(picture)
+    checked = api.load(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    compiled = api.compile(checked)
+    tables = anatomy.sections(compiled.ir, compiled.digest, checked.document.root)
+    terminal.mention(compiled.findings, scenario)
+    if picture is not None:
+        with closing(api.make(compiled, render_mode="rgb_array")) as environment:
+            environment.reset(seed=0)
+            picture.write_bytes(drawing.png(environment.render()))
+    if as_json:
+        terminal.show_json(tables)
+    else:
+        _show(tables)
+    if picture is not None:
+        terminal.note(f"the world is drawn in {picture}")
+
+
+def _show(tables: anatomy.Sections) -> None:
+    from deepbots_cli.cli.tables import pairs, table
+
+    for name, rows in tables.items():
+        terminal.say(name.replace("_", " "))
+        terminal.say((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")

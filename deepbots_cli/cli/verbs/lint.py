@@ -1,0 +1,98 @@
+"""`deepbots lint`."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.options import AllowPaths, Sets
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.render import render, summary
+from deepbots_cli.errors import UsageError
+
+_SCENARIO = re.compile(rb"^(?:\xef\xbb\xbf)?deepbots[ \t]*:", re.MULTILINE)
+_LOOKED_AT = 65_536
+
+
+class Format(StrEnum):
+    full = "full"
+    concise = "concise"
+    json = "json"
+
+
+class FailOn(StrEnum):
+    error = "error"
+    warning = "warning"
+    never = "never"
+
+
+def command(
+    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Files, names of shipped scenarios, or folders of scenarios.")],
+    sets: Sets = None,
+    format: Annotated[Format, typer.Option("--format", help="With the lines in question, one line each, or for programs.")] = Format.full,
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
+    fail_on: Annotated[FailOn, typer.Option("--fail-on", help="What makes the exit code 1.")] = FailOn.error,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Say everything that is wrong with scenarios.
+
+    Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed.
+    In a folder, every .yaml file with a `deepbots:` key is read.
+
+    \b
+      deepbots lint cartpole.yaml
+      deepbots lint scenarios/ --fail-on warning
+      deepbots lint cartpole.yaml --set timestep=50ms --format concise
+
+    A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB604]
+    """
+    from deepbots_cli import api
+
+    names = list(dict.fromkeys(name for given in scenarios for name in _expanded(given)))
+    for name in names:
+        api.locate(name)
+    findings = [finding for name in names for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or ())]
+    _show(findings, names, Format.json if as_json else format)
+    if _fails(findings, fail_on):
+        raise typer.Exit(FAILED)
+
+
+def _expanded(given: str) -> Iterator[str]:
+    """The scenarios meant by one argument."""
+    folder = Path(given)
+    if not folder.is_dir():
+        yield given
+        return
+    found = [str(path) for path in sorted(folder.glob("*.yaml")) if path.is_file() and _is_scenario(path)]
+    if not found:
+        raise UsageError(f"there is no scenario in {given}: no .yaml file there has a `deepbots:` key")
+    yield from found
+
+
+def _is_scenario(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _SCENARIO.search(file.read(_LOOKED_AT)) is not None
+
+
+def _show(findings: list[Finding], names: list[str], format: Format) -> None:
+    text = render(findings, format.value, terminal.colourful(sys.stdout), terminal.width())
+    if format is not Format.full:
+        print(text, end="")
+    elif findings:
+        print(text)
+        terminal.say(summary(findings))
+    else:
+        terminal.say(f"{names[0] if len(names) == 1 else f'{len(names)} scenarios'}: no findings")
+
+
+def _fails(findings: list[Finding], fail_on: FailOn) -> bool:
+    counted = {FailOn.error: ("error",), FailOn.warning: ("error", "warning"), FailOn.never: ()}[fail_on]
+    return any(finding.severity in counted for finding in findings)

@@ -1,0 +1,177 @@
+"""The compiler: a document to a checked task, the task to the compiled scenario, that to Python.
+
+    check     nodes ─▶ spec (schema) ─▶ names ─▶ typed expressions ─▶ Task      this module
+    lower     Task ─▶ CompiledScenario                                          lower.py
+    emit      CompiledScenario ─▶ Python                                        emit/
+
+namespace.py    one flat namespace, each name typed when first asked for
+scopes.py       what an expression may see from its place
+values.py       texts to typed trees, findings at their places
+world.py        timestep, ground, arena, objects
+robots.py       robot files, overrides, groups
+controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
+policy.py       action and observation
+scoring.py      signals, reward, endings, training
+resets.py       places and joints at the start
+support.py      what the language has and this version does not run yet
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from deepbots_cli.compile.controllers import Controller
+from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.compile.policy import Actions, Observations
+from deepbots_cli.compile.resets import joint_starts, placements
+from deepbots_cli.compile.robots import RobotScene, load_robot
+from deepbots_cli.compile.scopes import ParameterScope
+from deepbots_cli.compile.scoring import Signals, reward_terms, solved, training, truncation
+from deepbots_cli.compile.support import check_support
+from deepbots_cli.compile.values import Values
+from deepbots_cli.compile.world import WorldBuilder
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.ir import Evaluation
+from deepbots_cli.lang.dimensions import TIME
+from deepbots_cli.lang.lower import constant
+from deepbots_cli.lang.types import Context, Stage, Symbol, Type
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.schema.validate import validate
+from deepbots_cli.source import Document
+from deepbots_cli.source.nodes import Mapping as Tree
+from deepbots_cli.task import Task, Valued
+
+__all__ = ["Checked", "check"]
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A document that was checked; `task` is None where findings at error level left nothing to compile."""
+
+    document: Document
+    findings: Findings
+    spec: Scenario | None = None
+    task: Task | None = None
+    robots: Mapping[str, RobotScene] | None = None
+    namespace: Namespace | None = None
+
+    @property
+    def inputs(self) -> dict[str, bytes]:
+        """Every text that was read, the scenario first: a name that is unique, and the bytes."""
+        found: dict[str, bytes] = {}
+        texts = [*self.document.sources, *(robot.file.source for robot in (self.robots or {}).values())]
+        for source in texts:
+            name = source.name.rsplit("/", 1)[-1]
+            while name in found and found[name] != source.text.encode():
+                name = f"_{name}"
+            found[name] = source.text.encode()
+        return found
+
+
+def check(document: Document) -> Checked:
+    """Run all passes that can run; every problem ends up in `findings`."""
+    findings = document.findings
+    if document.root is None:
+        return Checked(document, findings)
+    spec = validate(document.root, findings)
+    if spec is None:
+        return Checked(document, findings)
+    pass_ = _Pass(document, document.root, spec, findings)
+    task = pass_.run()
+    robots = {name: robot for name, robot in pass_.namespace.robots.items() if robot is not None}
+    return Checked(document, findings, spec, None if findings.errors else task, robots, pass_.namespace)
+
+
+class _Pass:
+    """One scenario on its way from spec to task."""
+
+    def __init__(self, document: Document, root: Tree, spec: Scenario, findings: Findings) -> None:
+        self.document = document
+        self.spec = spec
+        self.values = Values(root, findings)
+        self.namespace = Namespace(self.values)
+        self.parameters: dict[str, Valued] = {}
+
+    def run(self) -> Task:
+        spec, namespace = self.spec, self.namespace
+        check_support(spec, self.values)
+        self._define_parameters()
+        for name in spec.robots:
+            namespace.define(name, Origin.ROBOT, ("robots", name))
+        for name in spec.objects:
+            namespace.define(name, Origin.OBJECT, ("objects", name))
+        for name in spec.world.lines:
+            namespace.define(name, Origin.LINE, ("world", "lines", name))
+        scope = ParameterScope(namespace, Context.FIELD)
+        for name, robot in spec.robots.items():
+            namespace.robots[name] = load_robot(name, robot, self.document, self.values, scope)
+        self._define_pruned()
+        actions = Actions(spec, namespace)
+        scenes = [scene for scene in namespace.robots.values() if scene is not None]
+        controllers = [Controller(scene, namespace) for scene in scenes]
+        signals = Signals(spec, namespace)
+        return self._assemble(actions, controllers, signals, scenes)
+
+    def _assemble(self, actions: Actions, controllers: list[Controller], signals: Signals, scenes: list[RobotScene]) -> Task:
+        """Ask for everything once; names are typed as they are needed, whatever their order in the file."""
+        spec, namespace, values = self.spec, self.namespace, self.values
+        for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
+            namespace.settle(name)
+        world = WorldBuilder(spec, namespace).build(scenes)
+        action = actions.parts()
+        drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
+        return Task(
+            spec.name,
+            spec.summary,
+            spec.deepbots,
+            world,
+            tuple(controller.finish() for controller in controllers),
+            spec.messages.format,
+            spec.messages.timing,
+            drawn,
+            action,
+            signals.ordered(),
+            Observations(spec, namespace).entries(),
+            reward_terms(spec, namespace),
+            signals.endings(),
+            truncation(spec, namespace),
+            placements(spec, namespace),
+            joint_starts(spec, namespace),
+            self._settle(),
+            solved(spec, values),
+            training(spec, values, action),
+            Evaluation(spec.evaluation.episodes),
+            frozenset(spec.augment),
+        )
+
+    def _define_parameters(self) -> None:
+        for name, given in self.spec.parameters.items():
+            self.namespace.define(name, Origin.PARAMETER, ("parameters", name), lambda name=name, given=given: self._parameter(name, given))  # type: ignore[misc]  # defaults bind the loop's values
+
+    def _parameter(self, name: str, given: object) -> Symbol:
+        text = self.values.text(("parameters", name), given)
+        checked = self.values.drawn(text, ParameterScope(self.namespace, Context.PARAMETER))
+        if checked is None:
+            return Symbol(name, None)
+        typed = checked.value
+        if checked.redraw is not None:
+            self.values.findings.add("DB108", text.span, "a draw that is repeated within an episode is not supported yet", help="leave out `every`: it is then drawn once per episode")
+        self.parameters[name] = Valued(name, text.span, text.text, typed, f"parameters.{name}")
+        known = typed.type
+        return Symbol(name, Type(known.dimension, known.components, known.boolean, known.interval, known.stage), constant(typed))
+
+    def _is_drawn(self, name: str) -> bool:
+        return self.parameters[name].typed.type.stage is not Stage.FIXED
+
+    def _define_pruned(self) -> None:
+        """Names whose definition had findings are known all the same, so that using them is no further fault."""
+        for path in self.spec.pruned:
+            name = path[-1] if path[0] == "termination" else path[1] if len(path) > 1 else None
+            if isinstance(name, str) and path[0] in ("parameters", "augment", "signals", "action", "termination") and name not in self.namespace.definitions:
+                self.namespace.define(name, Origin.SIGNAL, path, lambda name=name: Symbol(name, None))  # type: ignore[misc]  # bound here
+            if isinstance(name, str) and path[0] == "robots" and (len(path) == 2 or path[2] in ("urdf", "sensors", "emit", "groups")):
+                self.namespace.robots[name] = None
+
+    def _settle(self) -> float:
+        return self.values.number(("reset", "settle"), self.spec.reset.settle, TIME, ParameterScope(self.namespace, Context.FIXED)) or 0.0

@@ -1,0 +1,251 @@
+"""Robots as controllers: sensors, actuators, what they receive, emit and apply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deepbots_cli import ir
+from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.compile.robots import RobotScene, empty_match, expand, joint_dimension, joint_interval
+from deepbots_cli.compile.scopes import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compile.sensors import SENSOR_KINDS
+from deepbots_cli.compile.values import Values
+from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, SPEED, TIME, TORQUE, Dimension
+from deepbots_cli.lang.lower import constant
+from deepbots_cli.lang.intervals import EVERYTHING, Interval
+from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type
+from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Command, TaskRobot, Valued
+from deepbots_cli.urdf.model import Joint
+
+
+@dataclass(eq=False)
+class Controller:
+    """The controller of one robot, while it is being compiled."""
+
+    scene: RobotScene
+    namespace: Namespace
+
+    def __post_init__(self) -> None:
+        self.values: Values = self.namespace.values
+        self.path: Path = ("robots", self.scene.name)
+        self.sensors: dict[str, ir.Sensor] = {}
+        self.own: dict[str, Symbol] = {}
+        self.fields: dict[str, Valued] = {}
+        self.received: dict[str, Valued] = {}
+        self._add_sensors()
+        self._add_poses()
+        self._define_fields()
+
+    # What it knows
+
+    def _add_sensors(self) -> None:
+        for name, spec in self.scene.spec.sensors.items():
+            kind = SENSOR_KINDS.get(spec.type)
+            self.own[name] = Symbol(name, None)
+            if kind is None:
+                continue  # `support` has said that this kind is not delivered yet
+            place = (*self.path, "sensors", name)
+            if kind.of == "joints":
+                joints = self.joints_of(spec, place)
+                if joints:
+                    self.own[name] = self._joint_sensor(name, spec.type, joints, many=getattr(spec, "joints", None) is not None)
+            else:
+                link = str(getattr(spec, "link", ""))
+                if link not in self.scene.link_names:
+                    empty_match(self.values.findings, self.values, (*place, "link"), link, "link", self.scene.link_names)
+                    continue
+                dimension = LENGTH if spec.type == "position" else SPEED
+                self.sensors[name] = ir.Sensor(name, spec.type, (link,), SPACE, str(dimension))
+                self.own[name] = Symbol(name, Type(dimension, SPACE, stage=Stage.STEP))
+
+    def _joint_sensor(self, name: str, kind: str, joints: tuple[Joint, ...], *, many: bool) -> Symbol:
+        dimension = _fact_dimension(kind, joints[0])
+        components = tuple(joint.name for joint in joints) if many else ()
+        interval = _interval(kind, joints)
+        self.sensors[name] = ir.Sensor(name, kind, tuple(joint.name for joint in joints), components, str(dimension))
+        return Symbol(name, Type(dimension, components or None, interval=interval, stage=Stage.STEP))
+
+    def _add_poses(self) -> None:
+        names = self.scene.joint_names
+        for name, positions in self.scene.spec.poses.items():
+            chosen: dict[str, float] = {}
+            dimension = ANGLE
+            for pattern, given in positions.items():
+                place = (*self.path, "poses", name, pattern)
+                joints, missing = expand(names, pattern, self.scene.groups)
+                if missing:
+                    empty_match(self.values.findings, self.values, place, pattern, "joint", names)
+                    continue
+                dimension = joint_dimension(self.scene.model.joint(joints[0]))
+                position = self.values.number(place, given, dimension, ParameterScope(self.namespace, Context.FIXED))
+                chosen |= dict.fromkeys(joints, position or 0.0)
+            ordered = {joint: chosen[joint] for joint in names if joint in chosen}
+            interval = Interval(min(ordered.values(), default=0.0), max(ordered.values(), default=0.0))
+            self.own[name] = Symbol(name, Type(dimension, tuple(ordered), interval=interval), tuple(ordered.values())) if ordered else Symbol(name, None)
+
+    def joints_of(self, spec: object, place: Path) -> tuple[Joint, ...]:
+        """The joints that `joint` or `joints` of a sensor or actuator names; empty after a finding."""
+        key = "joint" if getattr(spec, "joint", None) is not None else "joints"
+        patterns = getattr(spec, key)
+        moving = [joint.name for joint in self.scene.model.moving_joints]
+        names, missing = expand(moving, patterns, self.scene.groups)
+        for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
+            if pattern in missing:
+                self._joint_missing((*place, key) if isinstance(patterns, str) else (*place, key, index), pattern, moving)
+        if missing:
+            return ()
+        joints = tuple(self.scene.model.joint(name) for name in names)
+        if len({joint_dimension(joint) for joint in joints}) > 1:
+            self.values.findings.add("DB404", self.values.span((*place, key)), "turning and sliding joints together", help="name them apart")
+            return ()
+        return joints
+
+    def _joint_missing(self, place: Path, pattern: str, moving: list[str]) -> None:
+        if pattern in self.scene.joint_names:
+            headline = f"the joint `{pattern}` cannot move: it is {self.scene.model.joint(pattern).type}"
+            self.values.findings.add("DB303", self.values.span(place), headline, help=f"joints that move are: {', '.join(moving) or 'none'}")
+        else:
+            empty_match(self.values.findings, self.values, place, pattern, "joint", moving)
+
+    # What it sends
+
+    def _define_fields(self) -> None:
+        emit = self.scene.spec.emit
+        entries = [(name, (*self.path, "emit", name)) for name in emit] if isinstance(emit, dict) else [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
+        for name, place in entries:
+            self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, lambda name=name, place=place: self._field(name, place))  # type: ignore[misc]  # defaults bind the loop's values
+
+    def _field(self, name: str, place: Path) -> Symbol:
+        full = f"{self.scene.name}.{name}"
+        emit = self.scene.spec.emit
+        text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
+        if not isinstance(emit, dict) and name not in self.own:
+            close = ", ".join(self.own) or "none"
+            self.values.findings.add("DB201", text.span, f"there is no sensor `{name}`", help=f"sensors of `{self.scene.name}` are: {close}")
+            return Symbol(full, None)
+        typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
+        if typed is None:
+            return Symbol(full, None)
+        self.fields[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.emit.{name}")
+        known = typed.type
+        return Symbol(full, Type(known.dimension, known.components, known.boolean, known.interval, Stage.STEP))
+
+    # What it receives and does
+
+    def _receive(self) -> dict[str, Symbol]:
+        spec = self.scene.spec
+        symbols: dict[str, Symbol] = {}
+        if spec.receive is None:
+            for name in self.namespace.named(Origin.ACTION):
+                symbols[name] = self.namespace.settle(name) or Symbol(name, None)
+            return symbols
+        for name, given in spec.receive.items():
+            place = (*self.path, "receive", name)
+            text = self.values.text(place, given)
+            typed = self.values.expression(text, SupervisorScope(self.namespace, Context.RECEIVE))
+            symbols[name] = Symbol(name, None)
+            if typed is not None:
+                self.received[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.receive.{name}")
+                symbols[name] = Symbol(name, Type(typed.type.dimension, typed.type.components, typed.type.boolean, typed.type.interval, Stage.STEP))
+        return symbols
+
+    def finish(self) -> TaskRobot:
+        """Type everything that is left."""
+        received = self._receive()
+        scope = RobotScope(self.namespace, Context.APPLY, self.scene.name, {**self.own, **received})
+        actuators = {name: actuator for name in self.scene.spec.actuators if (actuator := self._actuator(name)) is not None}
+        commands = []
+        for name, given in self.scene.spec.apply.items():
+            place = (*self.path, "apply", name)
+            if name not in self.scene.spec.actuators:
+                names = list(self.scene.spec.actuators)
+                self.values.findings.add("DB201", self.values.key_span(place), f"there is no actuator `{name}`", help=f"there are: {', '.join(names) or 'none'}")
+                continue
+            command = self._command(name, given, place, actuators.get(name), scope)
+            if command:
+                commands.append(command)
+        return TaskRobot(
+            self.scene.name,
+            tuple(self.sensors.values()),
+            tuple(actuators.values()),
+            tuple(self.received.values()),
+            tuple(self.fields.values()),
+            tuple(commands),
+            self.scene.spec.receive is not None,
+        )
+
+    def _command(self, name: str, given: object, place: Path, actuator: ir.Actuator | None, scope: RobotScope) -> Command | None:
+        text = self.values.text(place, given)
+        if actuator is None:
+            self.values.expression(text, scope, boolean=False)
+            return None
+        dimension = _target_dimension(actuator.kind, self.scene.model.joint(actuator.joints[0]))
+        components = actuator.joints if len(actuator.joints) > 1 or getattr(self.scene.spec.actuators[name], "joints", None) else None
+        typed = self.values.quantity(text, f"the target of `{name}`", scope, dimension, components, Stage.STEP)
+        return Command(actuator, Valued(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}")) if typed else None
+
+    def _actuator(self, name: str) -> ir.Actuator | None:
+        spec = self.scene.spec.actuators[name]
+        place = (*self.path, "actuators", name)
+        if not isinstance(spec, Motor):
+            return None  # `support` has said that this kind is not delivered yet
+        joints = self.joints_of(spec, place)
+        if not joints:
+            return None
+        effort = TORQUE if joint_dimension(joints[0]) == ANGLE else FORCE
+        max_torque = self._limit((*place, "max_torque"), spec.max_torque, effort, [joint.limit.effort for joint in joints])
+        rate = joint_dimension(joints[0]) / TIME
+        given_velocity = spec.max_velocity if isinstance(spec, (VelocityMotor, PositionMotor)) else None
+        max_velocity = self._limit((*place, "max_velocity"), given_velocity, rate, [joint.limit.velocity for joint in joints])
+        stiffness = damping = None
+        if isinstance(spec, PositionMotor):
+            stiffness = self._figure((*place, "stiffness"), spec.stiffness, effort / joint_dimension(joints[0]))
+            damping = self._figure((*place, "damping"), spec.damping, effort / rate)
+        kind: ir.ActuatorKind = "torque_motor" if isinstance(spec, TorqueMotor) else "velocity_motor" if isinstance(spec, VelocityMotor) else "position_motor"
+        return ir.Actuator(name, kind, tuple(joint.name for joint in joints), max_torque, max_velocity, stiffness, damping)
+
+    def _limit(self, place: Path, given: object, dimension: Dimension, from_urdf: list[float | None]) -> tuple[float | None, ...]:
+        """The limit of each joint: the scenario's, else that of the robot file."""
+        figure = self._figure(place, given, dimension)
+        if figure is None:
+            return tuple(from_urdf)
+        over = [limit for limit in from_urdf if limit is not None and figure > limit * (1 + 1e-9)]
+        if over:
+            headline = f"a limit of {figure:g} {dimension}, where the robot file allows {min(over):g}"
+            self.values.findings.add("DB304", self.values.span(place), headline, help="lower it, or raise the limit in the robot file if the motor can do more")
+        return (figure,) * len(from_urdf)
+
+    def _figure(self, place: Path, given: object, dimension: Dimension) -> float | None:
+        """A fixed figure, or None where none is given or after a finding."""
+        if given is None:
+            return None
+        text = self.values.text(place, given)
+        typed = self.values.quantity(text, f"`{place[-1]}`", ParameterScope(self.namespace, Context.FIELD), dimension, None, Stage.EPISODE)
+        fixed = constant(typed) if typed else None
+        if typed is not None and fixed is None:
+            self.values.findings.add("DB108", text.span, "a figure of an actuator that is drawn anew is not supported yet", help="give a fixed figure")
+        return float(fixed[0]) if fixed else None
+
+
+def _fact_dimension(kind: str, joint: Joint) -> Dimension:
+    position = joint_dimension(joint)
+    if kind == "joint_torque":
+        return TORQUE if position == ANGLE else FORCE
+    return position if kind == "joint_position" else position / TIME
+
+
+def _target_dimension(kind: str, joint: Joint) -> Dimension:
+    position = joint_dimension(joint)
+    return {"velocity_motor": position / TIME, "position_motor": position, "torque_motor": TORQUE if position == ANGLE else FORCE}[kind]
+
+
+def _interval(kind: str, joints: tuple[Joint, ...]) -> Interval:
+    """What the limits of the joints leave for a sensor's readings."""
+    if kind == "joint_position":
+        each = [joint_interval(joint) for joint in joints]
+        return Interval(min(i.low for i in each), max(i.high for i in each))
+    return EVERYTHING
+
+

@@ -1,0 +1,66 @@
+"""From the compiled scenario to readable Python.
+
+robot.py       a controller class per robot: use_message_data, create_message
+supervisor.py  the supervisor class: reset and one tick
+evaluation.py  signals, endings, reward and observation inside that tick
+reads.py       which engine readers are bound, and how each number is taken from them
+printer.py     statements and the memory of stateful functions; names.py identifiers; text.py layout
+
+Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
+match `[a-z_][a-z0-9_]*` and quoted strings.
+"""
+
+from __future__ import annotations
+
+from deepbots_cli.canonical import digest
+from deepbots_cli.compile.emit.names import check_names, class_name
+from deepbots_cli.compile.emit.robot import RobotPrinter
+from deepbots_cli.compile.emit.supervisor import SupervisorPrinter
+from deepbots_cli.ir import CompiledScenario
+
+_MATH = ("atan2", "cos", "exp", "hypot", "inf", "log", "pi", "pow", "sin", "sqrt", "tan", "tau")
+
+
+def emit(scenario: CompiledScenario) -> str:
+    """The module that runs `scenario`: one controller class per robot and the supervisor class.
+
+    Raises:
+        CanonicalError: A name is no identifier of the language; such a scenario never came from the compiler.
+    """
+    check_names(scenario)
+    classes: list[str] = []
+    for robot in scenario.robots:
+        classes += ["", "", *RobotPrinter(scenario, robot).text()]
+    classes += ["", "", *SupervisorPrinter(scenario).text()]
+    body = _trim_blank_lines(classes)
+    return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
+
+
+def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
+    words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
+    used_math = [name for name in _MATH if name in words]
+    runtime = [name for name in ("MALFORMED", "RobotController", "Supervisor", "clipped", "quaternion") if name in words]
+    lines = [
+        f'"""{class_name(scenario.name)}, compiled by deepbots; scenario {digest(scenario)[:12]}.',
+        "",
+        "SI units. Each robot has a controller class, which knows its sensors and its messages only; the",
+        "supervisor is a Gymnasium environment. Its `_advance` computes one tick; the methods that read",
+        "(get_observations, get_reward, is_done, get_info) are in the base class and change nothing.",
+        '"""',
+        "",
+        "from __future__ import annotations",
+        "",
+    ]
+    if used_math:
+        lines.append(f"from math import {', '.join(used_math)}")
+    return [*lines, "from struct import Struct", "from typing import Any", "", f"from deepbots_cli.runtime import {', '.join(runtime)}"]
+
+
+def _trim_blank_lines(lines: list[str]) -> list[str]:
+    """At most two blank lines in a row, one inside classes."""
+    result: list[str] = []
+    for line in lines:
+        if not line and len(result) >= 2 and not result[-1] and not result[-2]:
+            continue
+        result.append(line)
+    return result

@@ -1,0 +1,157 @@
+"""Prints what is computed after physics and messages: signals, endings, truncation, reward, observation.
+
+The order is the language's: signals once, then terminations, truncation, rewards (which see the
+endings), then the observation. Failure beats success; terminated beats truncated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from deepbots_cli.compile.emit.names import Names
+from deepbots_cli.compile.emit.printer import Printer
+from deepbots_cli.compile.emit.reads import Reads
+from deepbots_cli.ir import Choices, CompiledScenario, Observed
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
+
+
+class EvaluationPrinter:
+    """Prints the evaluation of one scenario, for a tick or for the moment after a reset."""
+
+    def __init__(self, scenario: CompiledScenario) -> None:
+        self._scenario = scenario
+        self.names = Names()
+        expressions = [value for entry in scenario.signals for value in entry.values]
+        expressions += [ending.condition for ending in scenario.endings]
+        expressions += [term.value for term in scenario.reward]
+        expressions += [entry.value for entry in scenario.observation]
+        self.reads = Reads(expressions)
+        self._used = {leaf.name for expression in expressions for leaf in _name_leaves(expression)}
+        self._parameters = {entry.name for entry in scenario.parameters}
+
+    def uses(self, name: str) -> bool:
+        return name in self._used
+
+    def local(self, name: str, component: str | None = None) -> str:
+        return self.names(name, component)
+
+    def action_variables(self) -> list[str]:
+        return [v for part in self._scenario.action for v in (part.variables if isinstance(part, Choices) else (part.name,))]
+
+    def printer(self, *, starting: bool) -> Printer:
+        return Printer(self._resolve, self.names, self._scenario.world.timestep, starting=starting)
+
+
+    def _resolve(self, leaf: Name | World) -> str:
+        if isinstance(leaf, World):
+            return self.reads.code(leaf)
+        if leaf.name == "time":
+            return f"(self.step_count * {self._scenario.world.timestep!r})"
+        if leaf.name == "step":
+            return "self.step_count"
+        if leaf.name in self._parameters:
+            return f"self.{self.names('parameter', leaf.name, leaf.component)}"
+        return self.names(leaf.name, leaf.component)
+
+    def print_all(self, printer: Printer) -> None:
+        starting = printer.starting
+        printer.lines += self.reads.call_lines()
+        for entry in self._scenario.signals:
+            for component, value in zip(entry.components or (None,), entry.values, strict=True):
+                printer.assign(self.local(entry.name, component), value)
+        self._endings(printer)
+        if not starting:
+            self._truncation(printer)
+        self._rewards(printer)
+        self._observation(printer)
+
+    def _endings(self, printer: Printer) -> None:
+        endings = self._scenario.endings
+        for ending in endings:
+            printer.assign(self.local(ending.name), ending.condition)
+        if not endings:
+            return
+        names = [self.local(ending.name) for ending in endings]
+        printer.line(f"if {' or '.join(names)}:")
+        printer.line("    self.terminated = True")
+        failures = [ending for ending in endings if ending.outcome == "failure"]
+        successes = [ending for ending in endings if ending.outcome == "success"]
+        order = [*failures, *successes]
+        chain = "".join(f"{ending.name!r} if {self.local(ending.name)} else " for ending in order[:-1]) + repr(order[-1].name)
+        printer.line(f"    self.ended_by = {chain}")
+        if successes:
+            refused = "".join(f" and not {self.local(ending.name)}" for ending in failures)
+            reached = " or ".join(self.local(ending.name) for ending in successes)
+            printer.line(f"    self.is_success = {f'({reached})' if refused and len(successes) > 1 else reached}{refused}")
+
+    def _truncation(self, printer: Printer) -> None:
+        limits = self._scenario.truncation
+        ticks = []
+        if limits.max_steps is not None:
+            ticks.append((limits.max_steps, "max_steps"))
+        if limits.max_time is not None:
+            # a limit of a whole number of ticks must not gain one by rounding
+            ticks.append((math.ceil(limits.max_time / self._scenario.world.timestep - 1e-9), "max_time"))
+        if not ticks:
+            return
+        count, name = min(ticks)
+        word = "elif" if self._scenario.endings else "if"
+        printer.line(f"{word} self.step_count >= {count}:")
+        printer.line("    self.truncated = True")
+        printer.line(f"    self.ended_by = {name!r}")
+
+    def _rewards(self, printer: Printer) -> None:
+        terms = self._scenario.reward
+        if printer.starting:
+            printer.remember([term.value for term in terms])
+            for term in terms:
+                printer.line(f"self.term_{term.name} = 0.0")
+            return
+        for flag in ("terminated", "truncated"):
+            if self.uses(flag):
+                printer.line(f"{self.local(flag)} = self.{flag}")
+        if self.uses("ended"):
+            printer.line(f"{self.local('ended')} = self.terminated or self.truncated")
+        for term in terms:
+            printer.assign(f"self.term_{term.name}", term.value)
+        total = " + ".join(f"self.term_{term.name}" for term in terms) or "0.0"
+        printer.line(f"self.reward = reward = {total}")
+        printer.line("if not -1e300 < reward < 1e300:")
+        printer.line("    self._not_finite()")
+
+    def _observation(self, printer: Printer) -> None:
+        packed = []
+        for entry in self._scenario.observation:
+            name = self.names("seen", entry.name, entry.component)
+            if entry.truth:
+                packed.append(f"1.0 if {printer.value(entry.value)} else 0.0")
+                continue
+            printer.line(f"{name} = {_normalised(printer.value(entry.value), entry)}")
+            printer.line(f"if not -1.0 <= {name} <= 1.0:")
+            printer.line(f"    {name} = clipped({name})")
+            packed.append(name)
+        printer.line(f"self.pack({', '.join(['self.observed', '0', *packed])})")
+
+
+def _normalised(code: str, entry: Observed) -> str:
+    """Code that maps [low, high] to [-1, 1]."""
+    half, middle = (entry.high - entry.low) / 2, (entry.high + entry.low) / 2
+    if middle == 0.0:
+        return f"{_group(code)} * {1 / half!r}" if half != 1.0 else code
+    return f"({code} - {middle!r}) * {1 / half!r}"
+
+
+def _group(code: str) -> str:
+    return code if code.replace("_", "a").replace("[", "").replace("]", "").replace(".", "").isalnum() else f"({code})"
+
+
+def _name_leaves(expression: Scalar) -> Iterator[Name]:
+    match expression:
+        case Name():
+            yield expression
+        case Op(_, args) | State(_, args, _) | Draw(_, args, _):
+            for argument in args:
+                yield from _name_leaves(argument)
+        case Const() | World():
+            pass

@@ -1,0 +1,169 @@
+"""Prints one controller class per robot: `use_message_data` and `create_message`, as in the paper."""
+
+from __future__ import annotations
+
+from deepbots_cli.compile.emit.names import Names, class_name
+from deepbots_cli.compile.emit.printer import Printer, outer_states
+from deepbots_cli.compile.emit.reads import Reads
+from deepbots_cli.compile.emit.text import block, flat, indent, sentence_list, tuple_code
+from deepbots_cli.compile.sensors import reading
+from deepbots_cli.ir import Actuator, CompiledScenario, Robot
+from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
+
+
+class RobotPrinter:
+    """Prints the controller of one robot."""
+
+    def __init__(self, scenario: CompiledScenario, robot: Robot) -> None:
+        self._scenario = scenario
+        self._robot = robot
+        self._messages = scenario.format != "none"
+        self._names = Names()
+        self._received = {entry.name for entry in robot.receive}
+        self._emitted = [self._sensed(value) for entry in robot.emit for value in entry.values]
+        self._applied = [self._sensed(value) for entry in robot.apply for value in entry.values]
+        self._emit_reads = Reads(self._emitted)
+        self._apply_reads = Reads(self._applied)
+        self._keeps_state = any(outer_states(value) for value in self._emitted)
+
+    def text(self) -> list[str]:
+        robot = self._robot
+        emitted = sentence_list([entry.name for entry in robot.emit]) or "nothing"
+        driven = sentence_list([entry.name for entry in robot.apply]) or "nothing"
+        lines = [f"class {controller_name(robot)}(RobotController):", *indent([f'"""Robot `{robot.name}`: emits {emitted}; drives {driven}."""', ""])]
+        lines += indent(self._bind())
+        if self._keeps_state or any(outer_states(value) for value in self._applied):
+            lines += indent(self._reset())
+        if self._keeps_state:
+            lines += indent(self._sense_once())
+        lines += indent(self._use_message_data())
+        lines += indent(self._create_message())
+        return lines
+
+    def _bind(self) -> list[str]:
+        lines = dict.fromkeys([*self._emit_reads.bind_lines(), *self._apply_reads.bind_lines()])
+        writers = [f"self.drive_{actuator.name} = engine.{_writer_code(self._robot, actuator)}" for actuator in self._used_actuators()]
+        return block("def bind(self, engine: Any) -> None:", [*lines, *writers] or ["pass"])
+
+    def _used_actuators(self) -> list[Actuator]:
+        used = {entry.name for entry in self._robot.apply}
+        return [actuator for actuator in self._robot.actuators if actuator.name in used]
+
+    def _reset(self) -> list[str]:
+        """Memory of stateful functions as it is right after a reset; messages have not yet come, so received values are 0."""
+        printer = self._printer(self._emit_reads, starting=True)
+        printer.lines += dict.fromkeys([*self._emit_reads.call_lines(), *self._apply_reads.call_lines()])
+        applied = self._printer(self._apply_reads, starting=True, received="0.0")
+        applied.remember(self._applied)
+        printer.lines += applied.lines
+        if self._keeps_state:
+            self._store(printer)
+        else:
+            printer.remember(self._emitted)
+        return block("def reset(self) -> None:", printer.lines)
+
+    def _sense_once(self) -> list[str]:
+        printer = self._printer(self._emit_reads)
+        printer.lines += self._emit_reads.call_lines()
+        self._store(printer)
+        doc = '"""Read the sensors and advance what is computed on board; once per tick."""'
+        return block("def observe(self) -> None:", [doc, *printer.lines])
+
+    def _store(self, printer: Printer) -> None:
+        for (name, component), value in zip(flat(self._robot.emit), self._emitted, strict=True):
+            printer.assign(f"self.{self._stored(name, component)}", value)
+
+    def _use_message_data(self) -> list[str]:
+        printer = self._printer(self._apply_reads)
+        received = [self._names(name, component) for name, component in flat(self._robot.receive)]
+        if self._messages:
+            head = "def use_message_data(self, message: Any) -> None:"
+            doc = f'"""Decode {sentence_list(received) or "an empty message"} and drive the actuators."""'
+            printer.lines += decode_lines("self.decode(message)", received, self._robot.to_robot.stamp, "self.rejected(message)")
+        else:
+            head = f"def apply(self, {', '.join(received)}) -> None:".replace("(self, )", "(self)")
+            doc = '"""Drive the actuators."""'
+        printer.lines += self._apply_reads.call_lines()
+        applied = iter(self._applied)
+        for entry in self._robot.apply:
+            values = [printer.value(next(applied)) for _ in entry.values]
+            if len(values) > 1 and len(set(values)) == 1:
+                if not values[0].isidentifier():
+                    printer.line(f"{printer.names(entry.name, 'target')} = {values[0]}")
+                    values[0] = printer.names(entry.name, "target")
+                printer.line(f"self.drive_{entry.name}(({', '.join([values[0]] * len(values))}))")
+            else:
+                printer.line(f"self.drive_{entry.name}({tuple_code(values)})")
+        return block(head, [doc, *printer.lines])
+
+    def _create_message(self) -> list[str]:
+        labels = [name if component is None else f"{name}.{component}" for name, component in flat(self._robot.emit)]
+        lines = []
+        if self._keeps_state:
+            values = [f"self.{self._stored(name, component)}" for name, component in flat(self._robot.emit)]
+        else:
+            printer = self._printer(self._emit_reads)
+            printer.lines += self._emit_reads.call_lines()
+            values = [printer.value(value) for value in self._emitted]
+            lines = printer.lines
+        listed = sentence_list(labels) or "nothing"
+        if self._messages:
+            return block("def create_message(self) -> Any:", [f'"""A message that holds {listed}."""', *lines, f"return self.encode({', '.join(values)})"])
+        return block("def sense(self) -> tuple[Any, ...]:", [f'"""The values of {listed}."""', *lines, f"return {tuple_code(values)}"])
+
+    def _stored(self, name: str, component: str | None) -> str:
+        return "emitted_" + self._names(name, component)
+
+    def _printer(self, reads: Reads, *, starting: bool = False, received: str | None = None) -> Printer:
+        def resolve(leaf: Name | World) -> str:
+            if isinstance(leaf, World):
+                return reads.code(leaf)
+            return received or self._names(leaf.name, leaf.component)
+
+        return Printer(resolve, self._names, self._scenario.world.timestep, starting=starting)
+
+    def _sensed(self, expression: Scalar) -> Scalar:
+        """The expression with each sensor's name replaced by what the sensor reads."""
+        match expression:
+            case Name(name, component) if name not in self._received:
+                sensor = next(sensor for sensor in self._robot.sensors if sensor.name == name)
+                return reading(self._robot.name, sensor, component)
+            case Op(op, args):
+                return Op(op, tuple(self._sensed(argument) for argument in args))
+            case State(function, args, slot):
+                return State(function, tuple(self._sensed(argument) for argument in args), slot)
+            case Draw(distribution, args, stream):
+                return Draw(distribution, tuple(self._sensed(argument) for argument in args), stream)
+            case _:
+                return expression
+
+
+def keeps_state(robot: Robot) -> bool:
+    """Whether what the robot emits has a memory, which advances once per tick."""
+    return any(outer_states(value) for entry in robot.emit for value in entry.values)
+
+
+def controller_name(robot: Robot) -> str:
+    return f"{class_name(robot.name)}Controller"
+
+
+def decode_lines(decode: str, targets: list[str], stamp: int, error: str) -> list[str]:
+    """Statements that take a message apart, or raise the error that names robot, step and field."""
+    return [
+        "try:",
+        f"    {', '.join(['stamp', *targets])}{',' if not targets else ''} = {decode}",
+        f"    if stamp != {stamp}:",
+        "        raise ValueError(stamp)",
+        "except MALFORMED:",
+        f"    raise {error} from None",
+    ]
+
+
+def _writer_code(robot: Robot, actuator: Actuator) -> str:
+    limits = tuple_code([repr(limit) if limit is not None else "inf" for limit in actuator.max_torque])
+    arguments = f"{robot.name!r}, {actuator.joints!r}, {limits}"
+    if actuator.kind == "position_motor":
+        arguments += f", {actuator.stiffness!r}, {actuator.damping!r}"
+    return f"{actuator.kind}({arguments})"
+
+

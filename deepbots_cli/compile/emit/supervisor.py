@@ -1,0 +1,162 @@
+"""Prints the supervisor class: reset and one tick, with everything that the paper's methods read."""
+
+from __future__ import annotations
+
+from deepbots_cli.compile.emit.evaluation import EvaluationPrinter
+from deepbots_cli.compile.emit.names import class_name
+from deepbots_cli.compile.emit.printer import Printer
+from deepbots_cli.compile.emit.robot import controller_name, decode_lines, keeps_state
+from deepbots_cli.compile.emit.text import block, flat, indent, tuple_code
+from deepbots_cli.ir import Choices, CompiledScenario, Interval, Robot
+from deepbots_cli.lang.scalar import Const, Name, Scalar, World
+
+
+class SupervisorPrinter:
+    """Prints the supervisor of one scenario."""
+
+    def __init__(self, scenario: CompiledScenario) -> None:
+        self._scenario = scenario
+        self._evaluation = EvaluationPrinter(scenario)
+        self._names = self._evaluation.names
+        self._messages = scenario.format != "none"
+        self._late = scenario.timing == "paper"
+
+    def text(self) -> list[str]:
+        scenario = self._scenario
+        controllers = ", ".join(f"{robot.name!r}: {controller_name(robot)}" for robot in scenario.robots)
+        lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
+        lines += indent([repr(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *self._tables(), ""])
+        for method in (self._bind(), self._begin(), self._start(), self._advance(), self._reward_terms()):
+            lines += indent(method)
+        return lines
+
+    def _tables(self) -> list[str]:
+        """What each choice sets, as one dictionary per discrete part of the action."""
+        lines = []
+        for part in self._choices():
+            entries = ", ".join(
+                f"{index}: {tuple_code([repr(v) for v in option.values]) if len(part.variables) > 1 else repr(option.values[0])}"
+                for index, option in enumerate(part.options)
+            )
+            comment = ", ".join(option.name for option in part.options)
+            lines.append(f"CHOICES_{part.name} = {{{entries}}}  # {comment}")
+        return lines
+
+    def _choices(self) -> list[Choices]:
+        return [part for part in self._scenario.action if isinstance(part, Choices)]
+
+    def _bind(self) -> list[str]:
+        lines = self._evaluation.reads.bind_lines()
+        lines.append(f'self.pack = Struct("{len(self._scenario.observation)}f").pack_into')
+        return block("def bind(self, engine: Any) -> None:", lines)
+
+    # Reset
+
+    def _begin(self) -> list[str]:
+        """Draws in order of dependency, then places, then joints; language reference, "Reset"."""
+        printer = Printer(self._at_reset, self._names, self._scenario.world.timestep)
+        printer.line('"""Draw what this episode varies, and put the world where it begins."""')
+        for entry in self._scenario.parameters:
+            for component, value in zip(entry.components or (None,), entry.values, strict=True):
+                printer.assign(f"self.{self._names('parameter', entry.name, component)}", value)
+        printer.line("self.engine.reset()")
+        for place in self._scenario.reset.places:
+            xyz, rpy = (tuple_code([printer.value(value) for value in values]) for values in (place.xyz, place.rpy))
+            turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
+            printer.line(f"self.engine.place({place.body!r}, {xyz}, {turn})")
+        for joint in self._scenario.reset.joints:
+            printer.line(f"self.engine.set_joint({joint.robot!r}, {joint.joint!r}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
+        ticks = round(self._scenario.reset.settle / self._scenario.world.timestep)
+        if ticks:
+            printer.line(f"self.physics({ticks * self._scenario.world.substeps})")
+        return block("def _begin(self) -> None:", printer.lines)
+
+    def _at_reset(self, leaf: Name | World) -> str:
+        if isinstance(leaf, World):
+            raise TypeError(f"{leaf.function} cannot be read while a reset is under way")
+        return f"self.{self._names('parameter', leaf.name, leaf.component)}"
+
+    def _start(self) -> list[str]:
+        printer = self._evaluation.printer(starting=True)
+        printer.line('"""Receive the first messages and compute what the first observation needs."""')
+        zeros = [self._evaluation.local(name) for name in self._evaluation.action_variables() if self._evaluation.uses(name)]
+        if zeros:
+            printer.line(" = ".join([*zeros, "0.0"]))
+        for robot in self._scenario.robots:
+            self._receive(printer, robot, first=True)
+        self._evaluation.print_all(printer)
+        return block("def _start(self) -> None:", printer.lines)
+
+    # One tick
+
+    def _advance(self) -> list[str]:
+        printer = self._evaluation.printer(starting=False)
+        world = self._scenario.world
+        printer.line('"""One tick: act, let the world go on, receive, and compute all that is read afterwards."""')
+        self._decode_action(printer)
+        printer.line("self.step_count += 1")
+        for robot in self._scenario.robots:
+            self._send(printer, robot)
+        printer.line(f"self.physics({world.substeps})")
+        for robot in self._scenario.robots:
+            self._receive(printer, robot, first=False)
+        self._evaluation.print_all(printer)
+        return block("def _advance(self, action: Any) -> None:", printer.lines)
+
+    def _decode_action(self, printer: Printer) -> None:
+        choices = self._choices()
+        for index, part in enumerate(choices):
+            targets = ", ".join(self._evaluation.local(variable) for variable in part.variables)
+            key = "action" if len(choices) == 1 else f"action[{index}]"
+            printer.line(f"{targets} = self.CHOICES_{part.name}[{key}]")
+        intervals = [part for part in self._scenario.action if isinstance(part, Interval)]
+        targets_of = [(part, component) for part in intervals for component in (part.components or (None,))]
+        if targets_of:
+            locals_ = [self._evaluation.local(part.name, component) for part, component in targets_of]
+            printer.line(f"{', '.join(locals_)}{',' if len(locals_) == 1 else ''} = action.tolist()")
+            for (part, _), name in zip(targets_of, locals_, strict=True):
+                printer.line(f"if not -1.0 <= {name} <= 1.0:")
+                printer.line(f"    {name} = clipped({name})")
+                half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
+                if (half, middle) != (1.0, 0.0):
+                    printer.line(f"{name} = {middle!r} + {half!r} * {name}" if middle else f"{name} = {half!r} * {name}")
+
+    def _send(self, printer: Printer, robot: Robot) -> None:
+        values = [printer.value(value) for entry in robot.receive for value in entry.values]
+        controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
+        if not self._messages:
+            printer.line(f"{controller}.apply({', '.join(values)})")
+            return
+        printer.line(f"{channel}.send(self.encode_to_{robot.name}({', '.join(values)}))")
+        if self._late:
+            printer.line(f"message = {channel}.receive()")
+            printer.line("if message is not None:")
+            printer.line(f"    {controller}.use_message_data(message)")
+        else:
+            printer.line(f"{controller}.use_message_data({channel}.receive())")
+
+    def _receive(self, printer: Printer, robot: Robot, *, first: bool) -> None:
+        """Messages of one robot into local variables; the first of an episode arrives at once."""
+        controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
+        targets = [self._evaluation.local(f"{robot.name}.{name}", component) for name, component in flat(robot.emit)]
+        if keeps_state(robot) and not first:
+            printer.line(f"{controller}.observe()")
+        if not self._messages:
+            printer.line(f"{tuple_code(targets)} = {controller}.sense()" if targets else "")
+            return
+        if self._late and first:
+            printer.line(f"message = {controller}.create_message()")
+            printer.line(f"{channel}.send(message)")
+        else:
+            printer.line(f"{channel}.send({controller}.create_message())")
+            printer.line(f"message = {channel}.receive()")
+        error = f"self._rejected({controller}.spec.from_robot, message)"
+        printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.stamp, error)
+
+    def _reward_terms(self) -> list[str]:
+        entries = ", ".join(f"{term.name!r}: self.term_{term.name}" for term in self._scenario.reward)
+        return block("def reward_terms(self) -> dict[str, float]:", [f"return {{{entries}}}"])
+
+
+def _all_zero(values: tuple[Scalar, ...]) -> bool:
+    return all(isinstance(value, Const) and value.value == 0.0 for value in values)

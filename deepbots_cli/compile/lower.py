@@ -1,0 +1,149 @@
+"""Task to compiled scenario: names become scalar trees, messages get their layouts."""
+
+from __future__ import annotations
+
+import math
+import zlib
+
+from deepbots_cli import ir
+from deepbots_cli.lang import lower as lang
+from deepbots_cli.lang.fold import op
+from deepbots_cli.lang.scalar import Const, Draw, Name, Scalar, walk
+from deepbots_cli.task import Command, Coordinate, JointStart, ObservedValue, Placement, Task, TaskRobot, Valued
+
+
+def lower(task: Task) -> ir.CompiledScenario:
+    """The compiled scenario of a task without errors."""
+    return ir.CompiledScenario(
+        task.name,
+        task.summary,
+        task.language,
+        task.world,
+        tuple(_robot(robot, task) for robot in task.robots),
+        task.format,
+        task.timing,
+        tuple(_named(value) for value in task.parameters),
+        task.action,
+        tuple(_named(value) for value in task.order),
+        tuple(entry for observed in task.observation for entry in _observed(observed)),
+        tuple(ir.Term(term.name, _scalars(term)[0]) for term in task.reward),
+        tuple(ir.Ending(ending.value.name, ending.outcome, _scalars(ending.value)[0]) for ending in task.endings),
+        task.truncation,
+        ir.Reset(
+            tuple(_place(placement) for placement in task.placements),
+            tuple(start for joints in task.joint_starts for start in _joint_starts(joints)),
+            task.settle,
+        ),
+        task.solved,
+        task.training,
+        task.evaluation,
+    )
+
+
+def _scalars(value: Valued, spread: tuple[str, ...] | None = None) -> tuple[Scalar, ...]:
+    return lang.lower(value.typed, value.owner, spread)
+
+
+def _named(value: Valued) -> ir.NamedValues:
+    return ir.NamedValues(value.name, value.components, _scalars(value))
+
+
+def _observed(observed: ObservedValue) -> list[ir.Observed]:
+    value = observed.value
+    known = value.typed.type
+    components = known.components or (None,)
+    rows = zip(components, _scalars(value), observed.low, observed.high, strict=True)
+    return [ir.Observed(value.name, component, scalar, low, high, str(known.dimension), known.boolean) for component, scalar, low, high in rows]
+
+
+# Robots and their messages
+
+
+def _robot(robot: TaskRobot, task: Task) -> ir.Robot:
+    emit = tuple(_named(value) for value in robot.emit)
+    apply = tuple(_command(command) for command in robot.commands)
+    receive = tuple(_named(value) for value in robot.receive) if robot.listens else _action_variables(apply, robot, task)
+    return ir.Robot(
+        robot.name,
+        robot.sensors,
+        robot.actuators,
+        receive,
+        emit,
+        apply,
+        _layout(robot.name, "to_robot", _received_fields(receive, robot, task)),
+        _layout(robot.name, "from_robot", tuple(_field(value) for value in robot.emit)),
+    )
+
+
+def _command(command: Command) -> ir.NamedValues:
+    """One target per joint, within the joint's velocity limit where the actuator commands velocities."""
+    actuator = command.actuator
+    values = _scalars(command.target)
+    if len(values) == 1:
+        values = values * len(actuator.joints)
+    if actuator.kind == "velocity_motor":
+        reach = command.target.typed.type.interval
+        values = tuple(_limited(value, limit, reach.low, reach.high) for value, limit in zip(values, actuator.max_velocity, strict=True))
+    return ir.NamedValues(actuator.name, actuator.joints, values)
+
+
+def _limited(value: Scalar, limit: float | None, low: float, high: float) -> Scalar:
+    if limit is None or (-limit <= low and high <= limit):
+        return value
+    return op("clamp", value, Const(-limit), Const(limit))
+
+
+def _action_variables(apply: tuple[ir.NamedValues, ...], robot: TaskRobot, task: Task) -> tuple[ir.NamedValues, ...]:
+    """The action variables that `apply` uses, in the order of the action: what is sent where `receive` is not given."""
+    used = {node.name for entry in apply for value in entry.values for node in walk(value) if isinstance(node, Name)}
+    found = []
+    for part in task.action:
+        variables = [(name, ()) for name in part.variables] if isinstance(part, ir.Choices) else [(part.name, part.components)]
+        for name, components in variables:
+            if name in used:
+                found.append(ir.NamedValues(name, components, tuple(Name(name, component) for component in components or (None,))))
+    return tuple(found)
+
+
+def _received_fields(receive: tuple[ir.NamedValues, ...], robot: TaskRobot, task: Task) -> tuple[ir.Field, ...]:
+    if robot.listens:
+        return tuple(_field(value) for value in robot.receive)
+    units = {part.name: part.unit for part in task.action if isinstance(part, ir.Interval)}
+    return tuple(ir.Field(entry.name, units.get(entry.name, "1"), entry.components) for entry in receive)
+
+
+def _field(value: Valued) -> ir.Field:
+    known = value.typed.type
+    return ir.Field(value.name, "" if known.boolean else str(known.dimension), known.components or (), "bool" if known.boolean else "float64")
+
+
+def _layout(robot: str, direction: ir.Direction, fields: tuple[ir.Field, ...]) -> ir.MessageLayout:
+    """The stamp is a CRC-32 over everything that both ends must agree on."""
+    text = "|".join([f"v{ir.IR_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{','.join(f.components)}" for f in fields)])
+    return ir.MessageLayout(robot, direction, fields, zlib.crc32(text.encode()))
+
+
+# Resets
+
+
+def _place(placement: Placement) -> ir.Place:
+    x, y, z, roll, pitch, yaw = (_coordinate(placement.coordinates.get(key), key) for key in ("x", "y", "z", "roll", "pitch", "yaw"))
+    return ir.Place(placement.body, (x, y, z), (roll, pitch, yaw))
+
+
+def _coordinate(coordinate: Coordinate | None, key: str) -> Scalar:
+    if coordinate is None:
+        return Const(0.0)
+    if coordinate.typed is None:
+        return Draw("uniform", (Const(-math.pi), Const(math.pi)), f"{coordinate.owner}#0")
+    owner, _, index = coordinate.owner.partition("[")
+    scalars = lang.lower(coordinate.typed, owner)
+    return scalars[int(index.rstrip("]"))] if index and len(scalars) > 1 else scalars[0]
+
+
+def _joint_starts(start: JointStart) -> list[ir.SetJoint]:
+    """A draw that is written once is drawn anew for each joint of a group."""
+    spread = start.joints if len(start.joints) > 1 else None
+    positions = _scalars(start.position, spread)
+    velocities = _scalars(start.velocity, spread) if start.velocity else (Const(0.0),) * len(start.joints)
+    return [ir.SetJoint(start.robot, joint, position, velocity) for joint, position, velocity in zip(start.joints, positions, velocities, strict=True)]

@@ -1,0 +1,105 @@
+"""How an episode begins: where bodies are placed, and where joints start."""
+
+from __future__ import annotations
+
+from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.compile.robots import empty_match, joint_dimension
+from deepbots_cli.compile.scopes import ParameterScope
+from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
+from deepbots_cli.lang.types import SPACE, Context, Kind, Stage
+from deepbots_cli.schema.pose import Pose
+from deepbots_cli.schema.reset import JointState
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Coordinate, JointStart, Placement, Valued
+
+_TURNS = ("roll", "pitch", "yaw")
+
+
+def placements(spec: Scenario, namespace: Namespace) -> tuple[Placement, ...]:
+    """Bodies in the order of the file; one that `reset` does not place stands at its own `pose`."""
+    found = []
+    for body, place in spec.reset.place.items():
+        path: Path = ("reset", "place", body)
+        if namespace.origin(body) not in (Origin.ROBOT, Origin.OBJECT):
+            names = namespace.named(Origin.ROBOT, Origin.OBJECT)
+            namespace.values.findings.add("DB201", namespace.values.key_span(path), f"there is no robot or object `{body}`", help=f"there are: {', '.join(names)}")
+            continue
+        found.append(_placement(body, place, path, namespace))
+    placed = {placement.body for placement in found}
+    for section, bodies in (("objects", spec.objects), ("robots", spec.robots)):
+        found += [_placement(name, body.pose, (section, name, "pose"), namespace) for name, body in bodies.items() if name not in placed]
+    return tuple(found)
+
+
+def _placement(body: str, pose: Pose, path: Path, namespace: Namespace) -> Placement:
+    coordinates: dict[str, Coordinate] = {}
+    for whole, parts, dimension in (("xyz", SPACE, LENGTH), ("rpy", _TURNS, ANGLE)):
+        for part in parts:
+            given = getattr(pose, part)
+            if given is not None:
+                coordinate = _coordinate(given, (*path, part), dimension, namespace)
+                coordinates |= {part: coordinate} if coordinate else {}
+        if getattr(pose, whole) is not None:
+            coordinates |= _vector(getattr(pose, whole), (*path, whole), parts, dimension, namespace)
+    return Placement(body, coordinates)
+
+
+def _owner(path: Path) -> str:
+    return ".".join(map(str, path))
+
+
+def _coordinate(given: object, path: Path, dimension: Dimension, namespace: Namespace) -> Coordinate | None:
+    if given == "any":
+        return Coordinate(_owner(path), None)
+    values = namespace.values
+    typed = values.quantity(values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, None, Stage.EPISODE)
+    return Coordinate(_owner(path), typed) if typed else None
+
+
+def _vector(given: object, path: Path, parts: tuple[str, ...], dimension: Dimension, namespace: Namespace) -> dict[str, Coordinate]:
+    """The components of `xyz` or `rpy`, each picked from the same typed vector."""
+    values = namespace.values
+    typed = values.quantity(values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, SPACE, Stage.EPISODE)
+    if typed is None:
+        return {}
+    return {part: Coordinate(f"{_owner(path)}[{index}]", typed) for index, part in enumerate(parts)}
+
+
+def joint_starts(spec: Scenario, namespace: Namespace) -> tuple[JointStart, ...]:
+    """The entries of `reset.set`: joints and groups of joints of robots."""
+    return tuple(start for key, given in spec.reset.set.items() if (start := _joint_start(key, given, namespace)) is not None)
+
+
+def _joint_start(key: str, given: object, namespace: Namespace) -> JointStart | None:
+    path: Path = ("reset", "set", key)
+    robot_name, _, part = key.partition(".")
+    robot = namespace.robots.get(robot_name)
+    if robot is None:
+        if robot_name not in namespace.robots:
+            known = namespace.named(Origin.ROBOT)
+            namespace.values.findings.add("DB201", namespace.values.key_span(path), f"there is no robot `{robot_name}`", help=f"robots are: {', '.join(known)}")
+        return None
+    subject = robot.subject(part)
+    if subject is None or subject.kind not in (Kind.JOINT, Kind.JOINTS):
+        moving = [joint.name for joint in robot.model.moving_joints]
+        empty_match(namespace.values.findings, namespace.values, path, part, "joint", moving)
+        return None
+    joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
+    dimension = joint_dimension(robot.model.joint(joints[0]))
+    components = subject.components
+    if not isinstance(given, JointState):
+        position = _start_value(given, path, dimension, components, namespace)
+        return JointStart(robot_name, joints, position, None) if position else None
+    position = _start_value(given.position, (*path, "position"), dimension, components, namespace)
+    velocity = _start_value(given.velocity, (*path, "velocity"), dimension / TIME, components, namespace)
+    return JointStart(robot_name, joints, position, velocity) if position and velocity else None
+
+
+def _start_value(given: object, path: Path, dimension: Dimension, components: tuple[str, ...] | None, namespace: Namespace) -> Valued | None:
+    values = namespace.values
+    text = values.text(path, given)
+    scope = ParameterScope(namespace, Context.RESET)
+    typed = values.quantity(text, "the start of a joint", scope, dimension, components, Stage.EPISODE)
+    return Valued(str(path[2]), text.span, text.text, typed, _owner(path)) if typed else None
+

@@ -1,0 +1,128 @@
+"""What an expression may see from its place in the scenario.
+
+The split is the paper's: the supervisor sees the world and what robots sent; a robot sees its own
+sensors, what it received, its poses, and parameters that never change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.lang.dimensions import NUMBER, TIME
+from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.types import Context, Stage, Subject, Symbol, Type
+
+_ENDLESS = Interval(0.0, float("inf"))
+_FLAGS = ("terminated", "truncated", "ended")
+_LATER = ("episode_return", "previous_action", "previous_reward", "goal_reached")
+
+
+@dataclass(frozen=True)
+class ParameterScope:
+    """Parameters only: for figures of the world, resets, ranges."""
+
+    namespace: Namespace
+    context: Context
+
+    def lookup(self, name: str) -> Symbol | None:
+        origin = self.namespace.origin(name)
+        if origin is Origin.PARAMETER:
+            return self.namespace.symbol(name)
+        if origin in (None, Origin.ROBOT, Origin.OBJECT, Origin.LINE):
+            return None
+        return Symbol(name, None, refused=f"{_said(origin)} has a value only while an episode runs; use a parameter")
+
+    def subject(self, name: str) -> Subject | None:
+        return self.namespace.subject(name)
+
+    def names(self) -> Iterable[str]:
+        return self.namespace.named(Origin.PARAMETER)
+
+    def subjects(self) -> Iterable[str]:
+        return self.namespace.subjects()
+
+
+@dataclass(frozen=True)
+class SupervisorScope:
+    """Everything that has a value in a step; endings only where they are known already."""
+
+    namespace: Namespace
+    context: Context
+
+    def lookup(self, name: str) -> Symbol | None:
+        if (built_in := self._built_in(name)) is not None:
+            return built_in
+        origin = self.namespace.origin(name)
+        if origin is Origin.ENDING and self.context not in (Context.REWARD, Context.ENDING):
+            return Symbol(name, None, refused="endings are settled after the signals; use the condition itself")
+        if origin in (Origin.ROBOT, Origin.OBJECT, Origin.LINE):
+            return None
+        symbol = self.namespace.symbol(name)
+        if symbol is None and self.namespace.broken(name):
+            return Symbol(name, None)
+        return symbol
+
+    def _built_in(self, name: str) -> Symbol | None:
+        if name == "time":
+            return Symbol(name, Type(TIME, interval=_ENDLESS, stage=Stage.STEP))
+        if name == "step":
+            return Symbol(name, Type(NUMBER, interval=_ENDLESS, stage=Stage.STEP))
+        if name in _FLAGS:
+            refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
+            return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
+        if name in _LATER:
+            return Symbol(name, None, refused="it is not supported yet")
+        return None
+
+    def subject(self, name: str) -> Subject | None:
+        return self.namespace.subject(name)
+
+    def names(self) -> Iterable[str]:
+        known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
+        endings = [Origin.ENDING] if self.context in (Context.REWARD, Context.ENDING) else []
+        return [*self.namespace.named(*known, *endings), "time", "step"]
+
+    def subjects(self) -> Iterable[str]:
+        return self.namespace.subjects()
+
+
+@dataclass(frozen=True)
+class RobotScope:
+    """What one robot knows on board. `own` holds its sensors, received fields and poses by name."""
+
+    namespace: Namespace
+    context: Context
+    robot: str
+    own: dict[str, Symbol]
+
+    def lookup(self, name: str) -> Symbol | None:
+        if name in self.own:
+            self.namespace.touch(name)
+            return self.own[name]
+        origin = self.namespace.origin(name)
+        if origin is Origin.PARAMETER:
+            symbol = self.namespace.symbol(name)
+            if symbol is not None and symbol.type is not None and symbol.type.stage is not Stage.FIXED:
+                return Symbol(name, None, refused=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
+            return symbol
+        if origin is Origin.ACTION:
+            return Symbol(name, None, refused="it arrives with a message; use it in `apply`")
+        if name in ("time", "step", *_FLAGS, *_LATER) or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
+            return Symbol(name, None, refused=f"robot `{self.robot}` sees only its own sensors; send it under `receive` if it must know")
+        return None
+
+    def subject(self, name: str) -> Subject | None:
+        return self.namespace.subject(name)
+
+    def names(self) -> Iterable[str]:
+        return [*self.own, *self.namespace.named(Origin.PARAMETER)]
+
+    def subjects(self) -> Iterable[str]:
+        return self.namespace.subjects()
+
+
+def _said(origin: Origin) -> str:
+    text = origin.value
+    return text[0].upper() + text[1:]

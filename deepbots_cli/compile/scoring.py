@@ -1,0 +1,137 @@
+"""What the episode is worth and when it ends: signals, reward, endings, truncation, solved, training."""
+
+from __future__ import annotations
+
+from deepbots_cli import ir
+from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.compile.scopes import ParameterScope, SupervisorScope
+from deepbots_cli.compile.values import Text, Values
+from deepbots_cli.lang.dimensions import NUMBER, TIME
+from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.plain import parse_schedule
+from deepbots_cli.lang.types import Context, Symbol, Type
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.schema.task import PythonTerm
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import TaskEnding, Valued
+
+_ON_CHOICES = frozenset({"DQN", "QRDQN"})
+_ON_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC", "CrossQ"})
+
+
+class Signals:
+    """Augmentation, signals and endings: named values of the supervisor, typed when first asked for."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._namespace = namespace
+        self._values = namespace.values
+        self.valued: dict[str, Valued] = {}
+        if isinstance(spec.augment, dict):
+            for name, given in spec.augment.items():
+                self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
+        for name, given in spec.signals.items():
+            self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
+        self._outcomes: dict[str, ir.Outcome] = {}
+        outcomes: tuple[tuple[ir.Outcome, dict[str, str | PythonTerm]], ...] = (("success", spec.termination.success), ("failure", spec.termination.failure))
+        for outcome, conditions in outcomes:
+            for name, condition in conditions.items():
+                self._outcomes[name] = outcome
+                self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
+
+    def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
+        self._namespace.define(name, origin, place, lambda: self._typed(name, given, place, context))
+
+    def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
+        if isinstance(given, PythonTerm):
+            return Symbol(name, None)
+        text = self._values.text(place, given)
+        typed = self._values.expression(text, SupervisorScope(self._namespace, context), boolean=True if context is Context.ENDING else None)
+        if typed is None:
+            return Symbol(name, None)
+        self.valued[name] = Valued(name, text.span, text.text, typed, ".".join(map(str, place)))
+        known = typed.type
+        return Symbol(name, Type(known.dimension, known.components, known.boolean, known.interval, known.stage))
+
+    def ordered(self) -> tuple[Valued, ...]:
+        """Augmentation and signals, each after those that it is made of."""
+        for name in self._namespace.named(Origin.AUGMENT, Origin.SIGNAL):
+            self._namespace.settle(name)
+        wanted = (Origin.AUGMENT, Origin.SIGNAL)
+        return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
+
+    def endings(self) -> tuple[TaskEnding, ...]:
+        """In file order where none is made of another, else each after those that it is made of."""
+        for name in self._outcomes:
+            self._namespace.settle(name)
+        names = [name for name in self._namespace.order if name in self.valued and self._namespace.origin(name) is Origin.ENDING]
+        return tuple(TaskEnding(self.valued[name], self._outcomes[name]) for name in names)
+
+
+def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
+    """The summands of the reward: single plain numbers."""
+    terms = []
+    for name, given in spec.reward.items():
+        if isinstance(given, PythonTerm):
+            continue
+        text = namespace.values.text(("reward", name), given)
+        typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD), boolean=False)
+        typed = typed and expect(typed, namespace.values.report(text), "a reward", dimension=NUMBER)
+        if typed is not None:
+            terms.append(Valued(name, text.span, text.text, typed, f"reward.{name}"))
+    return tuple(terms)
+
+
+def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:
+    """The limits; an episode that neither limits nor endings are sure to close is a finding."""
+    values = namespace.values
+    scope = ParameterScope(namespace, Context.FIXED)
+    limits = spec.truncation
+    if limits is None:
+        values.findings.add("DB803", values.key_span(("reward",)), "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`")
+        return ir.Truncation()
+    steps = values.number(("truncation", "max_steps"), limits.max_steps, NUMBER, scope) if limits.max_steps is not None else None
+    if steps is not None and (steps < 1 or steps != int(steps)):
+        values.findings.add("DB105", values.span(("truncation", "max_steps")), f"{steps:g} is no number of steps", help="give a whole number, at least 1")
+        steps = None
+    time = values.number(("truncation", "max_time"), limits.max_time, TIME, scope) if limits.max_time is not None else None
+    if time is not None and time <= 0:
+        values.findings.add("DB105", values.span(("truncation", "max_time")), "a time limit that is over at once", help="give more than 0 s")
+        time = None
+    return ir.Truncation(int(steps) if steps else None, time)
+
+
+def solved(spec: Scenario, values: Values) -> ir.Solved | None:
+    if spec.solved is None:
+        return None
+    rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
+    return ir.Solved(spec.solved.episodes, spec.solved.mean_return, rate)
+
+
+def training(spec: Scenario, values: Values, action: tuple[ir.Choices | ir.Interval, ...]) -> ir.Training | None:
+    """The training section; an algorithm that cannot act in this action space is a finding."""
+    if spec.train is None:
+        return None
+    _check_algorithm(spec.train.algorithm, values, action)
+    figures = []
+    for name, given in spec.train.hyperparameters.items():
+        if isinstance(given, (bool, int, float, str)) or given is None:
+            value = _schedule(values.text(("train", name), given), values) if isinstance(given, str) and "->" in given else given
+            figures.append(ir.Hyperparameter(name, value))
+    policy = ir.Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation)
+    return ir.Training(spec.train.algorithm, spec.train.total_timesteps, spec.train.environments, tuple(figures), policy)
+
+
+def _schedule(text: Text, values: Values) -> ir.Schedule | None:
+    found = parse_schedule(text.text, values.report(text))
+    return ir.Schedule(found.begin, found.end) if found else None
+
+
+def _check_algorithm(algorithm: str, values: Values, action: tuple[ir.Choices | ir.Interval, ...]) -> None:
+    if not action:
+        return
+    continuous = [part for part in action if isinstance(part, ir.Interval)]
+    span = values.span(("train", "algorithm"))
+    if algorithm in _ON_CHOICES and (continuous or len(action) > 1):
+        values.findings.add("DB612", span, f"{algorithm} needs one choice as its action", help="use PPO, or give the action as `choices`")
+    elif algorithm in _ON_INTERVALS and len(continuous) < len(action):
+        values.findings.add("DB612", span, f"{algorithm} cannot choose between options", help="use PPO or DQN, or give the action as a range")

@@ -1,0 +1,77 @@
+"""Parts of the language that this version reads but does not run yet: an honest finding for each.
+
+One table, so that delivering a part means taking out its line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compile.sensors import SENSOR_KINDS
+from deepbots_cli.compile.values import Values
+from deepbots_cli.schema.part import Part
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import Path
+
+_MOTORS = ("velocity_motor", "position_motor", "torque_motor")
+
+# Keys of the parts found at a path (a `*` stands for any name) that are not delivered yet.
+_LATER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+    (("world",), ("walls", "terrain", "lines", "light")),
+    (("objects", "*"), ("count", "one_of", "file")),
+    (("robots", "*"), ("count",)),
+    (("robots", "*", "links", "*"), ("colour",)),
+    (("robots", "*", "sensors", "*"), ("period", "latency", "noise", "bias", "drift", "quantise", "range", "pose")),
+    (("robots", "*", "actuators", "*"), ("strength", "delay", "lag")),
+    (("messages",), ("to_robot", "from_robot")),
+    (("agent",), ("repeat", "stack", "each")),
+    (("action", "*"), ("forbid",)),
+    (("observation", "*"), ("history", "noise", "clip")),
+    ((), ("goal", "disturbances", "curriculum")),
+    (("reset",), ("layout", "layouts", "require", "attempts")),
+    (("reset", "place", "*"), ("region", "clearance", "grid", "line", "at_most", "velocity", "angular_velocity")),
+    (("evaluation",), ("cases",)),
+    (("train",), ("replay", "action_noise")),
+)
+
+
+def check_support(spec: Scenario, values: Values) -> None:
+    """DB108 for everything in the file that is not delivered yet."""
+    for path, part in _parts(spec, ()):
+        for pattern, keys in _LATER:
+            if _fits(path, pattern):
+                for key in sorted(part.model_fields_set.intersection(keys)):
+                    _report(values, (*path, key), f"`{key}`")
+        kind = getattr(part, "type", None)
+        if _fits(path, ("robots", "*", "sensors", "*")) and kind not in SENSOR_KINDS:
+            _report(values, (*path, "type"), f"the sensor kind `{kind}`")
+        if _fits(path, ("robots", "*", "actuators", "*")) and kind not in _MOTORS:
+            _report(values, (*path, "type"), f"the actuator kind `{kind}`")
+        if "python" in part.model_fields_set:
+            _report(values, (*path, "python"), "a Python term")
+    mixed = {hasattr(part, "choices") for part in spec.action.values()}
+    if len(mixed) > 1:
+        _report(values, ("action",), "an action of both choices and ranges")
+
+
+def _report(values: Values, path: Path, what: str) -> None:
+    help = "take it out for now; the language reference lists what each version runs"
+    values.findings.add("DB108", values.key_span(path), f"{what} is not supported yet", help=help)
+
+
+def _fits(path: Path, pattern: tuple[str, ...]) -> bool:
+    return len(path) == len(pattern) and all(p in ("*", step) for p, step in zip(pattern, path, strict=True))
+
+
+def _parts(value: object, path: Path) -> Iterator[tuple[Path, Part]]:
+    """Every part that the user wrote, with its path."""
+    if isinstance(value, Part):
+        yield path, value
+        for name in value.model_fields_set:
+            yield from _parts(getattr(value, name, None), (*path, name))
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield from _parts(item, (*path, key))
+    elif isinstance(value, tuple):
+        for index, item in enumerate(value):
+            yield from _parts(item, (*path, index))

@@ -1,0 +1,166 @@
+"""Findings as data: what is wrong, where exactly, and what to write instead.
+
+A `Source` is a text with a name; a `Span` is a piece of one, kept as two offsets, so that a
+position inside a scalar is as easy to name as a whole line. Rendering lives elsewhere.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+Severity = Literal["error", "warning"]
+
+
+class Position(NamedTuple):
+    """A place in a text; both numbers count from 1, columns in code points."""
+
+    line: int
+    column: int
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A text that was read, and where it came from.
+
+    `name` is what the user sees: the path as given on the command line, or relative to the working
+    directory. `included_from` is the span of the `include` or `extends` that brought this file in.
+    """
+
+    name: str
+    text: str
+    included_from: Span | None = None
+
+    @cached_property
+    def _line_starts(self) -> list[int]:
+        return [0, *(i + 1 for i, c in enumerate(self.text) if c == "\n")]
+
+    def position(self, offset: int) -> Position:
+        line = bisect_right(self._line_starts, offset)
+        return Position(line, offset - self._line_starts[line - 1] + 1)
+
+    def line(self, number: int) -> str:
+        """The text of line `number` (from 1), without its end."""
+        starts = self._line_starts
+        end = starts[number] - 1 if number < len(starts) else len(self.text)
+        return self.text[starts[number - 1] : end].rstrip("\r")
+
+
+@dataclass(frozen=True)
+class Span:
+    """The half-open piece `[start, end)` of a source, in code points."""
+
+    source: Source
+    start: int
+    end: int
+
+    @property
+    def begin(self) -> Position:
+        return self.source.position(self.start)
+
+    @property
+    def finish(self) -> Position:
+        return self.source.position(self.end)
+
+    @property
+    def text(self) -> str:
+        return self.source.text[self.start : self.end]
+
+    @property
+    def where(self) -> str:
+        """`file:line:column`, as editors and terminals link it."""
+        return f"{self.source.name}:{self.begin.line}:{self.begin.column}"
+
+
+@dataclass(frozen=True)
+class Label:
+    """A further place that explains a finding, such as "first defined here"."""
+
+    span: Span
+    text: str
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Replace the text of `span` by `text`."""
+
+    span: Span
+    text: str
+
+
+@dataclass(frozen=True)
+class Fix:
+    """Edits that mend a finding; a safe one never changes what the file means."""
+
+    title: str
+    edits: tuple[Edit, ...]
+    safe: bool = True
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One problem at one place.
+
+    Headlines start in lower case, carry no full stop and never hold the remedy; that is `help`.
+    `code` must be in the rule registry, which supplies the kebab-case name and the severity.
+    """
+
+    code: str
+    span: Span
+    headline: str
+    help: str | None = None
+    also: tuple[Label, ...] = ()
+    notes: tuple[str, ...] = ()
+    fix: Fix | None = field(default=None, compare=False)
+
+    @property
+    def severity(self) -> Severity:
+        from deepbots_cli.diagnostics.registry import rule
+
+        return rule(self.code).severity
+
+    @property
+    def name(self) -> str:
+        from deepbots_cli.diagnostics.registry import rule
+
+        return rule(self.code).name
+
+    @property
+    def sort_key(self) -> tuple[str, int, int, str, str]:
+        return (self.span.source.name, self.span.start, self.span.end, self.code, self.headline)
+
+
+class Findings:
+    """A list that passes add to; sorted and free of repeats when it is read."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, int, int, str, str], Finding] = {}
+
+    def add(
+        self,
+        code: str,
+        span: Span,
+        headline: str,
+        *,
+        help: str | None = None,
+        also: tuple[Label, ...] = (),
+        notes: tuple[str, ...] = (),
+        fix: Fix | None = None,
+    ) -> None:
+        self.append(Finding(code, span, headline, help, also, notes, fix))
+
+    def append(self, finding: Finding) -> None:
+        self._found.setdefault(finding.sort_key, finding)
+
+    def __iter__(self) -> Iterator[Finding]:
+        return iter(sorted(self._found.values(), key=lambda f: f.sort_key))
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    @property
+    def errors(self) -> list[Finding]:
+        return [f for f in self if f.severity == "error"]

@@ -1,0 +1,75 @@
+"""The rule registry: code, kebab-case name, severity and what the rule is about.
+
+Codes and names are stable: a rule that is retired keeps its number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deepbots_cli.diagnostics.finding import Severity
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One entry of the catalogue."""
+
+    code: str
+    name: str
+    severity: Severity
+    summary: str
+
+
+_CATALOGUE = (
+    Rule("DB001", "yaml-syntax", "error", "the text is not YAML 1.2"),
+    Rule("DB002", "duplicate-key", "error", "a mapping holds the same key twice"),
+    Rule("DB003", "yaml11-boolean", "warning", "a word that older YAML read as true or false is text here"),
+    Rule("DB004", "odd-number", "warning", "a value that looks like a number is text, or would be another number elsewhere"),
+    Rule("DB005", "resource-limit", "error", "a file is deeper, larger or expands further than is allowed"),
+    Rule("DB101", "unknown-key", "error", "a key that the language does not know"),
+    Rule("DB102", "missing-key", "error", "a key that is required here is absent"),
+    Rule("DB103", "wrong-type", "error", "a value of the wrong type"),
+    Rule("DB104", "unknown-kind", "error", "a word outside the words that are allowed here"),
+    Rule("DB105", "out-of-range", "error", "a number outside its range"),
+    Rule("DB106", "wrong-length", "error", "a list or a vector with too few or too many items"),
+    Rule("DB107", "empty-value", "error", "a key without a value"),
+    Rule("DB108", "not-yet-supported", "error", "a part of the language that this version does not run yet"),
+    Rule("DB201", "unknown-reference", "error", "a name that nothing in the scenario defines"),
+    Rule("DB202", "duplicate-name", "error", "two definitions share one name"),
+    Rule("DB203", "wrong-kind-reference", "error", "a name of another kind than is needed here"),
+    Rule("DB204", "bad-include", "error", "an included file is missing, cyclic or outside the project"),
+    Rule("DB205", "unused-definition", "warning", "a definition that nothing uses"),
+    Rule("DB206", "empty-match", "error", "a pattern that matches nothing"),
+    Rule("DB207", "circular-definition", "error", "definitions that refer to each other in a circle"),
+    Rule("DB301", "bad-urdf", "error", "a robot file that an engine could not load safely"),
+    Rule("DB302", "unknown-joint", "error", "a joint that the robot does not have"),
+    Rule("DB303", "joint-not-actuatable", "error", "an actuator on a joint that cannot move"),
+    Rule("DB304", "limit-beyond-urdf", "warning", "a limit wider than the robot file allows"),
+    Rule("DB305", "missing-inertial", "warning", "a link without inertia, for which an engine would invent 1 kg"),
+    Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
+    Rule("DB307", "missing-joint-limits", "warning", "a revolute or prismatic joint without limits"),
+    Rule("DB308", "rate-mismatch", "error", "a period that is no multiple of the timestep"),
+    Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),
+    Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
+    Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
+    Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),
+    Rule("DB404", "shape-mismatch", "error", "vectors with different components are combined"),
+    Rule("DB405", "possible-zero-division", "warning", "a divisor can be zero"),
+    Rule("DB406", "domain-error", "warning", "an argument can leave the domain of its function"),
+    Rule("DB407", "not-available-here", "error", "a name or function that cannot be used in this place"),
+    Rule("DB501", "unknown-unit", "error", "a unit that the language does not know"),
+    Rule("DB502", "missing-unit", "error", "a number that needs a unit has none"),
+    Rule("DB503", "dimension-mismatch", "error", "quantities of different dimension are combined"),
+    Rule("DB504", "degrees-as-radians", "warning", "a value in radians that was probably meant in degrees"),
+    Rule("DB505", "implausible-magnitude", "warning", "a figure far outside what its field usually holds"),
+    Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm that cannot act in the declared action space"),
+    Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),
+    Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
+)
+
+RULES = {entry.code: entry for entry in _CATALOGUE}
+
+
+def rule(code: str) -> Rule:
+    """The entry of `code`; a `KeyError` means that a pass uses a code nobody registered."""
+    return RULES[code]

@@ -1,0 +1,68 @@
+"""Physics engines behind the port.
+
+pybullet.py  the only module that imports PyBullet: contacts, any tree of joints
+loadable.py  robots without what PyBullet's loader would misread, invent or crash on
+backdrop.py  floor and sky of a picture
+quiet.py     what a native library prints, kept off the terminal
+
+exact.py     a rail cart-pole and free bodies, exactly
+motion.py    their equations of motion
+lump.py      links that do not move against each other, as one body
+
+solids.py    objects and walls as one-link robots
+servo.py     springs and dampers on joints
+frames.py    rotations and frames, in plain floats
+
+An engine is imported when it is first used. Other packages add theirs as an entry point of the group
+`deepbots_cli.engines`: a name, and the `module:attribute` of an `EngineFactory`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, cast
+
+from deepbots_cli.errors import EngineError, MissingExtraError
+
+if TYPE_CHECKING:
+    from deepbots_cli.ir import WorldModel
+    from deepbots_cli.port import Engine, EngineFactory
+
+ENGINES = {
+    "pybullet": "deepbots_cli.engines.pybullet:PyBulletEngine",
+    "exact": "deepbots_cli.engines.exact:ExactEngine",
+}
+_OF_EXTRA_SIM = ("pybullet", "numpy")
+
+
+def names() -> tuple[str, ...]:
+    """Every engine that can be asked for, our own first."""
+    return tuple(dict.fromkeys([*ENGINES, *(entry.name for entry in entry_points(group="deepbots_cli.engines"))]))
+
+
+def create(name: str, world: WorldModel) -> Engine:
+    """The world, built in the engine called `name`.
+
+    Raises:
+        MissingExtraError: The engine's library is not installed.
+        EngineError: No engine has this name, or the engine cannot hold this world.
+    """
+    try:
+        return _factory(name)(world)
+    except ModuleNotFoundError as error:
+        if error.name in _OF_EXTRA_SIM:
+            raise MissingExtraError("sim", "running a scenario") from error
+        raise
+
+
+def _factory(name: str) -> EngineFactory:
+    if name in ENGINES:
+        module, _, attribute = ENGINES[name].partition(":")
+        return cast("EngineFactory", getattr(import_module(module), attribute))
+    for entry in entry_points(group="deepbots_cli.engines", name=name):
+        return cast("EngineFactory", entry.load())
+    near = difflib.get_close_matches(name, names(), 1)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    raise EngineError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")

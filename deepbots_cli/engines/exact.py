@@ -1,0 +1,196 @@
+"""The exact equations of motion of two small worlds: for tests, for lessons, and to measure other engines by.
+
+It holds robots of two shapes, told by their joints whatever their names:
+
+- on a fixed base, a link that slides (prismatic) and carries a link that turns (revolute or continuous)
+- links that do not move against each other: a rigid body, at rest if its base is fixed
+
+and objects, as rigid bodies. Nothing touches anything else and nothing can be drawn. A joint that passes
+the end of its range is an error, since there are no stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, TypeVar
+
+from deepbots_cli.engines import frames, solids
+from deepbots_cli.engines.lump import joined
+from deepbots_cli.engines.motion import CartPole, Drive, RigidBody
+from deepbots_cli.engines.servo import Servo
+from deepbots_cli.errors import EngineError
+
+if TYPE_CHECKING:
+    from deepbots_cli.ir import RobotBody, WorldModel
+    from deepbots_cli.port import (
+        Capability,
+        Image,
+        JointReader,
+        MotorWriter,
+        PoseReader,
+        Quaternion,
+        TorqueReader,
+        Triple,
+        VelocityReader,
+        View,
+    )
+
+Found = TypeVar("Found")
+
+
+class ExactEngine:
+    """One world of exact motions."""
+
+    name = "exact"
+    capabilities: frozenset[Capability] = frozenset()
+
+    def __init__(self, world: WorldModel) -> None:
+        self._timestep = world.timestep / world.substeps
+        self._motions: dict[str, RigidBody | CartPole] = {}
+        self._homes: dict[str, frames.Frame] = {}
+        self._roots: dict[str, str] = {}
+        self._servos: list[Servo] = []
+        self._closed = False
+        for thing in world.objects:
+            lump = joined(solids.as_robot(thing), thing.name)
+            self._add(thing.name, thing.name, RigidBody(lump, world.gravity, solids.moves(thing)), frames.frame(thing.pose))
+        for robot in world.robots:
+            self._add(robot.name, robot.model.root, _motion(robot, world.gravity), frames.frame(robot.pose))
+        flying = [name for name, motion in self._motions.items() if isinstance(motion, RigidBody) and motion.flies]
+        if flying and (world.ground or world.arena):
+            raise EngineError(f"the exact engine has no contacts: '{flying[0]}' would fall through the ground; use engine 'pybullet'")
+        self.reset()
+
+    def _add(self, name: str, root: str, motion: RigidBody | CartPole, home: frames.Frame) -> None:
+        self._motions[name], self._roots[name], self._homes[name] = motion, root, home
+
+    def reset(self) -> None:
+        for servo in self._servos:
+            servo.targets = None
+        for name, motion in self._open().items():
+            motion.place(self._homes[name])
+            if isinstance(motion, CartPole):
+                motion.rest()
+
+    def place(self, body: str, position: Triple, orientation: Quaternion) -> None:
+        self._motion(body).place((position, frames.normalised(orientation)))
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        motion, (index,) = self._joints(robot, (joint,))
+        motion.set_joint(index, position, velocity)
+
+    def step(self, substeps: int) -> None:
+        motions = self._open().values()
+        for _ in range(substeps):
+            for servo in self._servos:
+                servo.act()
+            for motion in motions:
+                motion.advance(self._timestep)
+
+    def require_finite(self) -> None:
+        for name, motion in self._open().items():
+            if not motion.finite:
+                raise EngineError(f"the pose of '{name}' is no longer finite")
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
+        motion, indices = self._joints(robot, joints)
+
+        def read() -> Sequence[Sequence[float]]:
+            state = motion.state
+            return [(state[i], state[i + 2]) for i in indices]
+
+        return read
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
+        motion, indices = self._joints(robot, joints)
+        return lambda: [motion.efforts[i] for i in indices]
+
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        motion, name = self._link(body, link)
+        return lambda: motion.pose(name)
+
+    def velocity(self, body: str, link: str | None = None) -> VelocityReader:
+        motion, name = self._link(body, link)
+        return lambda: motion.velocity(name)
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self._motor(robot, joints, max_torque, lambda target, limit: Drive(velocity=target, limit=limit))
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self._motor(robot, joints, max_torque, lambda target, limit: Drive(torque=min(max(target, -limit), limit)))
+
+    def position_motor(
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: float | None, damping: float | None
+    ) -> MotorWriter:
+        if stiffness is None:
+            return self._motor(robot, joints, max_torque, lambda target, limit: Drive(position=target, limit=limit))
+        exert = self.torque_motor(robot, joints, max_torque)
+        self._servos.append(servo := Servo(self.joint_states(robot, joints), exert, stiffness, damping or 0.0))
+        return servo.aim
+
+    def render(self, view: View) -> Image:
+        raise EngineError("the exact engine has no rendering; use engine 'pybullet'")
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _motor(
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], driven: Callable[[float, float], Drive]
+    ) -> MotorWriter:
+        motion, indices = self._joints(robot, joints)
+        limits = tuple(max_torque)
+
+        def write(targets: Sequence[float]) -> None:
+            for index, target, limit in zip(indices, targets, limits, strict=True):
+                motion.drives[index] = driven(target, limit)
+
+        return write
+
+    def _open(self) -> dict[str, RigidBody | CartPole]:
+        if self._closed:
+            raise EngineError("this world was closed")
+        return self._motions
+
+    def _motion(self, body: str) -> RigidBody | CartPole:
+        return _find(self._open(), body, "the world has no body")
+
+    def _link(self, body: str, link: str | None) -> tuple[RigidBody | CartPole, str]:
+        motion = self._motion(body)
+        name = link or self._roots[body]
+        if name not in motion.links:
+            raise EngineError(f"'{body}' has no link '{name}'; there are {', '.join(motion.links)}")
+        return motion, name
+
+    def _joints(self, robot: str, names: Sequence[str]) -> tuple[CartPole, list[int]]:
+        motion = self._motion(robot)
+        if not isinstance(motion, CartPole):
+            raise EngineError(f"'{robot}' has no joints")
+        return motion, [_find(motion.joints, name, f"'{robot}' has no joint") for name in names]
+
+
+def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
+    """The equations that fit the robot's joints."""
+    model, base = robot.model, joined(robot.model, robot.model.root)
+    if len(base.members) == len(model.links):
+        return RigidBody(base, gravity, flies=not robot.fixed_base)
+    for joint in model.joints:
+        if joint.friction or joint.mimic:
+            raise EngineError(f"the exact engine has no friction in joints and no mimic joints, such as '{joint.name}' of '{robot.name}'")
+    moving = sorted(model.moving_joints, key=lambda joint: joint.type != "prismatic")
+    if robot.fixed_base and [joint.type == "prismatic" for joint in moving] == [True, False]:
+        slide, hinge = moving
+        cart, pole = joined(model, slide.child), joined(model, hinge.child)
+        known = base.members | cart.members | pole.members
+        if slide.parent in base.members and hinge.parent in cart.members and len(known) == len(model.links):
+            return CartPole(base, cart, pole, slide, hinge, gravity)
+    raise EngineError(
+        f"the exact engine has no equations for robot '{robot.name}': it knows single bodies, and on a fixed base "
+        "a sliding link that carries a turning one"
+    )
+
+
+def _find(table: dict[str, Found], name: str, lacking: str) -> Found:
+    try:
+        return table[name]
+    except KeyError:
+        raise EngineError(f"{lacking} '{name}'; there are {', '.join(table)}") from None

@@ -1,0 +1,79 @@
+"""Robots without what PyBullet's loader would misread, invent or crash on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+from deepbots_cli.errors import EngineError
+from deepbots_cli.urdf.model import Geometry, Inertial, Joint, Limit, Mesh, RobotModel
+
+PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
+NOWHERE = 1e9  # rad or m; the open end of a range with one end
+UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
+
+
+def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
+    """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
+
+    Raises:
+        EngineError: A joint or a free base moves nothing that has mass, or is of a kind that is not supported.
+    """
+    for joint in model.joints:
+        if joint.type in ("floating", "planar"):
+            raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
+        if joint.moves and _carried(model, joint.child) <= 0.0:
+            raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
+    root = model.link(model.root).inertial
+    if not fixed_base and (root is None or root.mass <= 0.0):
+        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
+    return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
+
+
+def _carried(model: RobotModel, link: str) -> float:
+    """Mass (kg) of a link and of all that hangs on it."""
+    inertial = model.link(link).inertial
+    return (inertial.mass if inertial else 0.0) + sum(_carried(model, joint.child) for joint in model.joints if joint.parent == link)
+
+
+def dressed(model: RobotModel) -> RobotModel:
+    """The model with both ends on each range of a joint, a colour on all that is seen, and meshes still as they were checked.
+
+    A link without visuals shows what it collides with.
+
+    Raises:
+        EngineError: A mesh cannot be read or has changed.
+    """
+    links = []
+    for index, link in enumerate(model.links):
+        for geometry in (*link.visuals, *link.collisions):
+            _require_unchanged(geometry)
+        colour = PALETTE[index % len(PALETTE)]
+        visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
+        links.append(replace(link, visuals=visuals))
+    return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_closed(joint)) for joint in model.joints))
+
+
+def _closed(joint: Joint) -> Limit:
+    limit = joint.limit
+    lower, upper = limit.lower, limit.upper
+    if joint.type == "continuous" or (lower is None and upper is None):
+        lower, upper = UNLIMITED
+    return Limit(
+        lower=-NOWHERE if lower is None else lower,
+        upper=NOWHERE if upper is None else upper,
+        velocity=limit.velocity or 0.0,
+        effort=limit.effort or 0.0,
+    )
+
+
+def _require_unchanged(geometry: Geometry) -> None:
+    mesh = geometry.shape
+    if isinstance(mesh, Mesh):
+        try:
+            digest = sha256(Path(mesh.path).read_bytes()).hexdigest()
+        except OSError as error:
+            raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
+        if digest != mesh.digest:
+            raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")

@@ -1,0 +1,24 @@
+"""A spring and a damper on each joint, renewed in every engine step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deepbots_cli.port import JointReader, MotorWriter
+
+
+class Servo:
+    """Exerts `stiffness * (target - position) - damping * velocity` once it has targets; `act` renews it."""
+
+    def __init__(self, read: JointReader, exert: MotorWriter, stiffness: float, damping: float) -> None:
+        self.targets: Sequence[float] | None = None
+        self._read, self._exert = read, exert
+        self._stiffness, self._damping = stiffness, damping
+
+    def aim(self, targets: Sequence[float]) -> None:
+        self.targets = tuple(targets)
+
+    def act(self) -> None:
+        if self.targets is not None:
+            pairs = zip(self.targets, self._read(), strict=True)
+            self._exert([self._stiffness * (target - state[0]) - self._damping * state[1] for target, state in pairs])

@@ -1,0 +1,49 @@
+"""Objects and walls as one-link robots: one road into an engine for all that is solid or seen."""
+
+from __future__ import annotations
+
+from deepbots_cli.ir import Arena, ObjectBody
+from deepbots_cli.urdf import inertia
+from deepbots_cli.urdf.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
+
+WALL_COLOUR = (0.55, 0.60, 0.68, 1.0)
+
+
+def moves(body: ObjectBody) -> bool:
+    """Whether physics moves the object. One without mass, or that is only seen, stays where it is put."""
+    return body.solid and not body.fixed and body.mass > 0.0
+
+
+def as_robot(body: ObjectBody) -> RobotModel:
+    """The object as a robot of one link with the object's name; the inertia of a mesh is 0, for the engine to find."""
+    seen = Geometry(body.shape, colour=body.colour)
+    link = Link(
+        name=body.name,
+        inertial=inertia.of(body.shape, body.mass) or Inertial(body.mass),
+        visuals=(seen,),
+        collisions=(seen,) if body.solid else (),
+        friction=Friction(lateral=body.friction),
+    )
+    return RobotModel(name=body.name, links=(link,), joints=(), root=body.name)
+
+
+def walls(arena: Arena) -> tuple[ObjectBody, ...]:
+    """Four fixed boxes around the inner size of the arena. Four, not one of four parts: an engine sorts out far boxes cheaply."""
+    (x, y), height, thick = arena.size, arena.wall_height, arena.wall_thickness
+    sides = {
+        "front": ((x + thick) / 2, 0.0, thick, y + 2 * thick),
+        "back": (-(x + thick) / 2, 0.0, thick, y + 2 * thick),
+        "left": (0.0, (y + thick) / 2, x, thick),
+        "right": (0.0, -(y + thick) / 2, x, thick),
+    }
+    return tuple(
+        ObjectBody(
+            name=f"{side} wall",
+            shape=Box((along_x, along_y, height)),
+            pose=Pose((at_x, at_y, height / 2)),
+            colour=WALL_COLOUR,
+            friction=arena.friction,
+            fixed=True,
+        )
+        for side, (at_x, at_y, along_x, along_y) in sides.items()
+    )

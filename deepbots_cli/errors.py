@@ -1,0 +1,64 @@
+"""The exceptions that deepbots raises, as a tree.
+
+    DeepbotsError               whatever is the user's to mend; the command line prints it as one line
+    ├── ScenarioError           a scenario has findings at error level; carries them
+    ├── UsageError              wrong arguments, a missing file, not a run, a missing extra (exit code 2)
+    │   └── MissingExtraError   an optional dependency is not installed
+    ├── RunError                a run directory cannot be used: damaged, of another shape, of another version
+    ├── MessageError            a message between robot and supervisor is malformed, short or foreign
+    └── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
+
+Anything outside this tree that reaches the user is a fault of ours.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from deepbots_cli.diagnostics import Finding
+
+
+class DeepbotsError(Exception):
+    """A problem that the user can mend; its text says how."""
+
+
+class ScenarioError(DeepbotsError):
+    """A scenario cannot be compiled; `findings` holds every problem that was found."""
+
+    def __init__(self, findings: Sequence[Finding]) -> None:
+        self.findings = tuple(findings)
+        errors = [f for f in self.findings if f.severity == "error"]
+        first = errors[0] if errors else self.findings[0]
+        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        super().__init__(f"{first.span.where}: {first.code} {first.headline}{more}")
+
+
+class UsageError(DeepbotsError):
+    """The request itself cannot be met: wrong arguments, a missing file, not a run."""
+
+
+class MissingExtraError(UsageError):
+    """An optional dependency is needed for this and is not installed."""
+
+    def __init__(self, extra: str, purpose: str) -> None:
+        self.extra = extra
+        super().__init__(f"{purpose} needs the '{extra}' extra; install it with: pip install 'deepbots-cli[{extra}]'")
+
+
+class RunError(UsageError):
+    """A run directory cannot be used for what was asked."""
+
+
+class MessageError(DeepbotsError):
+    """A message between robot and supervisor does not fit its layout; names robot, step and field."""
+
+
+class EvaluationError(DeepbotsError):
+    """An expression of the scenario has no value in the present state of the world; shows the line."""
+
+
+class EngineError(DeepbotsError):
+    """The physics engine failed; names the body and the simulated time where known."""

@@ -1,0 +1,131 @@
+"""Whether values fit together: truth with truth, dimension with dimension, component with component.
+
+Each function reports what does not fit and returns None then, so that its caller stops there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, Dimension
+from deepbots_cli.lang.typed import Constant, Typed, bare, zero
+from deepbots_cli.lang.types import Components, Report, shown
+
+_EXAMPLE = {LENGTH: "0.5 m", MASS: "0.5 kg", ANGLE: "30 deg"}
+
+
+def numbers(values: Sequence[Typed], report: Report) -> bool:
+    """Whether all are numbers; DB403 for each that is a truth value."""
+    wrong = [value for value in values if value.type.boolean]
+    for value in wrong:
+        report("DB403", value.start, value.end, "a truth value where a number belongs", "make it a number with `where(condition, 1, 0)`")
+    return not wrong
+
+
+def truths(values: Sequence[Typed], report: Report) -> bool:
+    """Whether all are truth values; DB403 for each number."""
+    wrong = [value for value in values if not value.type.boolean]
+    for value in wrong:
+        report("DB403", value.start, value.end, "a number where a truth value belongs", "compare it, as in `x > 0`")
+    return not wrong
+
+
+def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) -> Dimension | None:
+    """The one dimension of all values, bare zeros apart; otherwise DB502 or DB503."""
+    counted = [value for value in values if not zero(value)]
+    if not counted:
+        return NUMBER
+    first = next((value for value in counted if not bare(value)), counted[0])
+    for value in counted:
+        if value.type.dimension == first.type.dimension:
+            continue
+        if bare(value):
+            missing_unit(value, first.type.dimension, report)
+        else:
+            report(
+                "DB503",
+                start,
+                end,
+                f"{first.type.words} meets {value.type.words}",
+                "both sides must measure the same; divide by a unit where a plain number is meant",
+            )
+        return None
+    return first.type.dimension
+
+
+def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report) -> bool:
+    """Whether `value` has `dimension` (a bare zero has any); otherwise DB502 or DB503 about `what`."""
+    if zero(value) or value.type.dimension == dimension:
+        return True
+    if bare(value):
+        missing_unit(value, dimension, report)
+    else:
+        report(
+            "DB503",
+            value.start,
+            value.end,
+            f"{what} is {value.type.words}, not {dimension.words}",
+            _towards(value.type.dimension, dimension),
+        )
+    return False
+
+
+def missing_unit(value: Typed, dimension: Dimension, report: Report) -> None:
+    report(
+        "DB502",
+        value.start,
+        value.end,
+        f"a number without unit where {dimension.words} is needed",
+        f"write its unit, as in `{example(dimension)}`",
+    )
+
+
+def example(dimension: Dimension) -> str:
+    return _EXAMPLE.get(dimension) or f"0.5 {dimension}"
+
+
+def _towards(given: Dimension, needed: Dimension) -> str | None:
+    """What would turn one into the other, where the difference is one plain unit."""
+    if needed == NUMBER:
+        divisor = str(given)
+        return f"divide by the unit: `/ ({divisor})`" if "/" in divisor or "*" in divisor else f"divide by the unit: `/ {divisor}`"
+    excess = given / needed
+    if excess == ANGLE:
+        return "the angle cancels only on division: `/ rad`"
+    return "the angle is missing: `* rad`" if needed / given == ANGLE else None
+
+
+def components_of(values: Sequence[Typed], start: int, end: int, report: Report) -> tuple[Components | None] | None:
+    """The components of the result (in a tuple of one, None inside for a single value), or DB404."""
+    found: Components | None = None
+    for value in values:
+        components = value.type.components
+        if components is None or components == found:
+            continue
+        if found is not None:
+            differing(found, components, start, end, report)
+            return None
+        found = components
+    return (found,)
+
+
+def differing(first: Components, second: Components, start: int, end: int, report: Report) -> None:
+    help = "components are paired by name; pick those that match, as in `v.x`"
+    if set(first) == set(second):
+        help = "the names are the same in another order; give both groups one order"
+    report("DB404", start, end, f"a vector of {shown(first)} meets one of {shown(second)}", help)
+
+
+def warn_of_degrees(value: Typed, report: Report) -> None:
+    """DB504: nobody writes 30 rad for an angle that is compared or given to a sine."""
+    if isinstance(value, Constant) and value.unit is not None and value.unit.text == "rad":
+        largest = max(abs(number) for number in value.values)
+        if largest > 2 * math.pi:
+            report(
+                "DB504",
+                value.start,
+                value.end,
+                f"{largest:g} rad is more than a full turn",
+                f"if degrees are meant, write `{largest:g} deg`",
+            )

@@ -1,0 +1,111 @@
+"""What a field of the scenario demands of an expression: dimension, components, truth or number, stage."""
+
+from __future__ import annotations
+
+from deepbots_cli.lang import agree
+from deepbots_cli.lang.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, SPEED, TIME, TORQUE, Dimension
+from deepbots_cli.lang.typed import Typed, TypedRange, bare
+from deepbots_cli.lang.types import Components, Report, Stage
+
+ANY_SHAPE: Components = ("*",)
+_BARE_MEANS_SI = frozenset({LENGTH, MASS})
+# Far beyond any robot; only a wrong unit or a slipped exponent gets there.
+_PLAUSIBLE = {
+    LENGTH: 1e5,
+    MASS: 1e6,
+    TIME: 1e7,
+    ANGLE: 1e4,
+    SPEED: 1e4,
+    ACCELERATION: 1e6,
+    ANGULAR_VELOCITY: 1e5,
+    FORCE: 1e8,
+    TORQUE: 1e8,
+}
+
+
+def expect(
+    value: Typed,
+    report: Report,
+    what: str,
+    *,
+    dimension: Dimension | None = None,
+    components: Components | None = None,
+    boolean: bool = False,
+    stage: Stage = Stage.STEP,
+) -> Typed | None:
+    """The value as a field takes it, or None after a finding.
+
+    `what` names the field (`the timestep`). `dimension` None takes any. `components` None takes a
+    single value only, a tuple takes those components or a single value for all of them, `ANY_SHAPE`
+    takes everything. A bare number counts as SI where a length or a mass is due, a bare zero everywhere.
+    """
+    if boolean != value.type.boolean:
+        (agree.truths if boolean else agree.numbers)([value], report)
+        return None
+    if not boolean and dimension is not None:
+        fitted = _in_dimension(value, dimension, what, report)
+        if fitted is None:
+            return None
+        value = fitted
+    if not (_has_shape(value, components, what, report) and _has_stage(value, stage, what, report)):
+        return None
+    _warn(value, what, report)
+    return value
+
+
+def expect_range(
+    found: TypedRange,
+    report: Report,
+    what: str,
+    *,
+    dimension: Dimension | None = None,
+    components: Components | None = None,
+    stage: Stage = Stage.FIXED,
+) -> TypedRange | None:
+    """As `expect`, for both ends of a range."""
+    low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage)
+    high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
+    return None if low is None or high is None else found._replace(low=low, high=high)
+
+
+def _in_dimension(value: Typed, dimension: Dimension, what: str, report: Report) -> Typed | None:
+    if (bare(value) and dimension in _BARE_MEANS_SI) or agree.has_dimension(value, dimension, what, report):
+        return value._replace(type=value.type._replace(dimension=dimension))
+    return None
+
+
+def _has_shape(value: Typed, components: Components | None, what: str, report: Report) -> bool:
+    found = value.type.components
+    if components == ANY_SHAPE or found is None or found == components:
+        return True
+    if components is None:
+        report(
+            "DB404",
+            value.start,
+            value.end,
+            f"{what} is {value.type.shape_words}, not a single value",
+            "pick a component, or reduce it with `norm`, `sum`, `max` ...",
+        )
+    elif len(found) != len(components) and found[0] in ("x", "1"):
+        report("DB106", value.start, value.end, f"{what} has {len(found)} values, not {len(components)}")
+    else:
+        agree.differing(components, found, value.start, value.end, report)
+    return False
+
+
+def _has_stage(value: Typed, stage: Stage, what: str, report: Report) -> bool:
+    if value.type.stage <= stage:
+        return True
+    allowed = "may be drawn once per episode, but not change within it" if stage is Stage.EPISODE else "must be fixed"
+    report("DB407", value.start, value.end, f"{what} is {value.type.stage.words}", f"it {allowed}")
+    return False
+
+
+def _warn(value: Typed, what: str, report: Report) -> None:
+    if value.type.dimension == ANGLE:
+        agree.warn_of_degrees(value, report)
+    interval = value.type.interval
+    most = _PLAUSIBLE.get(value.type.dimension)
+    largest = max(abs(interval.low), abs(interval.high))
+    if most is not None and interval.finite and largest > most and not value.type.boolean:
+        report("DB505", value.start, value.end, f"{what} of {largest:g} {value.type.dimension}", "check the unit")

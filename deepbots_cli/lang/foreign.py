@@ -1,0 +1,89 @@
+"""Signs and habits of other languages, and what to write here instead."""
+
+from __future__ import annotations
+
+from deepbots_cli.lang.lexer import Token, TokenKind
+
+_INSTEAD = {
+    "**": "a power is `a ^ b`",
+    "&&": "write `and`",
+    "||": "write `or`",
+    "//": "write `/`",
+    "!": "write `not`",
+    "?": "write `where(condition, a, b)`, or `a when condition`",
+    ":": "write `where(condition, a, b)`, or quote the text if it is meant for YAML",
+    "[": "a component is named: `v.x`",
+    "]": "a component is named: `v.x`",
+    "{": "a vector is written `0 0 1 m`, or `vector(a, b, c)`",
+    "}": "a vector is written `0 0 1 m`, or `vector(a, b, c)`",
+    '"': "expressions hold no text, only numbers and names",
+    "'": "expressions hold no text, only numbers and names",
+    "`": "expressions hold no text, only numbers and names",
+    "->": "a schedule belongs in the settings of `train`",
+    "=>": "write `>=`",
+    "<>": "write `!=`",
+    "≤": "write `<=`",
+    "≥": "write `>=`",
+    "≠": "write `!=`",
+    "×": "write `*`",
+    "·": "write `*`",
+    "÷": "write `/`",
+    "−": "write the plain minus `-`",
+    "–": "write the plain minus `-`",
+    "±": "write `+-`",
+    "…": "write `..`",
+    "°": "write `deg`",
+    "µ": "write `us` for microseconds",
+    "²": "write `^2`",
+    "³": "write `^3`",
+    "π": "an angle may be given in `deg`: half a turn is `180 deg`",
+    "\u00a0": "this is a space that only looks like one; type it anew",
+    "%": "there is no modulo; `wrap(angle)` brings an angle back to one turn",
+    ",": "a comma only parts the arguments of a function; decimals take a point",
+    "..": "a range stands alone or in a function such as `clamp(x, low .. high)`",
+    "+-": "`normal(mean +- deviation)` is a draw; elsewhere put a space between the signs",
+    "|": "`choice(a | b)` is a draw; for conditions write `or`",
+    "lambda": "there are no functions of one's own; name the value under `signals`",
+    "if": "write `where(condition, a, b)`, or `a when condition`",
+    "else": "write `where(condition, a, b)`, or `a when condition`",
+    "is": "compare with `==`",
+    "in": "compare with `<` and `>`, joined by `and`",
+}
+
+
+def explain(stream: list[Token], at: int, missing: bool) -> tuple[Token, str, str | None]:
+    """The token at fault, headline and help, where the token `at` cannot stand; `missing` where a value was due."""
+    token = stream[at]
+    before = stream[at - 1] if at else None
+    if before is not None and before.kind is TokenKind.NAME and before.text in _INSTEAD:
+        return before, f"`{before.text}` in an expression", _INSTEAD[before.text]
+    return token, *_about(stream, at, missing)
+
+
+def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None]:
+    token = stream[at]
+    if token.kind is TokenKind.END:
+        return "the expression breaks off", None
+    if token.text == "=":
+        return "`=` in an expression", _about_equals(stream, at)
+    shown = _visible(token.text)
+    if token.kind is TokenKind.STRANGE or (token.kind is TokenKind.NAME and token.text in _INSTEAD):
+        return f"`{shown}` in an expression", _INSTEAD.get(token.text)
+    if missing:
+        return f"a value is missing before `{shown}`", _INSTEAD.get(token.text)
+    if token.text == ")":
+        return "a parenthesis that was never opened", None
+    if token.kind is TokenKind.SIGN and token.text != "(":
+        return f"`{shown}` in an odd place", _INSTEAD.get(token.text)
+    numbers = token.kind is TokenKind.NUMBER and stream[at - 1].kind is TokenKind.NUMBER
+    help = "a vector within a larger expression is written `vector(a, b, c)`" if numbers else None
+    return f"an operator is missing before `{shown}`", help
+
+
+def _about_equals(stream: list[Token], at: int) -> str:
+    named = at >= 2 and stream[at - 1].kind is TokenKind.NAME and stream[at - 2].text in ("(", ",")
+    return "arguments are given in order, without their names" if named else "compare with `==`"
+
+
+def _visible(text: str) -> str:
+    return text if text.isprintable() else f"U+{ord(text[0]):04X}"

@@ -1,0 +1,172 @@
+"""Interval arithmetic: closed intervals that certainly hold the result, infinite where nothing is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+INF = math.inf
+
+
+@dataclass(frozen=True)
+class Interval:
+    """All numbers from `low` to `high`, both included; either may be infinite."""
+
+    low: float = -INF
+    high: float = INF
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+    @property
+    def finite(self) -> bool:
+        return self.low > -INF and self.high < INF
+
+    @property
+    def single(self) -> bool:
+        """Whether only one number is left, as for a constant."""
+        return self.low == self.high
+
+    def inside(self, other: Interval) -> bool:
+        return other.low <= self.low and self.high <= other.high
+
+
+EVERYTHING = Interval()
+POSITIVE = Interval(0.0, INF)
+SIGNED_UNIT = Interval(-1.0, 1.0)
+TRUTH = Interval(0.0, 1.0)
+HALF_TURN = Interval(0.0, math.pi)
+QUARTER_TURNS = Interval(-math.pi / 2, math.pi / 2)
+TURN = Interval(-math.pi, math.pi)
+
+
+def _of(low: float, high: float) -> Interval:
+    """Inf minus inf is not a number; nothing is known then."""
+    return Interval(-INF if math.isnan(low) else low, INF if math.isnan(high) else high)
+
+
+def _times(a: float, b: float) -> float:
+    return 0.0 if a == 0.0 or b == 0.0 else a * b
+
+
+def guarded(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
+    """The value of a math function; `beyond` where it overflows or is not defined."""
+    try:
+        return function(*args)
+    except (OverflowError, ZeroDivisionError, ValueError):
+        return beyond
+
+
+def exact(value: float) -> Interval:
+    return Interval(value, value)
+
+
+def hull(intervals: Sequence[Interval]) -> Interval:
+    return Interval(min(i.low for i in intervals), max(i.high for i in intervals))
+
+
+def negate(a: Interval) -> Interval:
+    return Interval(-a.high, -a.low)
+
+
+def add(a: Interval, b: Interval) -> Interval:
+    return _of(a.low + b.low, a.high + b.high)
+
+
+def subtract(a: Interval, b: Interval) -> Interval:
+    return _of(a.low - b.high, a.high - b.low)
+
+
+def multiply(a: Interval, b: Interval) -> Interval:
+    corners = (_times(a.low, b.low), _times(a.low, b.high), _times(a.high, b.low), _times(a.high, b.high))
+    return Interval(min(corners), max(corners))
+
+
+def divide(a: Interval, b: Interval) -> Interval:
+    if 0.0 in b:
+        return EVERYTHING
+    return multiply(a, Interval(1.0 / b.high, 1.0 / b.low))
+
+
+def power(a: Interval, exponent: Interval) -> Interval:
+    if not exponent.single or not exponent.finite:
+        return POSITIVE if a.low >= 0.0 else EVERYTHING
+    n = exponent.low
+    if n < 0.0:
+        return divide(exact(1.0), power(a, exact(-n)))
+    if not n.is_integer():
+        return monotone(lambda x: math.pow(x, n), Interval(max(a.low, 0.0), max(a.high, 0.0)))
+    if n % 2.0 == 0.0:
+        a = absolute(a)
+    return Interval(
+        guarded(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF), guarded(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF)
+    )
+
+
+def absolute(a: Interval) -> Interval:
+    if 0.0 in a:
+        return Interval(0.0, max(-a.low, a.high))
+    return Interval(*sorted((abs(a.low), abs(a.high))))
+
+
+def monotone(function: Callable[[float], float], a: Interval) -> Interval:
+    """The image under a function that never falls; infinite where the function overflows."""
+    return Interval(guarded(function, a.low, beyond=-INF if a.low < 0.0 else INF), guarded(function, a.high))
+
+
+def square_root(a: Interval) -> Interval:
+    return monotone(math.sqrt, Interval(max(a.low, 0.0), max(a.high, 0.0)))
+
+
+def logarithm(a: Interval) -> Interval:
+    low, high = (guarded(math.log, bound, beyond=-INF) if bound > 0.0 else -INF for bound in (a.low, a.high))
+    return Interval(low, high)
+
+
+def sine(a: Interval) -> Interval:
+    """Between the ends the sine rises or falls, but for the peaks and troughs that lie inside."""
+    if not a.finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
+        return SIGNED_UNIT
+    ends = (math.sin(a.low), math.sin(a.high))
+    return Interval(-1.0 if _passes(a, -math.pi / 2) else min(ends), 1.0 if _passes(a, math.pi / 2) else max(ends))
+
+
+def cosine(a: Interval) -> Interval:
+    return sine(Interval(a.low + math.pi / 2, a.high + math.pi / 2)) if a.finite else SIGNED_UNIT
+
+
+def tangent(a: Interval) -> Interval:
+    inside = -math.pi / 2 < a.low and a.high < math.pi / 2
+    return monotone(math.tan, a) if inside else EVERYTHING
+
+
+def _passes(a: Interval, angle: float) -> bool:
+    """Whether `angle` plus some whole turns lies in `a`."""
+    return angle + math.ceil((a.low - angle) / (2 * math.pi)) * 2 * math.pi <= a.high
+
+
+def wrapped(a: Interval) -> Interval:
+    return a if a.inside(TURN) else TURN
+
+
+def lesser(intervals: Sequence[Interval]) -> Interval:
+    return Interval(min(i.low for i in intervals), min(i.high for i in intervals))
+
+
+def greater(intervals: Sequence[Interval]) -> Interval:
+    return Interval(max(i.low for i in intervals), max(i.high for i in intervals))
+
+
+def clamped(a: Interval, low: Interval, high: Interval) -> Interval:
+    return lesser((greater((a, low)), high))
+
+
+def times_count(a: Interval, count: int) -> Interval:
+    return Interval(_times(a.low, count), _times(a.high, count))
+
+
+def length_of(parts: Sequence[Interval]) -> Interval:
+    """The square root of a sum of squares."""
+    sizes = [absolute(part) for part in parts]
+    return Interval(guarded(math.hypot, *(s.low for s in sizes)), guarded(math.hypot, *(s.high for s in sizes)))

@@ -1,0 +1,85 @@
+"""Scalar expressions: what is left of an expression when units, vectors and names are settled.
+
+Every value is one plain number in SI units or one truth value. A vector expression lowers to one tree
+per component. These trees stand in the compiled scenario (frozen, comparable, JSON-able); the
+generated Python is printed from them and from nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Const:
+    """A number in SI units, or a truth value."""
+
+    value: float | bool
+
+
+@dataclass(frozen=True)
+class Name:
+    """A named value of the scenario: parameter, action variable, augmentation, signal, field, built-in.
+
+    `component` is the name of the component where the named value is a vector.
+    """
+
+    name: str
+    component: str | None = None
+
+
+@dataclass(frozen=True)
+class World:
+    """A fact read from the simulated world, such as component `x` of `position(cart.tip)`.
+
+    `subjects` are full names: a robot (`cart`), a link or joint (`cart.tip`), an object (`ball`).
+    """
+
+    function: str
+    subjects: tuple[str, ...]
+    component: str | None = None
+
+
+@dataclass(frozen=True)
+class Op:
+    """A pure operation of the operator table: `add`, `mul`, `less`, `where`, `sin` ..."""
+
+    op: str
+    args: tuple[Scalar, ...]
+
+
+@dataclass(frozen=True)
+class State:
+    """A stateful function; `slot` is unique in the scenario and names the place of its memory."""
+
+    function: str
+    args: tuple[Scalar, ...]
+    slot: str
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A random draw: `uniform` (low, high), `integer` (low, high), `normal` (mean, deviation), `choice` (options).
+
+    `stream` names its own random stream, so that a new draw changes no other.
+    """
+
+    distribution: str
+    args: tuple[Scalar, ...]
+    stream: str
+
+
+Scalar = Const | Name | World | Op | State | Draw
+
+
+def children(scalar: Scalar) -> tuple[Scalar, ...]:
+    """The arguments of an operation, a state or a draw; nothing below the others."""
+    return scalar.args if isinstance(scalar, Op | State | Draw) else ()
+
+
+def walk(scalar: Scalar) -> Iterator[Scalar]:
+    """Every node, arguments before what is made of them: the order in which states must advance."""
+    for child in children(scalar):
+        yield from walk(child)
+    yield scalar

@@ -1,0 +1,170 @@
+"""What an expression is known to be before anything runs, and what it is told about the names in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum, IntEnum, StrEnum, auto
+from typing import NamedTuple, Protocol
+
+from deepbots_cli.lang.dimensions import NUMBER, Dimension
+from deepbots_cli.lang.intervals import EVERYTHING, Interval
+
+Components = tuple[str, ...]
+PLANE: Components = ("x", "y")
+SPACE: Components = ("x", "y", "z")
+QUATERNION: Components = ("x", "y", "z", "w")
+
+
+class Stage(IntEnum):
+    """When a number is settled: in the file, at a reset, or in every step."""
+
+    FIXED = 0
+    EPISODE = 1
+    STEP = 2
+
+    @property
+    def words(self) -> str:
+        return ("fixed", "drawn once per episode", "different in every step")[self]
+
+
+class Type(NamedTuple):
+    """Dimension, components (None for a single value), truth or number, interval in SI, stage.
+
+    The interval of a vector covers all of its components; that of a truth value means nothing.
+    """
+
+    dimension: Dimension = NUMBER
+    components: Components | None = None
+    boolean: bool = False
+    interval: Interval = EVERYTHING
+    stage: Stage = Stage.FIXED
+
+    @property
+    def words(self) -> str:
+        """For a sentence: `a speed (m/s)`, `a truth value`."""
+        return "a truth value" if self.boolean else self.dimension.words
+
+    @property
+    def shape_words(self) -> str:
+        return "a single value" if self.components is None else f"a vector of {shown(self.components)}"
+
+
+def shown(names: Iterable[str], most: int = 12) -> str:
+    """`a, b, c`, cut short after `most`."""
+    listed = list(names)
+    return ", ".join(listed[:most]) + (f" and {len(listed) - most} more" if len(listed) > most else "")
+
+
+class Symbol(NamedTuple):
+    """A named value. `type` None marks one whose own definition is broken: using it is no further fault.
+
+    `value` holds SI numbers, one per component, where the value is fixed and known; it is folded.
+    `refused` says why the name, which exists, has no value in this place.
+    """
+
+    name: str
+    type: Type | None
+    value: tuple[float | bool, ...] | None = None
+    refused: str | None = None
+
+
+class Kind(StrEnum):
+    """What a name stands for as the argument of a world function."""
+
+    ROBOT = "robot"
+    LINK = "link"
+    JOINT = "joint"
+    LINKS = "group of links"
+    JOINTS = "group of joints"
+    ROBOTS = "group of robots"
+    OBJECT = "object"
+    OBJECTS = "group of objects"
+    LINE = "line"
+    SENSOR = "sensor"
+    GROUND = "ground"
+
+    @property
+    def words(self) -> str:
+        return {"object": "an object", "ground": "the ground"}.get(self.value, f"a {self.value}")
+
+
+class Subject(NamedTuple):
+    """A part of the world that functions may ask about.
+
+    `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the
+    link whose pose stands for it: a robot's base link. For joints, `dimension` is that of their
+    position (angle or length) and `interval` its limits.
+    """
+
+    name: str
+    kind: Kind
+    members: tuple[str, ...] = ()
+    link: str | None = None
+    dimension: Dimension = NUMBER
+    interval: Interval = EVERYTHING
+
+    @property
+    def components(self) -> Components | None:
+        """The short names of a group's members; None where the subject is a single thing."""
+        return tuple(member.rpartition(".")[2] for member in self.members) if self.members else None
+
+
+class Context(Enum):
+    """The place of an expression in the scenario, which decides what may be called in it."""
+
+    FIXED = auto()
+    PARAMETER = auto()
+    FIELD = auto()
+    EMIT = auto()
+    APPLY = auto()
+    RECEIVE = auto()
+    SIGNAL = auto()
+    OBSERVATION = auto()
+    GOAL = auto()
+    REWARD = auto()
+    ENDING = auto()
+    RESET = auto()
+    REQUIRE = auto()
+
+
+class Scope(Protocol):
+    """What an expression may see from its place."""
+
+    @property
+    def context(self) -> Context: ...
+
+    def lookup(self, name: str) -> Symbol | None:
+        """The value of the dotted `name`."""
+
+    def subject(self, name: str) -> Subject | None:
+        """The part of the world that the dotted `name` means as an argument of a function."""
+
+    def names(self) -> Iterable[str]:
+        """Every name that `lookup` knows, for suggestions."""
+
+    def subjects(self) -> Iterable[str]:
+        """Every name that `subject` knows, for suggestions."""
+
+
+class NoNames(NamedTuple):
+    """The scope of a literal: nothing is in it."""
+
+    context: Context = Context.FIXED
+
+    def lookup(self, name: str) -> Symbol | None:
+        return None
+
+    def subject(self, name: str) -> Subject | None:
+        return None
+
+    def names(self) -> Iterable[str]:
+        return ()
+
+    def subjects(self) -> Iterable[str]:
+        return ()
+
+
+class Report(Protocol):
+    """Takes a finding; `start` and `end` are offsets in the text of the expression."""
+
+    def __call__(self, code: str, start: int, end: int, headline: str, help: str | None = None, notes: tuple[str, ...] = ()) -> None: ...

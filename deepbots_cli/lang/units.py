@@ -1,0 +1,131 @@
+"""Units: the names that may stand behind a number.
+
+Unit names are reserved: no parameter or signal may take one. In an expression a unit name that
+stands alone is a constant of one such unit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from deepbots_cli.lang.dimensions import (
+    ANGLE,
+    ANGULAR_VELOCITY,
+    FORCE,
+    FREQUENCY,
+    LENGTH,
+    MASS,
+    NUMBER,
+    POWER,
+    PRESSURE,
+    TIME,
+    TORQUE,
+    Dimension,
+)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """`value` of this unit is `value * scale / divisor` in SI.
+
+    The divisor is kept apart because 57 / 100 is the float 0.57 and 57 * 0.01 is not.
+    """
+
+    text: str
+    dimension: Dimension
+    scale: float = 1.0
+    divisor: float = 1.0
+
+    def to_si(self, value: float) -> float:
+        return value * self.scale / self.divisor
+
+    def times(self, other: Unit) -> Unit:
+        return Unit(f"{self.text}*{other.text}", self.dimension * other.dimension, self.scale * other.scale, self.divisor * other.divisor)
+
+    def per(self, other: Unit) -> Unit:
+        return Unit(f"{self.text}/{other.text}", self.dimension / other.dimension, self.scale * other.divisor, self.divisor * other.scale)
+
+    def to_power(self, exponent: int) -> Unit:
+        """Raised to `exponent`, which the parser keeps small enough for the factors to stay finite."""
+        if exponent < 0:
+            return Unit(f"{self.text}^{exponent}", self.dimension**exponent, self.divisor**-exponent, self.scale**-exponent)
+        return Unit(f"{self.text}^{exponent}", self.dimension**exponent, self.scale**exponent, self.divisor**exponent)
+
+
+ONE = Unit("1", NUMBER)
+UNITS = {
+    unit.text: unit
+    for unit in (
+        Unit("m", LENGTH),
+        Unit("mm", LENGTH, divisor=1000.0),
+        Unit("cm", LENGTH, divisor=100.0),
+        Unit("km", LENGTH, scale=1000.0),
+        Unit("s", TIME),
+        Unit("ms", TIME, divisor=1000.0),
+        Unit("us", TIME, divisor=1e6),
+        Unit("min", TIME, scale=60.0),
+        Unit("h", TIME, scale=3600.0),
+        Unit("kg", MASS),
+        Unit("g", MASS, divisor=1000.0),
+        Unit("rad", ANGLE),
+        Unit("deg", ANGLE, scale=math.pi / 180.0),
+        Unit("rpm", ANGULAR_VELOCITY, scale=math.pi / 30.0),
+        Unit("Hz", FREQUENCY),
+        Unit("kHz", FREQUENCY, scale=1000.0),
+        Unit("N", FORCE),
+        Unit("mN", FORCE, divisor=1000.0),
+        Unit("kN", FORCE, scale=1000.0),
+        Unit("J", TORQUE),
+        Unit("W", POWER),
+        Unit("Pa", PRESSURE),
+        Unit("kPa", PRESSURE, scale=1000.0),
+        Unit("%", NUMBER, divisor=100.0),
+    )
+}
+
+_MEANT = {
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "minute": "min",
+    "minutes": "min",
+    "hour": "h",
+    "hours": "h",
+    "gram": "g",
+    "grams": "g",
+    "kilogram": "kg",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "rads": "rad/s",
+    "mps": "m/s",
+    "Nm": "N*m",
+    "nm": "N*m",
+    "newton": "N",
+    "newtons": "N",
+    "hz": "Hz",
+    "hertz": "Hz",
+    "joule": "J",
+    "watt": "W",
+    "percent": "%",
+}
+
+
+def suggest_unit(name: str) -> str | None:
+    """The unit that was probably meant by the unknown `name`."""
+    if name in _MEANT:
+        return _MEANT[name]
+    if name.lower() in _MEANT:
+        return _MEANT[name.lower()]
+    from difflib import get_close_matches  # only on the way to a finding: its import costs 1 ms
+
+    close = get_close_matches(name, UNITS, n=1)
+    return close[0] if close else None

@@ -1,0 +1,54 @@
+"""Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
+
+training.py      train and resume: joins all of the below
+evaluation.py    evaluate: held-out episodes, intervals, the verdict
+rollout.py       episodes of a trained policy
+run.py           the run directory: what is kept, written atomically, read with suspicion
+record.py        run.json: who, what, when, with which versions
+atomic.py        whole files, and JSON read with suspicion
+weights.py       networks and optimisers as plain arrays; no pickle is ever loaded
+algorithms.py    the table of algorithms and our defaults
+environments.py  copies of one world, stepped in turn in one process
+episodes.py      what an episode leaves behind: log, statistics, solved
+callbacks.py     what happens during training: best model, checkpoints, logging
+interruption.py  Ctrl-C and SIGTERM end a training between two steps
+interface.py     what policy and world agree on, to be compared field by field
+intervals.py     confidence intervals
+progress.py      a bar on a terminal, plain lines elsewhere
+report.py        results as text and as JSON
+video.py         one episode as mp4
+
+The names below are imported on first use: torch alone takes a second.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from deepbots_cli.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+    from deepbots_cli.learning.training import TrainingResult, resume, train
+
+__all__ = ["EvaluationResult", "TrainingResult", "evaluate", "resume", "train"]
+
+_HOMES = {
+    "EvaluationResult": "evaluation",
+    "TrainingResult": "training",
+    "evaluate": "evaluation",
+    "resume": "training",
+    "train": "training",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("deepbots_cli"):
+            raise
+        raise MissingExtraError("train", "training") from error

@@ -1,0 +1,149 @@
+"""The table of algorithms: where each lives, and what we set where the scenario is silent.
+
+Our defaults suit small networks and light worlds on a CPU; every other figure is Stable-Baselines3's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.ir import Policy, Schedule, Training
+
+Settings = dict[str, Any]
+
+_ACTIVATIONS: Mapping[str, type[nn.Module]] = {
+    "elu": nn.ELU,
+    "gelu": nn.GELU,
+    "leaky_relu": nn.LeakyReLU,
+    "relu": nn.ReLU,
+    "silu": nn.SiLU,
+    "tanh": nn.Tanh,
+}
+_WIDEST_LAYER = 8192
+_MOST_LAYERS = 16
+_MOST_COPIES = 1024
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """One entry; `place` is the path of its class, imported when it is used."""
+
+    place: str
+    on_policy: bool
+    defaults: Callable[[Training, int], Settings]
+    exploration_noise: bool = False
+
+
+def _ppo(training: Training, total: int) -> Settings:
+    # Small updates, often: on a cart-pole of 10x10 units this solves in 26 000 steps, with 2048 steps and a rate of 3e-4 not in 100 000.
+    n_steps = max(32, 256 // training.environments // 32 * 32)
+    return {
+        "n_steps": n_steps,
+        "batch_size": 64 if n_steps * training.environments % 64 == 0 else 32,
+        "gae_lambda": 0.9,
+        # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
+        "learning_rate": 3e-3 if max(training.policy.hidden, default=0) <= 32 else 1e-3,
+    }
+
+
+def _sb3_own(training: Training, total: int) -> Settings:
+    return {}
+
+
+def _dqn(training: Training, total: int) -> Settings:
+    return {
+        "buffer_size": min(total, 100_000),
+        "learning_starts": min(1_000, total // 10),
+        "target_update_interval": 500,
+        "exploration_fraction": 0.2,
+    }
+
+
+def _actor_critic(training: Training, total: int) -> Settings:
+    # As many updates as steps, however many copies there are.
+    return {"buffer_size": min(total, 1_000_000), "learning_starts": min(1_000, total // 10), "gradient_steps": -1}
+
+
+ALGORITHMS: Mapping[str, Algorithm] = {
+    "A2C": Algorithm("stable_baselines3.A2C", True, _sb3_own),
+    "DDPG": Algorithm("stable_baselines3.DDPG", False, _actor_critic, exploration_noise=True),
+    "DQN": Algorithm("stable_baselines3.DQN", False, _dqn),
+    "PPO": Algorithm("stable_baselines3.PPO", True, _ppo),
+    "SAC": Algorithm("stable_baselines3.SAC", False, _actor_critic),
+    "TD3": Algorithm("stable_baselines3.TD3", False, _actor_critic, exploration_noise=True),
+}
+
+
+def create(training: Training, copies: VecEnv, *, seed: int, total_timesteps: int, to_learn: bool = True) -> BaseAlgorithm:
+    """A fresh model for the copies, on the CPU. One that is not to learn gets no room for experience.
+
+    Raises:
+        UsageError: The algorithm is unknown, or refuses the settings or the spaces.
+    """
+    algorithm = _entry(training.algorithm)
+    settings = algorithm.defaults(training, total_timesteps) | {h.name: _value(h.value) for h in training.hyperparameters}
+    if algorithm.exploration_noise and isinstance(copies.action_space, gym.spaces.Box):
+        size = copies.action_space.shape
+        settings["action_noise"] = NormalActionNoise(np.zeros(size, np.float32), np.full(size, 0.1, np.float32))
+    if not to_learn:
+        settings |= (
+            {"n_steps": 2} | ({"batch_size": 2} if training.algorithm == "PPO" else {}) if algorithm.on_policy else {"buffer_size": 1}
+        )
+    policy = "MultiInputPolicy" if isinstance(copies.observation_space, gym.spaces.Dict) else "MlpPolicy"
+    home, _, name = algorithm.place.rpartition(".")
+    try:
+        model: BaseAlgorithm = getattr(import_module(home), name)(
+            policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=_networks(training.policy, algorithm), **settings
+        )
+    except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error
+    return model
+
+
+def check(training: Training) -> None:
+    """Raises: UsageError: Figures that no machine could meet, or names that the tables do not hold."""
+    _entry(training.algorithm)
+    if not 1 <= training.environments <= _MOST_COPIES:
+        raise UsageError(f"'train' asks for {training.environments} environments; from 1 to {_MOST_COPIES} are possible")
+    hidden = training.policy.hidden
+    if len(hidden) > _MOST_LAYERS or not all(1 <= width <= _WIDEST_LAYER for width in hidden):
+        raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers of 1 to {_WIDEST_LAYER} units")
+    if training.policy.activation not in _ACTIVATIONS:
+        raise UsageError(_unknown("activation", training.policy.activation, _ACTIVATIONS))
+
+
+def _entry(name: str) -> Algorithm:
+    if name not in ALGORITHMS:
+        raise UsageError(_unknown("algorithm", name, ALGORITHMS))
+    return ALGORITHMS[name]
+
+
+def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
+    near = get_close_matches(name, table, n=1)
+    return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near[0]}?)" if near else "")
+
+
+def _networks(policy: Policy, algorithm: Algorithm) -> Settings:
+    layers = list(policy.hidden)
+    shape: object = {"pi": layers, "vf": layers} if algorithm.on_policy else layers
+    return {"net_arch": shape, "activation_fn": _ACTIVATIONS[policy.activation]}
+
+
+def _value(value: bool | int | float | str | Schedule | None) -> object:
+    if not isinstance(value, Schedule):
+        return value
+    start, end = value.start, value.end
+    return lambda remaining: end + (start - end) * remaining

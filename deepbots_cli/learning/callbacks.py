@@ -1,0 +1,112 @@
+"""What happens during a training, beside learning: the best model, checkpoints, figures, and when to stop."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning import weights
+from deepbots_cli.learning.episodes import Statistics
+from deepbots_cli.learning.interruption import Interruption
+from deepbots_cli.learning.progress import Reporter, Standing
+from deepbots_cli.learning.run import Run
+
+CHECKPOINT_SECONDS = 10.0
+"""Time between checkpoints: what a killed training loses at most. Writing one takes about 3 ms."""
+
+
+class Keeper:
+    """Keeps models in the run's directory; one with a number that is not finite is refused, so the last good one stays."""
+
+    def __init__(self, run: Run, statistics: Statistics, best_return: float | None = None) -> None:
+        self.run = run
+        self.statistics = statistics
+        self.best_return = best_return
+        self.digest = ""
+
+    def keep_best(self, model: BaseAlgorithm) -> None:
+        """Keep the networks as best if the mean return of the recent episodes, once there are enough, is a new high."""
+        networks = self._finite(weights.networks(model))
+        mean = self.statistics.mean_return
+        if self.statistics.full and mean is not None and (self.best_return is None or mean > self.best_return):
+            self.best_return = mean
+            weights.write(self.run.model("best"), networks, self._state())
+
+    def keep_last(self, model: BaseAlgorithm) -> None:
+        """Write the last model and a checkpoint; until there are enough episodes to tell, the last is the best too."""
+        arrays = self._finite(weights.everything(model))
+        networks = {name: array for name, array in arrays.items() if name.startswith("policy/")}
+        self.digest = weights.digest(networks)
+        for name in ("last", "best") if self.best_return is None else ("last",):
+            weights.write(self.run.model(name), networks, self._state())
+        weights.write(self.run.checkpoint, arrays, self._state())
+
+    def _state(self) -> dict[str, Any]:
+        return self.statistics.to_json() | {"best_return": self.best_return}
+
+    def _finite(self, arrays: dict[str, weights.Array]) -> dict[str, weights.Array]:
+        name = weights.not_finite(arrays)
+        if name is not None:
+            raise diverged(name, self.run, self.statistics.steps)
+        return arrays
+
+
+def diverged(name: str, run: Run, steps: int) -> RunError:
+    """The error of a training whose array `name` holds a number that is not finite."""
+    return RunError(
+        f"the training diverged: '{name}' is no longer finite after {steps:,} steps; "
+        f"the last good model is kept in {run.path / 'models'}; a lower learning rate or smaller rewards may help"
+    )
+
+
+class Watch(BaseCallback):
+    """Called by Stable-Baselines3 after every step of all copies.
+
+    Every `beat` steps it looks after models, figures and the progress display; whether to stop it asks each time.
+    """
+
+    def __init__(self, run: Run, keeper: Keeper, told: Reporter, interruption: Interruption, total: int) -> None:
+        super().__init__()
+        self.keeper = keeper
+        self.statistics = keeper.statistics
+        self.told = told
+        self.interruption = interruption
+        self.total = total
+        # A task that an earlier part of this run has solved is trained on for its own sake.
+        self._until_solved = run.record.stop_when_solved and self.statistics.solved_at is None
+        self._beat = max(1, min(2_000, total // 100))
+        self._next_beat = self.statistics.steps
+        self._next_checkpoint = 0.0
+
+    def standing(self) -> Standing:
+        s = self.statistics
+        return Standing(s.steps, self.total, s.episodes, s.mean_return, s.success_rate, s.simulated_hours)
+
+    def _on_step(self) -> bool:
+        if self.statistics.steps >= self._next_beat:
+            self._next_beat = self.statistics.steps + self._beat
+            self._look_after()
+        return not (self.interruption.requested or (self._until_solved and self.statistics.solved_at is not None))
+
+    def _look_after(self) -> None:
+        self.told.update(self.standing())
+        self.keeper.keep_best(self.model)
+        if time.monotonic() >= self._next_checkpoint:
+            self.keeper.keep_last(self.model)
+            self._next_checkpoint = time.monotonic() + CHECKPOINT_SECONDS
+        self._record()
+
+    def _record(self) -> None:
+        """Figures beside those of Stable-Baselines3, for TensorBoard; it writes them with its own."""
+        self.logger.record("rollout/episodes", self.statistics.episodes)
+        self.logger.record("rollout/simulated_hours", self.statistics.simulated_hours)
+        for name, mean in self.statistics.term_means().items():
+            self.logger.record(f"reward/{name}", mean)
+
+    def _on_training_end(self) -> None:
+        self._record()
+        self.logger.dump(self.num_timesteps)

@@ -1,0 +1,120 @@
+"""Copies of one world, stepped in turn in one process.
+
+A step of a light world costs tens of microseconds, less than handing it to another process would. Stable-Baselines3's
+DummyVecEnv copies every info deeply in every step; this one passes them on, and counts episodes on the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.learning.episodes import Episode, Tally
+
+World = gym.Env[Any, Any]
+
+
+class BuildWorld(Protocol):
+    """Makes one copy of the world of a compiled scenario; `render_mode` as in Gymnasium."""
+
+    def __call__(self, ir: CompiledScenario, *, render_mode: str | None = None) -> World: ...
+
+
+class Copies(VecEnv):
+    """A vector environment over `worlds`; copy i starts from `seeds[i]` at the first reset and runs on from there.
+
+    `on_step` is called after the step of each copy, `on_episode` after each finished episode, both in the order of copies.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        seeds: Sequence[int],
+        *,
+        on_step: Callable[[], None],
+        on_episode: Callable[[Episode], None],
+    ) -> None:
+        self.worlds = list(worlds)
+        self.starts = list(seeds)
+        self._on_step = on_step
+        self._on_episode = on_episode
+        self._tallies = [Tally() for _ in worlds]
+        self._actions: npt.NDArray[Any] = np.zeros(0)
+        first = self.worlds[0]
+        self._keys = list(first.observation_space.spaces) if isinstance(first.observation_space, gym.spaces.Dict) else None
+        super().__init__(len(self.worlds), first.observation_space, first.action_space)
+
+    def reset(self) -> VecEnvObs:
+        self._tallies = [Tally() for _ in self.worlds]
+        pairs = [world.reset(seed=seed) for world, seed in zip(self.worlds, self.starts, strict=True)]
+        self.reset_infos = [info for _, info in pairs]
+        return self._stack([observation for observation, _ in pairs])
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = [], [], [], []
+        for index, world in enumerate(self.worlds):
+            observation, reward, terminated, truncated, info = world.step(self._actions[index])
+            reward = float(reward)
+            tally = self._tallies[index]
+            tally.add(reward, info)
+            self._on_step()
+            done = terminated or truncated
+            if done:
+                episode = tally.close(info)
+                self._on_episode(episode)
+                info = _last_info(info, observation, episode, timed_out=truncated and not terminated)
+                observation, self.reset_infos[index] = world.reset()
+            observations.append(observation)
+            rewards.append(reward)
+            dones.append(done)
+            infos.append(info)
+        return self._stack(observations), np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos
+
+    def _stack(self, observations: list[Any]) -> VecEnvObs:
+        if self._keys is None:
+            return np.array(observations)
+        return {key: np.array([observation[key] for observation in observations]) for key in self._keys}
+
+    def close(self) -> None:
+        for world in self.worlds:
+            world.close()
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """The copies keep the seeds that they were made with."""
+        return self.starts
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        return [world.get_wrapper_attr(attr_name) for world in self._chosen(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        for world in self._chosen(indices):
+            world.set_wrapper_attr(attr_name, value)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+        return [world.get_wrapper_attr(method_name)(*method_args, **method_kwargs) for world in self._chosen(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+        return [False for _ in self._chosen(indices)]
+
+    def _chosen(self, indices: VecEnvIndices) -> Iterable[World]:
+        return [self.worlds[index] for index in self._get_indices(indices)]
+
+
+def _last_info(info: Mapping[str, Any], observation: Any, episode: Episode, *, timed_out: bool) -> dict[str, Any]:
+    """What Stable-Baselines3 wants to know of an episode's last step, in a dictionary of its own."""
+    return {
+        **info,
+        "terminal_observation": observation,
+        "TimeLimit.truncated": timed_out,
+        "episode": {"r": episode.total_return, "l": episode.length},
+    }

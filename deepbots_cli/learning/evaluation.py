@@ -1,0 +1,184 @@
+"""Evaluation: a trained policy on held-out episodes, with intervals and a verdict."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean, stdev
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.ir import CompiledScenario, Solved
+from deepbots_cli.learning import algorithms, interface, video, weights
+from deepbots_cli.learning.environments import BuildWorld, Copies, World
+from deepbots_cli.learning.episodes import Episode, meets
+from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
+from deepbots_cli.learning.rollout import ROWS, rollout
+from deepbots_cli.learning.run import Compiled, ModelName, Run
+from deepbots_cli.learning.training import default_build
+from deepbots_cli.runtime.streams import derive
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """What a policy did in `episodes` held-out episodes; intervals are of 95 %.
+
+    `deviation` is the sample's; it and `return_interval` are None for a single episode. `solved` is None where the scenario
+    says nothing, or asks for more episodes than there were; `verdict` puts it in words.
+    """
+
+    run: Path
+    scenario: str
+    model: ModelName
+    episodes: int
+    seed: int
+    deterministic: bool
+    mean_return: float
+    deviation: float | None
+    return_interval: Pair | None
+    least_return: float
+    greatest_return: float
+    successes: int
+    success_rate: float
+    success_interval: Pair
+    mean_length: float
+    endings: Mapping[str, int]
+    term_means: Mapping[str, float]
+    solved: bool | None
+    verdict: str
+    video: Path | None
+    notes: tuple[str, ...]
+
+
+def evaluate(
+    run: Path,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    deterministic: bool = True,
+    model: ModelName = "best",
+    scenario: Compiled | None = None,
+    video_to: Path | None = None,
+    copies: int = ROWS,
+    build: BuildWorld | None = None,
+) -> EvaluationResult:
+    """Evaluate the policy of a run on episodes that it was not trained on.
+
+    Episode k starts from a seed of its own, derived from the stream `evaluation` of `seed`: the result is the same however
+    many worlds run at once, and the first ten of a hundred episodes are those of an evaluation of ten.
+
+    Args:
+        run: The directory of the run.
+        episodes: The scenario's figure by default.
+        seed: The root of the stream, from 0; the training's by default.
+        deterministic: Whether the policy takes its likeliest action; else it samples, from seeded streams too.
+        model: `best` by the mean return in training, or `last`.
+        scenario: Another scenario to evaluate in; its observation, action and messages must be those of the run.
+        video_to: Where to write the first episode as mp4.
+        copies: Worlds at a time, 1 to 8.
+        build: Makes a world of the scenario in place of the generated supervisor.
+
+    Raises:
+        RunError: No run, a damaged one, or one that does not fit `scenario`; says field by field why.
+        UsageError: The figures make no sense, or the video cannot be written.
+        MissingExtraError: A video is wanted and imageio is not installed.
+    """
+    torch.set_num_threads(1)
+    known = Run.open(run)
+    ir = known.ir if scenario is None else _fitting(known, scenario.ir)
+    count = ir.evaluation.episodes if episodes is None else episodes
+    root = known.record.seed if seed is None else seed
+    if count < 1 or root < 0:
+        raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
+    if video_to is not None:
+        video.check(video_to)
+    make = build or default_build(known.record.engine)
+    seeds = [derive(root, "evaluation", k) for k in range(count)]
+    with ExitStack() as stack:
+        worlds = []
+        for _ in range(min(count, max(1, min(copies, ROWS)) if deterministic else 1)):
+            worlds.append(make(ir))
+            stack.callback(worlds[-1].close)
+        policy = load(known, model, worlds[0])
+        done = rollout(policy, worlds, seeds, deterministic=deterministic)
+    if video_to is not None:
+        with closing(make(ir, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / ir.world.timestep) as filmed:
+            rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
+    return _summary(known, ir, model, root, done, deterministic=deterministic, video_to=video_to)
+
+
+def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
+    """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of `models/<name>.npz`.
+
+    Raises:
+        RunError: The file is missing, damaged, or fits another policy.
+    """
+    training = run.ir.training
+    if training is None:
+        raise RunError(f"{run.path} holds a scenario without a 'train' section")
+    algorithms.check(training)
+    spaces_only = Copies([world], [0], on_step=lambda: None, on_episode=lambda episode: None)
+    model = algorithms.create(training, spaces_only, seed=0, total_timesteps=1, to_learn=False)
+    weights.put(model, weights.read(run.model(name), model))
+    model.policy.set_training_mode(False)
+    return model
+
+
+def _fitting(run: Run, ir: CompiledScenario) -> CompiledScenario:
+    if interface.digest(ir) != run.record.interface:
+        lines = "\n  ".join(interface.differences(run.ir, ir))
+        raise RunError(f"{run.path} was trained for another observation, action or messages than {ir.name} has:\n  {lines}")
+    return ir
+
+
+def _summary(
+    run: Run, ir: CompiledScenario, model: ModelName, seed: int, done: Sequence[Episode], *, deterministic: bool, video_to: Path | None
+) -> EvaluationResult:
+    returns = [episode.total_return for episode in done]
+    successes = sum(episode.is_success for episode in done)
+    rate = successes / len(done)
+    solved, verdict = judge(ir.solved, len(done), fmean(returns), rate)
+    names = {name: None for episode in done for name in episode.terms}
+    return EvaluationResult(
+        run=run.path,
+        scenario=ir.name,
+        model=model,
+        episodes=len(done),
+        seed=seed,
+        deterministic=deterministic,
+        mean_return=fmean(returns),
+        deviation=stdev(returns) if len(returns) > 1 else None,
+        return_interval=mean_interval(returns),
+        least_return=min(returns),
+        greatest_return=max(returns),
+        successes=successes,
+        success_rate=rate,
+        success_interval=wilson(successes, len(done)),
+        mean_length=fmean(episode.length for episode in done),
+        endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
+        term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
+        solved=solved,
+        verdict=verdict,
+        video=video_to,
+        notes=tuple(run.notes()),
+    )
+
+
+def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
+    """Whether such an evaluation solves the task (None: cannot be told), and why."""
+    if solved is None:
+        return None, "the scenario does not say what counts as solved"
+    if episodes < solved.episodes:
+        return None, f"cannot be told from {episodes} episodes: the scenario asks for {solved.episodes}"
+    reasons = []
+    if solved.mean_return is not None:
+        reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is asked")
+    if solved.success_rate is not None:
+        reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is asked")
+    met = meets(solved, mean_return, success_rate)
+    return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"

@@ -1,0 +1,65 @@
+"""What a policy and a world have agreed on: observation, action, messages.
+
+A policy is only as good as the meaning of the numbers that it was trained on. Each agreed item has a name and a text;
+the digest of them all tells whether a run still fits a scenario, and the texts tell where it does not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageLayout
+
+
+def interface(ir: CompiledScenario) -> dict[str, str]:
+    """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
+    items = {}
+    for observed in ir.observation:
+        name = observed.name if observed.component is None else f"{observed.name}.{observed.component}"
+        items[f"observation.{name}"] = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
+    for part in ir.action:
+        items[f"action.{part.name}"] = _action(part)
+    for robot in ir.robots:
+        for layout in (robot.to_robot, robot.from_robot):
+            items |= _message(layout)
+    return items
+
+
+def digest(ir: CompiledScenario) -> str:
+    """SHA-256 of the agreed items and their order."""
+    return hashlib.sha256(json.dumps(list(interface(ir).items())).encode()).hexdigest()
+
+
+def differences(run: CompiledScenario, scenario: CompiledScenario) -> list[str]:
+    """One line for each item that the two do not share; empty when a policy of one fits the other."""
+    old, new = interface(run), interface(scenario)
+    names = [*old, *(name for name in new if name not in old)]
+    lines = [
+        f"{name}: run {old.get(name, 'has none')}, scenario {new.get(name, 'has none')}" for name in names if old.get(name) != new.get(name)
+    ]
+    if not lines and list(old) != list(new):
+        lines.append(f"order: run {', '.join(old)}; scenario {', '.join(new)}")
+    return lines
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    return f"{low:g} .. {high:g} {unit}".rstrip()
+
+
+def _action(part: Choices | Interval) -> str:
+    if isinstance(part, Interval):
+        size = f" for {', '.join(part.components)}" if part.components else ""
+        return _range(part.low, part.high, part.unit) + size
+    options = (f"{option.name} ({', '.join(f'{value:g}' for value in option.values)})" for option in part.options)
+    return f"{' | '.join(options)} sets {', '.join(part.variables)}"
+
+
+def _message(layout: MessageLayout) -> dict[str, str]:
+    prefix = f"message {layout.direction.replace('_', ' ')} {layout.robot}"
+    return {
+        f"{prefix}.{field.name}": " ".join(
+            filter(None, (field.dtype, f"[{', '.join(field.components)}]" if field.components else "", field.unit))
+        )
+        for field in layout.fields
+    }

@@ -1,0 +1,76 @@
+"""Results for people, as aligned text, and for machines, as plain dictionaries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.evaluation import EvaluationResult
+    from deepbots_cli.learning.training import TrainingResult
+
+Row = tuple[str, str]
+
+
+def training_text(result: TrainingResult) -> str:
+    """What a training came to, one figure per line, and how to go on."""
+    rows = [
+        ("run", str(result.run)),
+        ("steps", f"{result.steps:,} of {result.total_timesteps:,}"),
+        ("episodes", f"{result.episodes:,}"),
+        ("simulated time", f"{result.simulated_hours:.3f} h"),
+        ("CPU time", f"{result.cpu_seconds:.1f} s"),
+    ]
+    if result.mean_return is not None:
+        rows.append(("mean return", f"{result.mean_return:.1f} over the recent episodes"))
+    if result.success_rate:
+        rows.append(("success rate", f"{result.success_rate:.0%}"))
+    at = result.solved_at
+    if at is not None:
+        rows.append(
+            ("solved", f"in episode {at.episode:,}, after {at.simulated_hours:.3f} simulated h and {at.cpu_seconds:.1f} s of CPU time")
+        )
+    lines = [f"training {result.status}", *_aligned(rows)]
+    if result.interrupted:
+        lines.append(f"what was learned is kept; go on with: deepbots train --resume {result.run}")
+    return "\n".join(lines)
+
+
+def evaluation_text(result: EvaluationResult) -> str:
+    """Figures with their intervals, how the episodes ended, and the verdict as last line."""
+    rows = [
+        ("model", f"{result.run} ({result.model})"),
+        ("episodes", f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}"),
+        ("mean return", f"{result.mean_return:.2f}{_deviation(result)}"),
+        ("least, greatest", f"{result.least_return:.2f}, {result.greatest_return:.2f}"),
+        ("mean length", f"{result.mean_length:.1f} steps"),
+        ("success rate", f"{result.success_rate:.1%} (95 %: {result.success_interval[0]:.1%} .. {result.success_interval[1]:.1%})"),
+        ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
+    ]
+    rows += (
+        [(f"reward {name}", f"{mean:.2f} per episode") for name, mean in result.term_means.items()] if len(result.term_means) > 1 else []
+    )
+    if result.video is not None:
+        rows.append(("video", str(result.video)))
+    notes = (f"note: {note}" for note in result.notes)
+    return "\n".join([f"evaluation of {result.scenario}", *_aligned(rows), *notes, result.verdict])
+
+
+def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
+    """The fields of a result, with paths as text."""
+    return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items()}
+
+
+def _deviation(result: EvaluationResult) -> str:
+    if result.deviation is None or result.return_interval is None:
+        return ""
+    low, high = result.return_interval
+    return f", deviation {result.deviation:.2f} (95 % of the mean: {low:.2f} .. {high:.2f})"
+
+
+def _aligned(rows: Iterable[Row]) -> list[str]:
+    rows = list(rows)
+    width = max(len(label) for label, _ in rows)
+    return [f"  {label:<{width}}  {value}" for label, value in rows]

@@ -1,0 +1,277 @@
+"""Training: one scenario, one seed, one run directory."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import configure
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.ir import CompiledScenario, Training
+from deepbots_cli.learning import algorithms, interface, weights
+from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
+from deepbots_cli.learning.environments import BuildWorld, Copies
+from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
+from deepbots_cli.learning.interruption import listening
+from deepbots_cli.learning.progress import Reporter, reporter
+from deepbots_cli.learning.record import FORMAT, Record, Status, deepbots_version, now, versions
+from deepbots_cli.learning.run import Compiled, Run, input_digests, new_directory
+from deepbots_cli.runtime.streams import derive
+
+_KEPT = (
+    "networks, optimiser, counts, recent episodes, and the replay buffer of off-policy algorithms; "
+    "a resumed training begins new episodes, from random streams of their own"
+)
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """How a training ended.
+
+    `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
+    Steps count over all copies of the environment; the means are over the recent episodes (None: none has ended).
+    """
+
+    run: Path
+    status: Status
+    steps: int
+    total_timesteps: int
+    episodes: int
+    mean_return: float | None
+    success_rate: float | None
+    best_return: float | None
+    simulated_hours: float
+    solved_at: SolvedAt | None
+    cpu_seconds: float
+    wall_seconds: float
+    weights_digest: str
+
+    @property
+    def interrupted(self) -> bool:
+        return self.status == "interrupted"
+
+
+def train(
+    compiled: Compiled,
+    *,
+    run: Path | None = None,
+    runs: Path = Path("runs"),
+    seed: int = 0,
+    total_timesteps: int | None = None,
+    stop_when_solved: bool = True,
+    progress: bool | Reporter = False,
+    command: Sequence[str] = (),
+    engine: str = "pybullet",
+    build: BuildWorld | None = None,
+) -> TrainingResult:
+    """Train the policy of a compiled scenario in a new run directory.
+
+    The first Ctrl-C or SIGTERM ends the training between two steps: the result says `interrupted`.
+
+    Args:
+        compiled: What `deepbots_cli.compile` returned.
+        run: The directory to make; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
+        runs: Where the default directory is made.
+        seed: The root of every random stream, from 0. The same seed on the same machine gives the same weights.
+        total_timesteps: Steps over all copies of the environment; the scenario's figure by default. On-policy algorithms
+            finish the update that they are in.
+        stop_when_solved: Whether to end when the scenario's `solved` is first met.
+        progress: Whether to tell how it goes on standard error, or who tells it.
+        command: The command line, for the record.
+        engine: The physics engine of the generated supervisor.
+        build: Makes a world of the scenario in place of the generated supervisor.
+
+    Raises:
+        UsageError: The directory exists, or the settings cannot be trained with.
+        RunError: The training diverged; the last good model is kept.
+        DeepbotsError: The world failed; names step and cause.
+    """
+    training = _training_of(compiled.ir, total_timesteps)
+    if seed < 0:
+        raise UsageError(f"seed {seed} is negative; seeds count from 0")
+    path = new_directory(run, runs, compiled.ir.name, seed)
+    seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
+    record = Record(
+        format=FORMAT,
+        deepbots=deepbots_version(),
+        status="running",
+        scenario=compiled.ir.name,
+        source=str(compiled.source),
+        digest=compiled.digest,
+        interface=interface.digest(compiled.ir),
+        inputs=input_digests(compiled.inputs),
+        engine=engine,
+        seed=seed,
+        seeds=seeds | {"policy": derive(seed, "policy"), "evaluation": derive(seed, "evaluation")},
+        total_timesteps=training.total_timesteps,
+        stop_when_solved=stop_when_solved,
+        command=tuple(command),
+        versions=versions(),
+        platform=platform.platform(),
+        started=now(),
+        updated=now(),
+        resumed_at=(),
+        kept=_KEPT,
+        result=None,
+    )
+    new = Run.create(path, record, compiled)
+    statistics = Statistics(compiled.ir.world.timestep, compiled.ir.solved)
+    return _learn(new, training, Keeper(new, statistics), build, reporter(progress))
+
+
+def resume(
+    run: Path,
+    *,
+    total_timesteps: int | None = None,
+    stop_when_solved: bool | None = None,
+    progress: bool | Reporter = False,
+    build: BuildWorld | None = None,
+) -> TrainingResult:
+    """Go on with a run from its last checkpoint, in the same directory; logs are appended to.
+
+    Networks, optimiser, counts, recent episodes and (off-policy) the replay buffer are taken up; episodes begin anew from
+    random streams of their own, so the result differs from that of a training that was never interrupted. Episodes that a
+    killed process logged after its last checkpoint stay in `monitor.csv`, and their numbers come again.
+
+    Args:
+        run: The directory of the run.
+        total_timesteps: The new goal, counted from the very start; the run's own by default.
+        stop_when_solved: As for `train`; the run's own by default. A run that was solved before goes on regardless.
+        progress: As for `train`.
+        build: As for `train`.
+
+    Raises:
+        RunError: No run, or one that is damaged; else as for `train`.
+        UsageError: The run has already reached its goal.
+    """
+    known = Run.open(run)
+    record = known.record
+    training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
+    state = weights.read_state(known.checkpoint)
+    statistics = Statistics(known.ir.world.timestep, known.ir.solved)
+    statistics.restore(state)
+    if statistics.steps >= training.total_timesteps:
+        raise UsageError(
+            f"{run} has trained {statistics.steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
+        )
+    best = None if state.data.get("best_return") is None else state.number("best_return")
+    known.update(
+        status="running",
+        resumed_at=(*record.resumed_at, statistics.steps),
+        total_timesteps=training.total_timesteps,
+        stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
+    )
+    return _learn(known, training, Keeper(known, statistics, best), build, reporter(progress))
+
+
+def default_build(engine: str) -> BuildWorld:
+    """The generated supervisor on `engine`."""
+    from deepbots_cli.api import build  # brings the compiler, which a caller with a world of its own does not need
+
+    return partial(build, engine=engine)
+
+
+def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
+    if ir.training is None:
+        raise UsageError(f"{ir.name} has no 'train' section, so there is nothing to train with")
+    training = ir.training if total_timesteps is None else replace(ir.training, total_timesteps=total_timesteps)
+    if training.total_timesteps < 1:
+        raise UsageError(f"a training of {training.total_timesteps} steps teaches nothing; ask for at least 1")
+    algorithms.check(training)
+    return training
+
+
+def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | None, told: Reporter) -> TrainingResult:
+    """One process's share in a run, from the statistics that `keeper` holds to the goal."""
+    # One thread: networks of this size only lose by handing work around.
+    torch.set_num_threads(1)
+    began = time.perf_counter()
+    statistics = keeper.statistics
+    status: Status = "failed"
+    try:
+        with ExitStack() as stack:
+            copies = _copies(stack, run, training, build or default_build(run.record.engine), statistics)
+            model = _model(run, training, copies, statistics)
+            interruption = stack.enter_context(listening())
+            watch = Watch(run, keeper, told, interruption, training.total_timesteps)
+            told.start(watch.standing())
+            stack.callback(told.stop)
+            status = _drive(model, watch, run)
+            keeper.keep_best(model)
+            keeper.keep_last(model)
+            told.update(watch.standing())
+    finally:
+        result = TrainingResult(
+            run=run.path,
+            status=status,
+            steps=statistics.steps,
+            total_timesteps=training.total_timesteps,
+            episodes=statistics.episodes,
+            mean_return=statistics.mean_return,
+            success_rate=statistics.success_rate,
+            best_return=keeper.best_return,
+            simulated_hours=statistics.simulated_hours,
+            solved_at=statistics.solved_at,
+            cpu_seconds=statistics.cpu_seconds,
+            wall_seconds=time.perf_counter() - began,
+            weights_digest=keeper.digest,
+        )
+        run.update(status=status, result={key: value for key, value in asdict(result).items() if key != "run"})
+    return result
+
+
+def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, statistics: Statistics) -> Copies:
+    """The copies of the world, which report to the statistics and the episode file; all closed with `stack`."""
+    file = EpisodeFile(run.monitor, run.ir.name)
+    stack.callback(file.close)
+
+    def count_step() -> None:
+        statistics.steps += 1
+
+    def count_episode(episode: Episode) -> None:
+        statistics.add(episode)
+        file.write(episode, statistics)
+
+    worlds = []
+    for _ in range(training.environments):
+        worlds.append(build(run.ir))
+        stack.callback(worlds[-1].close)
+    branch = ("resumed", statistics.steps) if statistics.steps else ()
+    seeds = [derive(run.record.seed, "environment", i, *branch) for i in range(training.environments)]
+    return Copies(worlds, seeds, on_step=count_step, on_episode=count_episode)
+
+
+def _model(run: Run, training: Training, copies: Copies, statistics: Statistics) -> BaseAlgorithm:
+    """A fresh model, or that of the checkpoint when there is something to go on from."""
+    seed = run.record.seed
+    model = algorithms.create(training, copies, seed=derive(seed, "policy"), total_timesteps=training.total_timesteps)
+    if statistics.steps:
+        weights.put(model, weights.read(run.checkpoint, model))
+        model.num_timesteps = statistics.steps
+        model.set_random_seed(derive(seed, "policy", "resumed", statistics.steps))
+    model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
+    return model
+
+
+def _drive(model: BaseAlgorithm, watch: Watch, run: Run) -> Status:
+    try:
+        model.learn(watch.total - model.num_timesteps, callback=watch, reset_num_timesteps=False)
+    except KeyboardInterrupt:
+        return "interrupted"
+    except ValueError as error:
+        # torch's distributions refuse parameters that are no numbers before we look at the weights.
+        name = weights.not_finite(weights.networks(model))
+        if name is None:
+            raise
+        raise diverged(name, run, watch.statistics.steps) from error
+    finally:
+        model.logger.close()
+    return "interrupted" if watch.interruption.requested and watch.statistics.steps < watch.total else "finished"

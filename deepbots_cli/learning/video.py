@@ -1,0 +1,68 @@
+"""An episode as mp4."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.learning.environments import World
+
+
+def check(path: Path) -> None:
+    """Find out before a long evaluation whether a video could be written to `path`.
+
+    Raises:
+        MissingExtraError: Without imageio and its ffmpeg.
+        UsageError: If the name does not end in .mp4, or its directory does not exist.
+    """
+    if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
+        raise MissingExtraError("train", "writing a video")
+    if path.suffix.lower() != ".mp4":
+        raise UsageError(f"{path} cannot be a video: its name does not end in .mp4")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    if path.is_dir():
+        raise UsageError(f"{path} cannot be written: it is a directory")
+
+
+@contextmanager
+def filmed(world: World, path: Path, rate: float) -> Iterator[World]:
+    """`world`, with a picture of each reset and step in `path`; `rate` is in pictures per second of simulated time.
+
+    The world must have been made with `render_mode="rgb_array"`.
+    """
+    import imageio.v2 as imageio
+
+    draft = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
+    try:
+        # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
+        with imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
+            yield _Filmed(world, writer)
+        draft.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error}") from error
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+class _Filmed(gym.Wrapper[Any, Any, Any, Any]):
+    def __init__(self, world: World, writer: Any) -> None:
+        super().__init__(world)
+        self._writer = writer
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        first = self.env.reset(seed=seed, options=options)
+        self._writer.append_data(self.env.render())
+        return first
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        outcome = self.env.step(action)
+        self._writer.append_data(self.env.render())
+        return outcome

@@ -1,0 +1,248 @@
+"""Networks and optimisers as plain arrays in a file, without pickle.
+
+The file is an uncompressed `.npz` (numpy reads it) with one more member, `state.json`. Nothing in it says how to build
+anything: a model is built from the run's scenario first, and only arrays of the names, shapes and types that this model
+has are read, so that a file from a stranger can cost no more memory than the model itself.
+
+    policy/action_net.weight              a tensor of a module
+    policy.optimizer/3/exp_avg            what an optimiser remembers of its parameter 3
+    variable/log_ent_coef                 a tensor of the algorithm
+    replay/observations                   transitions of an off-policy algorithm
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.atomic import Entries, atomic, parse_object
+
+Array = npt.NDArray[Any]
+
+_STATE = "state.json"
+_STATE_LIMIT = 4_000_000
+_OVERHEAD_LIMIT = 8_000_000
+_HEADER_LIMIT = 1_000
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq", "square_avg", "momentum_buffer", "grad_avg")
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where an array belongs; `rows` lets the first axis be shorter than it is in `shape`."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    required: bool
+    rows: bool = False
+
+    @property
+    def size(self) -> int:
+        """Bytes, at most."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def fits(self, shape: tuple[int, ...]) -> bool:
+        if self.rows:
+            return len(shape) == len(self.shape) and shape[1:] == self.shape[1:] and shape[0] <= self.shape[0]
+        return shape == self.shape
+
+
+def networks(model: BaseAlgorithm) -> dict[str, Array]:
+    """Every tensor that the policy consists of, by name."""
+    return {f"policy/{name}": _array(tensor) for name, tensor in model.policy.state_dict().items()}
+
+
+def everything(model: BaseAlgorithm) -> dict[str, Array]:
+    """Networks, optimisers, further tensors of the algorithm, and the replay buffer: what training goes on from."""
+    arrays = networks(model)
+    for name, optimiser in _optimisers(model):
+        for index, memory in optimiser.state_dict()["state"].items():
+            arrays |= {f"{name}/{index}/{key}": _array(tensor) for key, tensor in memory.items()}
+    arrays |= {f"variable/{name}": _array(tensor) for name, tensor in _variables(model)}
+    replay = _replay(model)
+    if replay is not None:
+        arrays |= {f"replay/{name}": getattr(replay, name)[: replay.size()] for name in _REPLAY}
+    return arrays
+
+
+def put(model: BaseAlgorithm, arrays: Mapping[str, Array]) -> None:
+    """Set what `read` returned for this model."""
+    model.policy.load_state_dict(
+        {name.removeprefix("policy/"): torch.tensor(a) for name, a in arrays.items() if name.startswith("policy/")}
+    )
+    for name, optimiser in _optimisers(model):
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for key, array in arrays.items():
+            if key.startswith(f"{name}/"):
+                _, index, moment = key.split("/")
+                state.setdefault(int(index), {})[moment] = torch.tensor(array)
+        optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+    for name, tensor in _variables(model):
+        if f"variable/{name}" in arrays:
+            tensor.data.copy_(torch.tensor(arrays[f"variable/{name}"]))
+    replay = _replay(model)
+    if replay is not None and "replay/rewards" in arrays:
+        _refill(replay, {name: arrays[f"replay/{name}"] for name in _REPLAY})
+
+
+def digest(arrays: Mapping[str, Array]) -> str:
+    """SHA-256 over names, shapes and bytes; equal exactly for equal networks."""
+    total = hashlib.sha256()
+    for name in sorted(arrays):
+        total.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape}\n".encode())
+        total.update(np.asarray(arrays[name], order="C").tobytes())
+    return total.hexdigest()
+
+
+def not_finite(arrays: Mapping[str, Array]) -> str | None:
+    """The name of the first array that holds an infinity or no number."""
+    return next((name for name, array in arrays.items() if not np.isfinite(array).all()), None)
+
+
+def write(path: Path, arrays: Mapping[str, Array], state: Mapping[str, Any]) -> None:
+    with atomic(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr(_STATE, json.dumps(state, allow_nan=False))
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False)
+
+
+def read(path: Path, model: BaseAlgorithm) -> dict[str, Array]:
+    """The arrays of a file that was written for a model like this one.
+
+    Raises:
+        RunError: The file is missing, no archive of ours, or holds other arrays than the model has.
+    """
+    slots = _slots(model)
+    with _opened(path, sum(slot.size for slot in slots.values())) as archive:
+        return _arrays(archive, path, slots)
+
+
+def read_state(path: Path) -> Entries:
+    """What `write` was given as `state`.
+
+    Raises:
+        RunError: As for `read`.
+    """
+    with _opened(path, limit=None) as archive, archive.open(_STATE) as member:
+        return Entries(parse_object(member.read(_STATE_LIMIT), f"{path}: {_STATE}"), f"{path}: {_STATE}")
+
+
+@contextmanager
+def _opened(path: Path, limit: int | None) -> Iterator[zipfile.ZipFile]:
+    if not path.is_file():
+        raise RunError(f"{path} is missing")
+    try:
+        if limit is not None and path.stat().st_size > limit + _OVERHEAD_LIMIT:
+            raise RunError(f"{path} is larger than the scenario's policy can be")
+        with zipfile.ZipFile(path) as archive:
+            yield archive
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError, KeyError, RuntimeError) as error:
+        # Of what zipfile and numpy say only the first line is for the reader; NotImplementedError is a RuntimeError.
+        raise RunError(
+            f"{path} is damaged, or no model of ours ({str(error).splitlines()[0][:120] if str(error) else 'cut short'})"
+        ) from error
+
+
+def _arrays(archive: zipfile.ZipFile, path: Path, slots: Mapping[str, Slot]) -> dict[str, Array]:
+    members = {item.filename.removesuffix(".npy"): item for item in archive.infolist() if item.filename != _STATE}
+    missing = next((name for name, slot in slots.items() if slot.required and name not in members), None)
+    strange = next((name for name in members if name not in slots), None)
+    if missing or strange:
+        what = f"lacks '{missing}'" if missing else f"holds '{str(strange)[:80]}', which the scenario's policy has no place for"
+        raise RunError(f"{path} {what}")
+    arrays = {}
+    for name, item in members.items():
+        if item.compress_type != zipfile.ZIP_STORED:
+            raise RunError(f"{path}: '{name}' is compressed, which no model of ours is")
+        with archive.open(item) as member:
+            arrays[name] = _read_array(member, slots[name], f"{path}: '{name}'")
+    counts = {array.shape[0] for name, array in arrays.items() if slots[name].rows}
+    if len(counts) > 1:
+        raise RunError(f"{path}: the arrays of the replay buffer differ in length")
+    return arrays
+
+
+def _read_array(member: IO[bytes], slot: Slot, where: str) -> Array:
+    """One array, after its header was found to fit: nothing is allocated on the word of the file."""
+    if np.lib.format.read_magic(member) != (1, 0):
+        raise RunError(f"{where} has an unknown format")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(member, max_header_size=_HEADER_LIMIT)
+    if dtype != slot.dtype or fortran or not slot.fits(shape):
+        raise RunError(f"{where} is {dtype} of shape {shape}, the scenario's policy needs {slot.dtype} of shape {slot.shape}")
+    size = math.prod(shape) * dtype.itemsize
+    content = member.read(size + 1)
+    if len(content) != size:
+        raise RunError(f"{where} is cut short or too long")
+    array = np.frombuffer(content, dtype).reshape(shape).copy()
+    if not np.isfinite(array).all():
+        raise RunError(f"{where} holds a number that is not finite")
+    return array
+
+
+def _slots(model: BaseAlgorithm) -> dict[str, Slot]:
+    """Every array that a file for this model may hold."""
+    slots = {name: Slot(array.dtype, array.shape, required=True) for name, array in networks(model).items()}
+    for name, optimiser in _optimisers(model):
+        parameters = [p for group in optimiser.param_groups for p in group["params"]]
+        for index, parameter in enumerate(parameters):
+            for moment in _MOMENTS:
+                shape = () if moment == "step" else tuple(parameter.shape)
+                slots[f"{name}/{index}/{moment}"] = Slot(np.dtype(np.float32), shape, required=False)
+    for name, tensor in _variables(model):
+        slots[f"variable/{name}"] = Slot(_array(tensor).dtype, tuple(tensor.shape), required=False)
+    replay = _replay(model)
+    if replay is not None:
+        for name in _REPLAY:
+            array = getattr(replay, name)
+            slots[f"replay/{name}"] = Slot(array.dtype, array.shape, required=False, rows=True)
+    return slots
+
+
+def _optimisers(model: BaseAlgorithm) -> Iterator[tuple[str, torch.optim.Optimizer]]:
+    for name in model._get_torch_save_params()[0]:
+        part = attrgetter(name)(model)
+        if isinstance(part, torch.optim.Optimizer):
+            yield name, part
+
+
+def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
+    for name in model._get_torch_save_params()[1]:
+        yield name, attrgetter(name)(model)
+
+
+def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
+    """The replay buffer where it is one of plain arrays; another kind is not kept."""
+    if isinstance(model, OffPolicyAlgorithm) and type(model.replay_buffer) is ReplayBuffer and not model.optimize_memory_usage:
+        return model.replay_buffer
+    return None
+
+
+def _refill(replay: ReplayBuffer, arrays: Mapping[str, Array]) -> None:
+    """A buffer that was full is filled from its first row on, whatever row had its turn."""
+    count = len(arrays["rewards"])
+    for name, array in arrays.items():
+        getattr(replay, name)[:count] = array
+    replay.pos = count % replay.buffer_size
+    replay.full = count == replay.buffer_size
+
+
+def _array(tensor: torch.Tensor) -> Array:
+    array: Array = tensor.detach().cpu().numpy()
+    return array

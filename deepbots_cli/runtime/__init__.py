@@ -1,0 +1,18 @@
+"""What generated code runs on.
+
+supervisor.py  base of the generated supervisor, a Gymnasium environment
+robot.py       base of the generated robot controllers
+channel.py     the path of messages; messages.py their formats
+streams.py     named random streams under one root seed
+spaces.py      action and observation spaces; view.py a camera that sees the whole scene
+load.py        generated text to a module whose tracebacks show its lines
+
+Nothing here reads YAML or knows an engine beyond the port.
+"""
+
+from deepbots_cli.runtime.load import load_module
+from deepbots_cli.runtime.messages import MALFORMED
+from deepbots_cli.runtime.robot import RobotController
+from deepbots_cli.runtime.supervisor import Supervisor, clipped, quaternion
+
+__all__ = ["MALFORMED", "RobotController", "Supervisor", "clipped", "load_module", "quaternion"]

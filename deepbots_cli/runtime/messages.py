@@ -1,0 +1,159 @@
+"""Messages between robot and supervisor: one codec per format, made for one layout.
+
+Every message opens with the layout's stamp, so that one of another layout, version or robot is
+recognised. Encoding takes the values in field order (a vector as its components); decoding returns
+the stamp and the values. All formats carry 64-bit floats exactly.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import msgspec
+
+from deepbots_cli.errors import MessageError
+from deepbots_cli.ir import Field, MessageFormat, MessageLayout
+
+Message = bytes | str
+Value = float | bool
+
+MALFORMED = (ValueError, TypeError, struct.error, msgspec.MsgspecError)
+"""What decoding raises for a message that is not of the layout."""
+
+
+@dataclass(frozen=True)
+class Codec:
+    """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of MALFORMED."""
+
+    encode: Callable[..., Any]
+    decode: Callable[[Any], Sequence[Any]]
+
+
+def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
+    """Name and dtype of every single value in a message, in order: `pole_angle`, `gyro.x` ..."""
+    return [(name, field.dtype) for field in layout.fields for name in _scalar_names(field)]
+
+
+def _scalar_names(field: Field) -> list[str]:
+    return [f"{field.name}.{c}" for c in field.components] if field.components else [field.name]
+
+
+def codec(layout: MessageLayout, format: MessageFormat) -> Codec:
+    """The codec of `format` for `layout`; `none` has no messages and no codec (KeyError)."""
+    return _CODECS[format](layout.stamp, [dtype for _, dtype in scalar_fields(layout)])
+
+
+def _struct_codec(stamp: int, dtypes: list[str]) -> Codec:
+    form = struct.Struct("<I" + "".join("?" if dtype == "bool" else "d" for dtype in dtypes))
+    return Codec(partial(form.pack, stamp), form.unpack)
+
+
+def _csv_codec(stamp: int, dtypes: list[str]) -> Codec:
+    head = str(stamp)
+
+    def encode(*values: Value) -> str:
+        return ",".join([head, *map(repr, values)])
+
+    if "bool" not in dtypes:
+
+        def decode(message: str) -> list[float]:
+            return [float(cell) for cell in message.split(",")]
+
+        return Codec(encode, decode)
+
+    readers = [float, *(_csv_truth if dtype == "bool" else float for dtype in dtypes)]
+
+    def decode_mixed(message: str) -> list[Value]:
+        return [read(cell) for read, cell in zip(readers, message.split(","), strict=True)]
+
+    return Codec(encode, decode_mixed)
+
+
+def _csv_truth(cell: str) -> bool:
+    if cell not in ("True", "False"):
+        raise ValueError(f"{cell!r} is no truth value")
+    return cell == "True"
+
+
+def _tuple_type(dtypes: list[str]) -> Any:
+    kinds = tuple(bool if dtype == "bool" else float for dtype in dtypes)
+    return tuple[(int, *kinds)]  # type: ignore[misc]  # built from data, for msgspec to check against
+
+
+def _json_codec(stamp: int, dtypes: list[str]) -> Codec:
+    encoder = msgspec.json.Encoder().encode
+    return Codec(lambda *values: encoder((stamp, *values)), msgspec.json.Decoder(_tuple_type(dtypes)).decode)
+
+
+def _msgpack_codec(stamp: int, dtypes: list[str]) -> Codec:
+    encoder = msgspec.msgpack.Encoder().encode
+    return Codec(lambda *values: encoder((stamp, *values)), msgspec.msgpack.Decoder(_tuple_type(dtypes)).decode)
+
+
+_CODECS: dict[str, Callable[[int, list[str]], Codec]] = {
+    "struct": _struct_codec,
+    "csv": _csv_codec,
+    "json": _json_codec,
+    "msgpack": _msgpack_codec,
+}
+
+
+def explain(layout: MessageLayout, format: MessageFormat, message: object, step: int) -> MessageError:
+    """Why `message` does not fit `layout`: names robot, direction, step and field."""
+    place = f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
+    expected = scalar_fields(layout)
+    wanted = f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
+    try:
+        values = _loose(format, message, layout)
+    except (*MALFORMED, AttributeError, UnicodeDecodeError):
+        return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {_excerpt(message)}")
+    if not values or values[0] != layout.stamp:
+        return MessageError(f"{place}: a foreign message (stamp {_excerpt(values[0] if values else None)}, not {layout.stamp}); {wanted}")
+    if len(values) - 1 != len(expected):
+        missing = [name for name, _ in expected[len(values) - 1 :]]
+        detail = f"the message is short, field '{missing[0]}' is missing" if missing else "the message has values too many"
+        return MessageError(f"{place}: {detail}; {wanted}, got {len(values) - 1}")
+    for (name, dtype), value in zip(expected, values[1:], strict=True):
+        if not _fits(value, dtype):
+            return MessageError(f"{place}: field '{name}' should be a {dtype}, got {_excerpt(value)}")
+    return MessageError(f"{place}: the message does not fit its layout; {wanted}, got {_excerpt(message)}")
+
+
+def _loose(format: MessageFormat, message: Any, layout: MessageLayout) -> list[object]:
+    """The values of a message as far as they can be told apart, the stamp first."""
+    if format == "csv":
+        cells: list[object] = [_number_or_text(cell) for cell in message.split(",")]
+        return cells
+    if format == "json":
+        return list(msgspec.json.decode(message))
+    if format == "msgpack":
+        return list(msgspec.msgpack.decode(message))
+    dtypes = ["?" if dtype == "bool" else "d" for _, dtype in scalar_fields(layout)]
+    for count in range(len(dtypes), -1, -1):
+        form = struct.Struct("<I" + "".join(dtypes[:count]))
+        if form.size <= len(message):
+            values = list(form.unpack_from(message))
+            return values if form.size == len(message) or count < len(dtypes) else [*values, message[form.size :]]
+    raise ValueError("shorter than a stamp")
+
+
+def _number_or_text(cell: str) -> object:
+    if cell in ("True", "False"):
+        return cell == "True"
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def _fits(value: object, dtype: str) -> bool:
+    return isinstance(value, bool) if dtype == "bool" else isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _excerpt(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,257 @@
+"""The supervisor: a Gymnasium environment that sees and resets the whole world, scores, and talks to robots."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.errors import EvaluationError, MessageError, UsageError
+from deepbots_cli.ir import CompiledScenario, MessageLayout
+from deepbots_cli.port import Engine
+from deepbots_cli.runtime.channel import Channel
+from deepbots_cli.runtime.messages import codec, explain
+from deepbots_cli.runtime.robot import RobotController
+from deepbots_cli.runtime.spaces import action_space, observation_space
+from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.runtime.view import overview
+
+Observation = NDArray[np.float32]
+Info = dict[str, Any]
+
+
+class Supervisor(gym.Env[Observation, Any]):
+    """Base of the generated supervisor classes.
+
+    A generated class adds `bind` (readers from the engine), `_begin` (draws and placing at reset),
+    `_start` (what holds right after a reset) and `_advance` (one tick: all that is computed, once).
+    The paper's methods below only read what `_advance` left, so calling one twice changes nothing.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 30}
+    CONTROLLERS: ClassVar[dict[str, type[RobotController]]] = {}
+
+    observed: NDArray[np.float32]
+    reward: float
+    terminated: bool
+    truncated: bool
+    is_success: bool
+    ended_by: str | None
+    step_count: int
+
+    def __init__(self, scenario: CompiledScenario, engine: Engine, render_mode: str | None = None) -> None:
+        """Takes over `engine`, which holds the scenario's world, and closes it with itself.
+
+        Raises:
+            UsageError: `render_mode` is neither None nor "rgb_array", or the engine cannot draw.
+        """
+        if render_mode not in (None, "rgb_array"):
+            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none")
+        if render_mode and "rendering" not in engine.capabilities:
+            raise UsageError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures")
+        self.scenario = scenario
+        self.engine = engine
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / scenario.world.timestep))}
+        self.observation_space = observation_space(scenario)
+        self.action_space = action_space(scenario)
+        self.streams = Streams(None)
+        self.observed = np.zeros(len(scenario.observation), np.float32)
+        self.physics = engine.step
+        self.rebuild: Callable[[], Supervisor] | None = None
+        self._ready = self._closed = False
+        self._forget()
+        self._connect()
+        self.bind(engine)
+
+    def _connect(self) -> None:
+        """One controller per robot, and a channel each way; `paper` timing delays either by a tick."""
+        scenario = self.scenario
+        delay = 1 if scenario.timing == "paper" else 0
+        for spec in scenario.robots:
+            controller = self.CONTROLLERS[spec.name]
+            setattr(self, f"robot_{spec.name}", controller(spec, scenario.format, self.engine, lambda: self.step_count))
+            setattr(self, f"to_{spec.name}", Channel(delay))
+            setattr(self, f"from_{spec.name}", Channel(delay))
+            if scenario.format != "none":
+                setattr(self, f"encode_to_{spec.name}", codec(spec.to_robot, scenario.format).encode)
+                setattr(self, f"decode_from_{spec.name}", codec(spec.from_robot, scenario.format).decode)
+
+    # Gymnasium
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        """Begin an episode; a seed fixes this one and all that follow without one.
+
+        Returns:
+            The observation, float32 in the observation space, and the info of a step.
+
+        Raises:
+            EvaluationError: The episode would end before its first step; names the ending.
+        """
+        super().reset(seed=seed)
+        if self._closed:
+            raise UsageError("the environment is closed; make a new one")
+        if seed is not None:
+            self.streams = Streams(seed)
+            self.action_space.seed(seed)
+        self._forget()
+        try:
+            self._begin()
+            for spec in self.scenario.robots:
+                getattr(self, f"robot_{spec.name}").reset()
+                getattr(self, f"to_{spec.name}").clear()
+                getattr(self, f"from_{spec.name}").clear()
+            self._start()
+        except (ArithmeticError, ValueError) as error:
+            raise self._no_value(error) from error
+        if self.terminated:
+            raise EvaluationError(
+                f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); place the robots clear of it or widen it"
+            )
+        self._ready = True
+        return self.get_observations(), self.get_info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """One step of the agent: act, advance the world by a timestep, observe and score.
+
+        Raises:
+            UsageError: Before the first reset, or with an action outside the action space.
+            EngineError: The world is no longer finite.
+            MessageError: A message does not fit its layout.
+        """
+        try:
+            self._advance(action)
+        except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
+            raise self._step_failure(action, error) from error
+        terminated, truncated = self.is_done()
+        return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
+
+    def render(self) -> Any:
+        """A picture of the world (uint8, height x width x 3), or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        return self.engine.render(overview(self.scenario))
+
+    def close(self) -> None:
+        """Release the engine; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self.engine.close()
+
+    # The paper's methods: they read, and change nothing
+
+    def get_observations(self) -> Observation:
+        """What the policy sees, float32 in [-1, 1]; a copy."""
+        return self.observed.copy()
+
+    def get_reward(self) -> float:
+        """The reward of the last step: the sum of its terms."""
+        return self.reward
+
+    def is_done(self) -> tuple[bool, bool]:
+        """Whether the task ended (success or failure), and whether a limit cut the episode short."""
+        return self.terminated, self.truncated
+
+    def get_info(self) -> Info:
+        """`is_success`, `ended_by` (the first ending, or the limit) and `reward_terms` by name."""
+        return {"is_success": self.is_success, "ended_by": self.ended_by, "reward_terms": self.reward_terms()}
+
+    # What the compiler prints
+
+    def bind(self, engine: Engine) -> None:
+        """Take readers from the engine."""
+
+    def reward_terms(self) -> dict[str, float]:
+        """The terms of the last reward, by name."""
+        raise NotImplementedError
+
+    def _begin(self) -> None:
+        raise NotImplementedError
+
+    def _start(self) -> None:
+        raise NotImplementedError
+
+    def _advance(self, action: Any) -> None:
+        raise NotImplementedError
+
+    # Failures, off the fast path
+
+    def _forget(self) -> None:
+        self.step_count = 0
+        self.reward = 0.0
+        self.terminated = self.truncated = self.is_success = False
+        self.ended_by = None
+
+    def _not_finite(self) -> None:
+        """Called when the reward is not finite."""
+        raise FloatingPointError(f"the reward is {self.reward}")
+
+    def _rejected(self, layout: MessageLayout, message: Any) -> MessageError:
+        return explain(layout, self.scenario.format, message, self.step_count)
+
+    def _step_failure(self, action: Any, error: Exception) -> Exception:
+        if self._closed:
+            return UsageError("the environment is closed; make a new one")
+        if not self._ready:
+            return UsageError("call reset() before the first step()")
+        if not _acceptable(self.action_space, action):
+            return UsageError(f"action {action!r} does not fit {self.action_space}")
+        return self._no_value(error)
+
+    def _no_value(self, error: Exception) -> Exception:
+        """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of ours."""
+        frames = traceback.extract_tb(error.__traceback__)
+        generated = any(frame.filename.startswith("<deepbots") for frame in frames)
+        if not generated or not isinstance(error, (ArithmeticError, ValueError)):
+            return error
+        self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
+        line = next(frame.line for frame in reversed(frames) if frame.filename.startswith("<deepbots"))
+        return EvaluationError(f"step {self.step_count}: no value for `{line}`: {error}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.rebuild is None:
+            raise UsageError("this environment was built by hand and cannot be copied to another process")
+        return (_rebuild, (self.rebuild,))
+
+
+def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
+    return rebuild()
+
+
+def _acceptable(space: gym.Space[Any], action: Any) -> bool:
+    try:
+        array = np.asarray(action)
+        return bool(space.contains(array.item() if array.ndim == 0 else array)) or (
+            isinstance(space, gym.spaces.Box) and array.shape == space.shape and bool(np.isfinite(array).all())
+        )
+    except (TypeError, ValueError):
+        return False
+
+
+def clipped(value: float) -> float:
+    """The end of [-1, 1] that a value beyond it is nearest to.
+
+    Raises:
+        FloatingPointError: The value is not a number.
+    """
+    if value != value:
+        raise FloatingPointError("not a number")
+    return 1.0 if value > 0.0 else -1.0
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of rotations by roll about x, then pitch about y, then yaw about z, fixed axes, in rad (as in URDF)."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )

@@ -1,0 +1,104 @@
+"""What a robot can drive: one model per kind, in the table `ACTUATORS`."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from deepbots_cli.schema.fields import Pattern, Quantity, Range, Scalar
+from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part
+from deepbots_cli.schema.quantity import DrawnDuration, DrawnFactor, JointName, JointNames, Length, LinkName, LinkNames, Prose
+
+MaxTorque = Annotated[Scalar, Quantity("torque or force", stage="episode", minimum=0)]
+Stiffness = Annotated[Scalar, Quantity("stiffness", stage="episode", minimum=0)]
+Damping = Annotated[Scalar, Quantity("damping", stage="episode", minimum=0)]
+JointSpeed = Annotated[Scalar, Quantity("angular speed or speed", stage="episode", minimum=0)]
+JointPosition = Annotated[Scalar, Quantity("angle or length")]
+
+
+class Actuator(Part):
+    """What all actuators have: the faults of real ones."""
+
+    type: Prose = Field(description="The kind of actuator.")
+    strength: DrawnFactor = Field(default=1, description="Factor on what it does; below 1 it is worn.")
+    delay: DrawnDuration = Field(default="0 ms", description="Time from command to effect.")
+    lag: DrawnDuration = Field(default="0 ms", description="Time constant with which it follows a command.")
+
+
+class Motor(Actuator):
+    """Drives one joint, or several under their names."""
+
+    needs: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), least=1),)
+
+    joint: JointName | None = Field(default=None, description="The joint that it drives.")
+    joints: JointNames | None = Field(default=None, description="The joints that it drives: names, patterns such as `wheel_*`, or a group.")
+    max_torque: MaxTorque | None = Field(
+        default=None, description="Largest torque (N*m) or force (N) per joint; by default the effort limit of the robot file."
+    )
+
+
+class VelocityMotor(Motor):
+    """Drives a joint at a commanded velocity."""
+
+    max_velocity: JointSpeed | None = Field(default=None, description="Largest velocity; by default the limit of the robot file.")
+
+
+class PositionMotor(Motor):
+    """Drives a joint to a commanded position, as a spring with a damper."""
+
+    stiffness: Stiffness | None = Field(default=None, description="Torque per angle, N*m/rad, or force per length, N/m.")
+    damping: Damping | None = Field(default=None, description="Torque per angular speed, N*m*s/rad, or force per speed, N*s/m.")
+    max_velocity: JointSpeed | None = Field(default=None, description="Largest velocity; by default the limit of the robot file.")
+
+
+class TorqueMotor(Motor):
+    """Puts a commanded torque or force on a joint."""
+
+
+class Thrust(Actuator):
+    """Pushes links along their z axis, as a rotor does."""
+
+    needs: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), least=1),)
+
+    link: LinkName | None = Field(default=None, description="The link that it pushes.")
+    links: LinkNames | None = Field(default=None, description="The links that it pushes.")
+    range: Annotated[str, Range("force")] = Field(description="Smallest and largest thrust, such as `0 .. 0.15 N`.")
+    drag: Length = Field(default=0, description="Torque about z per thrust, m.")
+    spin: Annotated[
+        dict[Annotated[str, Pattern("link")], Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)]]
+        | Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)],
+        FORMS,
+    ] = Field(default=1, description="Sense of rotation, 1 or -1, for all or per link.")
+
+
+class Cartesian(Actuator):
+    """Moves a link to a commanded position by inverse kinematics."""
+
+    link: LinkName = Field(description="The link that is moved.")
+    joints: JointNames = Field(description="The joints that move it.")
+    rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = Field(
+        default=None, description="Attitude that the link keeps: roll, pitch, yaw."
+    )
+    max_torque: MaxTorque | None = Field(default=None, description="Largest torque or force per joint.")
+    max_velocity: JointSpeed | None = Field(default=None, description="Largest velocity per joint.")
+
+
+class Gripper(Actuator):
+    """Opens and closes fingers; its command is 0 (closed) to 1 (open)."""
+
+    joints: JointNames = Field(description="The finger joints.")
+    open: JointPosition = Field(description="Position of the joints when open.")
+    closed: JointPosition = Field(description="Position of the joints when closed.")
+    max_torque: MaxTorque | None = Field(default=None, description="Largest torque or force per joint.")
+
+
+ACTUATORS: dict[str, type[Actuator]] = {
+    "velocity_motor": VelocityMotor,
+    "position_motor": PositionMotor,
+    "torque_motor": TorqueMotor,
+    "thrust": Thrust,
+    "cartesian": Cartesian,
+    "gripper": Gripper,
+}
+AnyActuator = Annotated[Actuator, Kinds("type", tuple(ACTUATORS), ACTUATORS.__getitem__)]

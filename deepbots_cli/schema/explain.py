@@ -1,0 +1,126 @@
+"""The wording of findings that need to know the language: unknown keys, missing keys, what was found instead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from deepbots_cli.schema.hyperparameters import ALGORITHMS, ELSEWHERE
+from deepbots_cli.schema.part import Part, Spec, fields, noun_of
+from deepbots_cli.schema.plain import nearest
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.schema.training import Training
+from deepbots_cli.schema.walk import Path, homes, spec_at
+from deepbots_cli.source.nodes import Mapping, Node, Scalar, Sequence
+
+_SHOWN = 40
+_RESERVED = {"agents": "competing agents are kept for a later version of the language"}
+
+
+def describe(node: Node) -> str:
+    """What stands there, for `expected ..., found ...`."""
+    match node:
+        case Sequence():
+            return "a list"
+        case Mapping():
+            return "a mapping"
+        case Scalar(value=bool()):
+            return f"the truth value `{node.text}`"
+        case Scalar(value=int() | float()):
+            return f"the number `{_shortened(node.text)}`"
+        case Scalar():
+            return f"the text `{_shortened(node.text)}`"
+
+
+def _shortened(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _SHOWN else f"{line[: _SHOWN - 3]}..."
+
+
+def place(path: Path) -> str:
+    """Where a key stands, for a headline."""
+    if not path:
+        return "at the top level"
+    *_, last = path
+    if isinstance(last, int):
+        return f"in entry {last + 1} of `{name_of(path)}`"
+    return f"in `{name_of(path)}`"
+
+
+def name_of(path: Path) -> str:
+    """The innermost key of a path, short enough for a headline."""
+    return _shortened(next((step for step in reversed(path) if isinstance(step, str)), ""))
+
+
+def expected_at(data: object, path: Path) -> str:
+    spec = spec_at(Scenario, data, path)
+    return "another type" if spec is None else noun_of(spec)
+
+
+def keys_of(spec: Spec | None) -> str | None:
+    """The keys of a part, as a sentence."""
+    if isinstance(spec, type) and issubclass(spec, Part):
+        return f"its keys are {_listed(fields(spec))}"
+    return None
+
+
+def help_for_unknown(data: object, parent: Path, key: str) -> str | None:
+    """Where an unknown key belongs, what was probably meant, or at least what there is."""
+    spec = spec_at(Scenario, data, parent)
+    if not (isinstance(spec, type) and issubclass(spec, Part)):
+        return None
+    if not parent and key in _RESERVED:
+        return _RESERVED[key]
+    known = keys_of(spec)
+    if issubclass(spec, Training) and (elsewhere := _help_for_hyperparameter(key)):
+        return f"{elsewhere}; {known}" if key not in ELSEWHERE else elsewhere
+    near = nearest(key, tuple(fields(spec)))
+    belongs = _home_near(parent, key)
+    if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
+        return f"it belongs {belongs}; here the keys are {_listed(fields(spec))}"
+    return f"did you mean `{near}`? {known}" if near else known
+
+
+def _help_for_hyperparameter(key: str) -> str | None:
+    if key in ELSEWHERE:
+        return ELSEWHERE[key]
+    others = [algorithm for algorithm, own in ALGORITHMS.items() if key in own]
+    return f"it is a hyperparameter of {', '.join(others)}" if others else None
+
+
+def _home_near(parent: Path, key: str) -> str | None:
+    """The place of the language that knows this key and is nearest to where it stands, unless there are many."""
+    here = tuple(step for step in parent if isinstance(step, str))
+
+    def shared(home: tuple[str, ...]) -> int:
+        pairs = list(zip(home, here, strict=False))
+        return next((i for i, (known, written) in enumerate(pairs) if known not in ("*", written)), len(pairs))
+
+    found = sorted(set(homes(Scenario, key)), key=lambda home: (-shared(home), len(home), home))
+    if not found or len(found) > 6:
+        return None
+    best = found[0]
+    return f"under `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "at the top level"
+
+
+def meant_by(data: object, path: Path) -> str | None:
+    """The key that was probably meant by an unknown one."""
+    spec = spec_at(Scenario, data, path[:-1])
+    if not (isinstance(spec, type) and issubclass(spec, Part)):
+        return None
+    return nearest(str(path[-1]), tuple(fields(spec)))
+
+
+def about(data: object, path: Path) -> str | None:
+    """What the innermost known key of a path is for."""
+    for depth in range(len(path), 0, -1):
+        spec, key = spec_at(Scenario, data, path[: depth - 1]), path[depth - 1]
+        if isinstance(spec, type) and issubclass(spec, Part) and isinstance(key, str) and key in spec.model_fields:
+            text = (spec.model_fields[key].description or "").rstrip(".")
+            return f"`{key}`: {text[:1].lower()}{text[1:]}"
+        if isinstance(key, str):
+            return None
+    return None
+
+
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(f"`{word}`" for word in words)

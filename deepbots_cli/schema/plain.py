@@ -1,0 +1,268 @@
+"""Field kinds that mean what they say: words, whole numbers, switches, prose, colours.
+
+They hold no expression; a parameter cannot stand in their place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, get_args
+
+from deepbots_cli.schema.fields import JsonSchema, Leaf, examine_bounds, mismatch, problem
+
+_REAL = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+# Compiled when they are first used: most scenarios need few of them.
+_SCHEDULE = rf"\s*({_REAL})\s*->\s*({_REAL})\s*"
+_UNTIL = rf"\s*(success_rate|mean_return)\s*>=\s*({_REAL})\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
+
+
+def nearest(word: str, words: Sequence[str]) -> str | None:
+    """The one of `words` that was probably meant."""
+    from difflib import get_close_matches  # only on the way to a finding: its import costs 1 ms
+
+    known = {candidate.lower(): candidate for candidate in words}
+    close = get_close_matches(word[:64].lower(), known, n=1)
+    return known[close[0]] if close else None
+
+
+def choose_from(word: str, words: Sequence[str]) -> str:
+    """The help of an unknown word: what was probably meant, and what there is."""
+    near = nearest(word, words)
+    listed = ", ".join(f"`{known}`" for known in words)
+    return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
+
+
+@dataclass(frozen=True)
+class Word(Leaf):
+    """One of the words of the literal type that it annotates."""
+
+    words: tuple[str, ...] = ()
+
+    def bound(self, annotation: object) -> Word:
+        return replace(self, words=get_args(annotation))
+
+    @property
+    def noun(self) -> str:  # type: ignore[override]  # computed from the words
+        return f"one of {', '.join(f'`{word}`' for word in self.words)}"
+
+    def examine(self, value: object) -> None:
+        if value not in self.words:
+            raise problem("DB104", f"unknown word `{str(value)[:40]}`", choose_from(str(value), self.words))
+
+    def json_schema(self) -> JsonSchema:
+        return {"enum": list(self.words)}
+
+
+@dataclass(frozen=True)
+class Count(Leaf):
+    """A whole number."""
+
+    minimum: int = 1
+    maximum: int = 1_000_000_000
+
+    noun = "a whole number"
+
+    def holds(self, value: object) -> bool:
+        return isinstance(value, int) and not isinstance(value, bool)
+
+    def examine(self, value: object) -> None:
+        examine_bounds(value, self.minimum, self.maximum)  # type: ignore[arg-type]  # `holds` has made sure of an int
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": "integer", "minimum": self.minimum, "maximum": self.maximum}
+
+
+@dataclass(frozen=True)
+class Real(Leaf):
+    """A plain number; a text that matches `text` is accepted as well."""
+
+    minimum: float | None = None
+    maximum: float | None = None
+    exclusive: bool = False
+    text: str | None = None
+
+    noun = "a number"
+
+    def holds(self, value: object) -> bool:
+        if isinstance(value, str):
+            return self.text is not None and re.fullmatch(self.text, value) is not None
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+    def examine(self, value: object) -> None:
+        if isinstance(value, (int, float)):
+            examine_bounds(value, self.minimum, self.maximum, exclusive=self.exclusive)
+
+    def json_schema(self) -> JsonSchema:
+        number: JsonSchema = {"type": "number"}
+        if self.minimum is not None:
+            number["exclusiveMinimum" if self.exclusive else "minimum"] = self.minimum
+        if self.maximum is not None:
+            number["maximum"] = self.maximum
+        return {"anyOf": [number, {"type": "string", "pattern": f"^({self.text})$"}]} if self.text else number
+
+
+class Switch(Leaf):
+    """True or false."""
+
+    noun = "`true` or `false`"
+
+    def holds(self, value: object) -> bool:
+        return isinstance(value, bool)
+
+    def help_for(self, value: object) -> str | None:
+        meant = {"on": "true", "yes": "true", "off": "false", "no": "false"}
+        return f"write `{meant[value.lower()]}`" if isinstance(value, str) and value.lower() in meant else None
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": "boolean"}
+
+
+class Text(Leaf):
+    """Prose, or a word that is looked up elsewhere."""
+
+    noun = "a text"
+
+
+class Title(Leaf):
+    """The name of the scenario, which also names files."""
+
+    noun = "a name"
+    pattern = r"[A-Za-z][A-Za-z0-9_-]{0,63}"
+
+    def examine(self, value: object) -> None:
+        if not re.fullmatch(self.pattern, str(value)):
+            raise problem(
+                "DB105", "a name that cannot name a folder", "use letters, digits, `_` and `-`, at most 64, and begin with a letter"
+            )
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": "string", "pattern": f"^{self.pattern}$"}
+
+
+COLOURS = ("black", "white", "grey", "red", "green", "blue", "yellow", "orange", "brown", "purple", "pink", "cyan", "magenta", "tan")
+_DRAWN = r"choice\(([^()]*)\)"
+
+
+class Colour(Leaf):
+    """A word of `COLOURS`, `"#rrggbb"`, or a choice of them per episode."""
+
+    noun = "a colour"
+
+    def examine(self, value: object) -> None:
+        text = str(value).strip()
+        drawn = re.fullmatch(_DRAWN, text)
+        for word in [part.strip() for part in drawn[1].split("|")] if drawn else [text]:
+            if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
+                raise problem("DB104", f"unknown colour `{word[:40]}`", f"{choose_from(word, COLOURS)}, or write `'#ffa500'`")
+
+
+class Span(NamedTuple):
+    """A figure that goes linearly from `start` to `end` over the training."""
+
+    start: float
+    end: float
+
+
+def read_schedule(value: object) -> Span | None:
+    """`3e-4 -> 0` or a plain number, as its two ends; None if it is neither."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return Span(float(value), float(value)) if abs(value) < 1e30 else None
+    match = re.fullmatch(_SCHEDULE, value) if isinstance(value, str) else None
+    return Span(float(match[1]), float(match[2])) if match else None
+
+
+class Schedule(Leaf):
+    """A number, or `start -> end` over the training; neither below zero."""
+
+    noun = "a number or a schedule"
+    example = "3e-4 -> 0"
+
+    def holds(self, value: object) -> bool:
+        return read_schedule(value) is not None
+
+    def examine(self, value: object) -> None:
+        for bound in read_schedule(value) or ():
+            examine_bounds(bound, 0, None)
+
+    def json_schema(self) -> JsonSchema:
+        return {"anyOf": [{"type": "number", "minimum": 0}, {"type": "string", "pattern": "->"}]}
+
+
+class Goal(NamedTuple):
+    """`metric >= threshold over episodes`."""
+
+    metric: str
+    threshold: float
+    episodes: int
+
+
+def read_until(value: object) -> Goal | None:
+    """`success_rate >= 0.7 over 40 episodes` in its parts; None if it is something else."""
+    match = re.fullmatch(_UNTIL, value) if isinstance(value, str) else None
+    return Goal(match[1], float(match[2]), int(match[3])) if match else None
+
+
+class Until(Leaf):
+    """When a stage of the curriculum is done."""
+
+    noun = "a goal over episodes"
+    example = "success_rate >= 0.7 over 40 episodes"
+
+    def examine(self, value: object) -> None:
+        goal = read_until(value)
+        if goal is None:
+            raise mismatch(self.noun, self.help_for(value))
+        examine_bounds(goal.episodes, 1, None)
+        if goal.metric == "success_rate":
+            examine_bounds(goal.threshold, 0, 1)
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": "string", "pattern": r"^\s*(success_rate|mean_return)\s*>=.* over .* episodes?\s*$"}
+
+
+class Frequency(Leaf):
+    """A whole number of steps, or `n step`, `n episode`."""
+
+    noun = "a number of steps or episodes"
+    example = "1 episode"
+
+    def holds(self, value: object) -> bool:
+        if isinstance(value, str):
+            return re.fullmatch(r"[1-9]\d{0,8} (step|episode)s?", value) is not None
+        return isinstance(value, int) and not isinstance(value, bool)
+
+    def examine(self, value: object) -> None:
+        if isinstance(value, int):
+            examine_bounds(value, 1, 1e9)
+
+    def json_schema(self) -> JsonSchema:
+        return {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string", "pattern": "^[1-9][0-9]* (step|episode)s?$"}]}
+
+
+class Setting(Leaf):
+    """The new value of whatever the key names: a number, a quantity, a draw, a word."""
+
+    noun = "a single value"
+
+    def holds(self, value: object) -> bool:
+        return isinstance(value, (str, int, float))
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": ["string", "number", "boolean"]}
+
+
+class PythonPath(Leaf):
+    """A function of an installed package, `package.module:function`."""
+
+    noun = "the place of a function"
+    example = "package.module:function"
+    pattern = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
+
+    def examine(self, value: object) -> None:
+        if not re.fullmatch(self.pattern, str(value), re.ASCII):
+            raise mismatch(self.noun, self.help_for(value))
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": "string", "pattern": f"^{self.pattern}$"}

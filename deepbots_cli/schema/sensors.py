@@ -1,0 +1,114 @@
+"""What a robot can sense: one model per kind, in the table `SENSORS`."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from deepbots_cli.schema.fields import Column, Quantity, Range, Reference, Scalar
+from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part, Size
+from deepbots_cli.schema.plain import Count, Word
+from deepbots_cli.schema.pose import Mount
+from deepbots_cli.schema.quantity import DrawnDuration, JointName, JointNames, LinkName, LinkNames, LocalName, Period, Prose
+
+
+class Sensor(Part):
+    """What all sensors have: the faults of real ones."""
+
+    type: Prose = Field(description="The kind of sensor.")
+    period: Period | None = Field(default=None, description="Time between two readings, a multiple of the timestep; by default one tick.")
+    latency: DrawnDuration = Field(default="0 ms", description="Age of a reading when the robot gets it.")
+    noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = Field(
+        default=0, description="Standard deviation of each reading: in the unit of the sensor, or as `2 %` of the value."
+    )
+    bias: Annotated[Scalar, Quantity("reading", stage="episode", relative=True)] = Field(
+        default=0, description="Constant error in an episode."
+    )
+    drift: Annotated[Scalar, Quantity("any", stage="episode")] = Field(default=0, description="Growth of the bias per second.")
+    quantise: Annotated[Scalar, Quantity("reading", minimum=0)] = Field(
+        default=0, description="Step between two readings that can be told apart."
+    )
+    range: Annotated[str, Range("reading")] | None = Field(
+        default=None, description="What it can measure at all; readings are clipped to it."
+    )
+
+
+class JointSensor(Sensor):
+    """Reads one joint, or several under their names."""
+
+    needs: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), least=1),)
+
+    joint: JointName | None = Field(default=None, description="The joint that it reads.")
+    joints: JointNames | None = Field(default=None, description="The joints that it reads: names, patterns such as `wheel_*`, or a group.")
+
+
+class LinkSensor(Sensor):
+    """Sits on one link."""
+
+    link: LinkName = Field(description="The link that it sits on.")
+    pose: Mount = Field(default_factory=Mount, description="Where it sits on the link, and how it is turned.")
+
+
+class TouchSensor(Sensor):
+    """Whether a link touches anything, in any substep."""
+
+    needs: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), least=1),)
+
+    link: LinkName | None = Field(default=None, description="The link that feels.")
+    links: LinkNames | None = Field(default=None, description="The links that feel: names, patterns such as `*_toe`, or a group.")
+    against: Annotated[str | tuple[str, ...], Reference("links")] | None = Field(
+        default=None, description="Feels only these bodies or links."
+    )
+
+
+class Lookup(Part):
+    """What the sensor reports at which distance; columns of equal length, straight in between."""
+
+    distance: Annotated[Scalar, Column("length")] = Field(description="Distances in rising order, such as `0 5 10 mm`.")
+    value: Annotated[Scalar, Column("any")] = Field(description="The reading at each distance.")
+    noise: Annotated[Scalar, Column("any")] | None = Field(default=None, description="Noise at each distance, such as `0.2 0.3 %`.")
+
+
+class RaySensor(LinkSensor):
+    """Measures along rays: given by name, or as a fan of a number of them."""
+
+    rays: Annotated[Annotated[dict[LocalName, Mount], Size(1, "ray")] | Annotated[int, Count(maximum=4096)], FORMS] = Field(
+        description="The rays by name, each with its frame (it looks along x); or how many the fan has."
+    )
+    fan: Annotated[str, Range("angle")] | None = Field(
+        default=None, description="Yaw of the first and of the last ray, such as `90 .. -90 deg`."
+    )
+    lookup: Lookup | None = Field(default=None, description="What is reported at which distance; without it, the distance itself.")
+
+
+class Camera(LinkSensor):
+    """Pictures along x of its frame."""
+
+    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True)] = Field(
+        description="Columns and rows, such as `64 64`."
+    )
+    fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = Field(
+        default="60 deg", description="Angle of view from top to bottom."
+    )
+    channels: Annotated[Literal["rgb", "grey", "depth", "mask"], Word()] = Field(default="rgb", description="What a pixel holds.")
+
+
+SENSORS: dict[str, type[Sensor]] = {
+    "joint_position": JointSensor,
+    "joint_velocity": JointSensor,
+    "joint_torque": JointSensor,
+    "gyro": LinkSensor,
+    "accelerometer": LinkSensor,
+    "inclinometer": LinkSensor,
+    "compass": LinkSensor,
+    "position": LinkSensor,
+    "velocity": LinkSensor,
+    "touch": TouchSensor,
+    "infrared": RaySensor,
+    "sonar": RaySensor,
+    "lidar": RaySensor,
+    "reflectance": RaySensor,
+    "camera": Camera,
+}
+AnySensor = Annotated[Sensor, Kinds("type", tuple(SENSORS), SENSORS.__getitem__)]

@@ -1,0 +1,227 @@
+"""Nodes to a validated scenario: what the models refuse becomes findings, each at its exact place.
+
+The first round reports. Whatever has a finding is then taken out and the rest is validated again, until it passes: later
+passes see all that is sound, and nothing is reported twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import ValidationError
+
+from deepbots_cli.diagnostics import Findings, Span
+from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place
+from deepbots_cli.schema.part import Keys
+from deepbots_cli.schema.scenario import VERSION, Scenario
+from deepbots_cli.schema.walk import Path, parts, spec_at
+from deepbots_cli.source.nodes import Mapping, Node, Scalar, Sequence, descend, to_data, walk
+
+# The language is nine levels deep; each round takes out at least the innermost faulty one.
+_ROUNDS = 16
+
+# Stand-ins for required sections that had findings, so that the other sections are still looked at.
+_STAND_INS: dict[str, object] = {
+    "deepbots": VERSION,
+    "name": "unnamed",
+    "world": {"timestep": "32 ms"},
+    "robots": {},
+    "action": {},
+    "observation": {},
+    "reward": {},
+}
+
+
+@dataclass(frozen=True)
+class _Trouble:
+    """A complaint of a model about what is at `path`: `missing` keys, or an unknown key with the one that was probably `meant`."""
+
+    code: str
+    path: Path
+    headline: str
+    help: str | None = None
+    missing: tuple[str, ...] = ()
+    at_key: bool = False
+    meant: str | None = None
+
+
+def validate(root: Mapping, findings: Findings) -> Scenario | None:
+    """The scenario in `root`; what is wrong with it goes to `findings`.
+
+    With findings, the scenario lacks what they are about (`Scenario.pruned` has the paths) and stand-ins
+    fill required sections. None if the file is written for another version of the language.
+    """
+    if not _is_readable(root, findings):
+        return None
+    data: Any = to_data(root)
+    pruned: set[Path] = set()
+    for path, node in walk(root):
+        if path and isinstance(node, Scalar) and node.value is None:
+            span = _key_span(root, path)
+            findings.add("DB107", span, f"`{name_of(path)}` has no value", help="give it one, or take the key out")
+            _prune(data, path, pruned)
+
+    known = frozenset(pruned)
+    troubles = list(_key_troubles(data))
+    for round_number in range(_ROUNDS):
+        scenario, refused = _attempt(root, data, lenient=bool(pruned))
+        troubles += refused
+        if round_number == 0:
+            for trouble in troubles:
+                if not (_is_follow_up(root, trouble, known, findings) or _is_misspelt(trouble, troubles)):
+                    findings.add(trouble.code, _span(root, trouble), trouble.headline, help=trouble.help or about(data, trouble.path))
+        for trouble in troubles:
+            _prune(data, trouble.path, pruned, trouble.missing)
+        if scenario is not None and not troubles:
+            scenario._pruned = frozenset(pruned)
+            return scenario
+        troubles = []
+    return None
+
+
+def _is_readable(root: Mapping, findings: Findings) -> bool:
+    node = root.get("deepbots")
+    version = node.value if isinstance(node, Scalar) else None
+    if node is None or not isinstance(version, int) or version <= VERSION:
+        return True
+    headline = f"this file is written in version {node.span.text[:9]} of the language, and this deepbots reads version {VERSION}"
+    findings.add("DB105", node.span, headline, help="this file needs a newer deepbots: pip install --upgrade deepbots-cli")
+    return False
+
+
+def _attempt(root: Mapping, data: Any, *, lenient: bool) -> tuple[Scenario | None, list[_Trouble]]:
+    try:
+        return Scenario.model_validate(data, context={"pruned": True} if lenient else None), []
+    except ValidationError as error:
+        # Some lines may have lost their place in the data; they are still a reason to go on pruning.
+        return None, [_trouble(root, data, line) for line in error.errors(include_url=False, include_input=False)]
+
+
+def _key_troubles(data: Any) -> Iterator[_Trouble]:
+    """Keys that exclude each other, and parts that lack all of several keys."""
+    for path, part, mapping in parts(Scenario, data):
+        for keys in part.needs:
+            given = [name for name in keys.names if name in mapping]
+            if len(given) > keys.most:
+                yield _Trouble(
+                    "DB101", (*path, given[-1]), f"`{given[-1]}` cannot stand beside `{given[0]}`", "keep one of the two", at_key=True
+                )
+            elif len(given) < keys.least:
+                yield _lacking(path, keys)
+
+
+def _lacking(path: Path, keys: Keys) -> _Trouble:
+    names = " or ".join(f"`{name}`" for name in keys.names)
+    return _Trouble("DB102", path, f"missing key {names} {place(path)}", "give one of them", keys.names, at_key=True)
+
+
+def _trouble(root: Mapping, data: Any, line: Any) -> _Trouble:
+    """One line of a schema error in our own words."""
+    loc: Path = line["loc"]
+    kind: str = line["type"]
+    context = line.get("ctx", {})
+    if kind == "missing":
+        parent, key = _steps(root, loc[:-1])[0], str(loc[-1])
+        return _Trouble("DB102", parent, f"missing key `{key}` {place(parent)}", about(data, (*parent, key)), (key,), at_key=True)
+    path, at_key = _steps(root, loc)
+    if kind == "extra_forbidden":
+        key = str(path[-1])
+        return _Trouble(
+            "DB101",
+            path,
+            f"unknown key `{key[:60]}` {place(path[:-1])}",
+            help_for_unknown(data, path[:-1], key),
+            at_key=True,
+            meant=meant_by(data, path),
+        )
+    if "headline" in context:
+        headline: str = context["headline"]
+        if kind == "DB102":
+            headline = f"{headline} {place(path)}"
+        if kind == "DB107":
+            headline = f"{'a key' if at_key else f'`{name_of(path)}`'} {headline}"
+        return _Trouble(kind, path, headline, context["help"], context["missing"], at_key=at_key or kind in ("DB102", "DB107"))
+    node = descend(root, path)[0]
+    expected = context.get("expected") or expected_at(data, path)
+    help = context.get("help") or keys_of(spec_at(Scenario, data, path))
+    return _Trouble("DB103", path, f"expected {expected}, found {describe(node)}", help, at_key=at_key)
+
+
+def _steps(root: Mapping, loc: Path) -> tuple[Path, bool]:
+    """A place as the models tell it, without the tags of unions; and whether it is a key that they mean."""
+    path: list[str | int] = []
+    node: Node = root
+    for index, step in enumerate(loc):
+        match node:
+            case Mapping() if isinstance(step, str) and step in node.entries:
+                node = node.entries[step].value
+            case Sequence() if isinstance(step, int) and 0 <= step < len(node.items):
+                node = node.items[step]
+            case _:
+                if step == "[key]" and index == len(loc) - 1:
+                    return tuple(path), True
+                continue
+        path.append(step)
+    return tuple(path), False
+
+
+def _is_follow_up(root: Mapping, trouble: _Trouble, pruned: frozenset[Path], findings: Findings) -> bool:
+    """Whether something is missing or empty only because a key had no value, which was said already, here or by the reader."""
+    if trouble.code not in ("DB102", "DB107"):
+        return False
+    span = descend(root, trouble.path)[0].span
+    emptied = {
+        found.span.text.strip("'\"")
+        for found in findings
+        if found.code == "DB107" and found.span.source is span.source and span.start <= found.span.start <= span.end
+    }
+    emptied |= {str(path[-1]) for path in pruned if path[:-1] == trouble.path}
+    return bool(emptied) if trouble.code == "DB107" else not emptied.isdisjoint(trouble.missing)
+
+
+def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:
+    """Whether the missing key stands there in a spelling that is reported anyway."""
+    return any(other.meant in trouble.missing and other.path[:-1] == trouble.path for other in troubles if other.meant is not None)
+
+
+def _span(root: Mapping, trouble: _Trouble) -> Span:
+    if trouble.at_key:
+        return _key_span(root, trouble.path)
+    span = descend(root, trouble.path)[0].span
+    return span if span.begin.line == span.finish.line else _key_span(root, trouble.path)
+
+
+def _key_span(root: Mapping, path: Path) -> Span:
+    """The key at `path`, the head of the item of a list, or the first line of the file."""
+    if not path:
+        return _first_line(root.span)
+    node, key, _ = descend(root, path)
+    return key.span if key is not None else _first_line(node.span)
+
+
+def _first_line(span: Span) -> Span:
+    end = span.source.text.find("\n", span.start, span.end)
+    return Span(span.source, span.start, span.end if end < 0 else end)
+
+
+def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = ()) -> None:
+    """Take out the entry at `path`; from a list the whole list, since its other items keep their numbers."""
+    while path and isinstance(path[-1], int):
+        path = path[:-1]
+    if not path:
+        for key in missing:
+            if key in _STAND_INS:
+                data[key] = _STAND_INS[key]
+                pruned.add((key,))
+        return
+    holder = data
+    for step in path[:-1]:
+        try:
+            holder = holder[step]
+        except (KeyError, IndexError, TypeError):
+            return  # went out together with something around it
+    if isinstance(holder, dict) and path[-1] in holder:
+        del holder[path[-1]]
+        pruned.add(path)

@@ -1,0 +1,19 @@
+"""From text to nodes that know their place.
+
+files.py      bytes to text: size, encoding, characters
+parse.py      YAML text to nodes, within limits
+scalars.py    what a plain scalar means, and which ones look like something else
+places.py     where each character of a quoted or folded scalar stands in the file
+syntax.py     the wording of syntax errors
+nodes.py      Scalar, Sequence, Mapping
+roots.py      which files a scenario may name
+shipped.py    the scenarios and robots that come with deepbots
+merge.py      two trees to one; dotted paths
+overrides.py  `--set path=value`
+load.py       a file with all that it extends and includes, as one Document
+"""
+
+from deepbots_cli.source.load import Document, load, loads
+from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, to_data, walk
+
+__all__ = ["Document", "Entry", "Mapping", "Node", "Path", "Scalar", "Sequence", "descend", "load", "loads", "to_data", "walk"]

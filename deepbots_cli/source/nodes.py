@@ -1,0 +1,115 @@
+"""Nodes: YAML values that know their place.
+
+A tree of nodes is what every later pass reads. Merging (`extends`, `include`, `--set`) builds new
+trees out of old nodes, so each value keeps the place where it was written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+from deepbots_cli.diagnostics import Span
+
+Path = tuple[str | int, ...]
+Style = Literal["plain", "single", "double", "literal", "folded"]
+Value = None | bool | int | float | str
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A single value: its text after unquoting and folding, and what YAML 1.2 makes of it.
+
+    `offsets[i]` is the offset in the source of character `i` of `text` (with one more for the end),
+    so that a piece of an expression has a place; None when the text stands in the source unchanged
+    from `span.start` on.
+    """
+
+    span: Span
+    text: str
+    value: Value
+    style: Style = "plain"
+    offsets: tuple[int, ...] | None = field(default=None, repr=False)
+
+    def part(self, start: int, end: int) -> Span:
+        """The span of `text[start:end]` in the source."""
+        if self.offsets is None:
+            return Span(self.span.source, self.span.start + start, self.span.start + end)
+        first = self.offsets[min(start, len(self.offsets) - 1)]
+        if end <= start:
+            return Span(self.span.source, first, first)
+        return Span(self.span.source, first, max(first, self.offsets[min(end, len(self.offsets)) - 1] + 1))
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A list of nodes."""
+
+    span: Span
+    items: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key with its value."""
+
+    key: Scalar
+    value: Node
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Keys in file order, each with its value.
+
+    `partial` says that a key was left out because of a finding: that another one is missing here may
+    be a consequence, and is not worth a second finding.
+    """
+
+    span: Span
+    entries: dict[str, Entry]
+    partial: bool = False
+
+    def get(self, key: str) -> Node | None:
+        entry = self.entries.get(key)
+        return entry.value if entry else None
+
+
+Node = Scalar | Sequence | Mapping
+
+
+def descend(node: Node, path: Path) -> tuple[Node, Scalar | None, int]:
+    """Follow `path` as far as it goes: the last node reached, its key if any, and the steps taken."""
+    key: Scalar | None = None
+    for depth, step in enumerate(path):
+        match node:
+            case Mapping() if isinstance(step, str) and step in node.entries:
+                key, node = node.entries[step].key, node.entries[step].value
+            case Sequence() if isinstance(step, int) and 0 <= step < len(node.items):
+                key, node = None, node.items[step]
+            case _:
+                return node, key, depth
+    return node, key, len(path)
+
+
+def to_data(node: Node) -> object:
+    """The tree as plain Python values, as the schema reads it."""
+    match node:
+        case Scalar():
+            return node.value
+        case Sequence():
+            return [to_data(item) for item in node.items]
+        case Mapping():
+            return {key: to_data(entry.value) for key, entry in node.entries.items()}
+
+
+def walk(node: Node, path: Path = ()) -> Iterator[tuple[Path, Node]]:
+    """Every node below and including `node`, with its path, in file order."""
+    yield path, node
+    match node:
+        case Sequence():
+            for index, item in enumerate(node.items):
+                yield from walk(item, (*path, index))
+        case Mapping():
+            for name, entry in node.entries.items():
+                yield from walk(entry.value, (*path, name))

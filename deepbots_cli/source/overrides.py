@@ -1,0 +1,89 @@
+"""`--set path=value`: a value from the command line, as a node with a place of its own.
+
+The text of the assignment is its source, so a finding in it is shown like one in a file.
+"""
+
+from __future__ import annotations
+
+import re
+
+from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.source import files
+from deepbots_cli.source.merge import follow, replace
+from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar
+from deepbots_cli.source.parse import Budget, parse
+
+_NOTHING = re.compile(r"\s*(?:#.*)?")
+
+
+def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | None = None) -> Mapping:
+    """`root` with one assignment made; unchanged, with a finding, where it cannot be.
+
+    A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces
+    what was there; mappings are not merged.
+    """
+    source = Source(f"--set {assignment}", assignment)
+    if not files.check(source, findings):
+        return root
+    path, equals, text = assignment.partition("=")
+    whole = Span(source, 0, len(assignment))
+    if not path.strip():
+        findings.add("DB102", whole, "there is no path before the `=`", help="write --set path=value")
+    elif not equals or _NOTHING.fullmatch(text):
+        help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
+        findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
+    else:
+        target = _target(root, Span(source, 0, len(path)), findings)
+        value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
+        if target is not None and value is not None:
+            return _placed(root, *target, value, findings)
+    return root
+
+
+def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar] | None:
+    """The path that is meant, and its last key as written; the key may be new, the mapping around it may not."""
+    dotted = span.text.strip()
+    start = span.start + span.text.index(dotted)
+    parameters = root.get("parameters")
+    if isinstance(parameters, Mapping) and "." not in dotted:
+        if dotted in parameters.entries:
+            return ("parameters", dotted), _key(Span(span.source, start, start + len(dotted)))
+        if dotted not in root.entries and (near := _near(dotted, parameters)):
+            help = f"did you mean `{near}`?"
+            findings.add("DB201", Span(span.source, start, start + len(dotted)), f"there is no parameter `{dotted}`", help=help)
+            return None
+    steps, reached, rest = follow(root, dotted)
+    at = start + len(dotted) - len(rest)
+    if not rest:
+        return steps, _key(Span(span.source, start, start + len(dotted)))
+    name = rest.split(".")[0]
+    place = Span(span.source, at, at + max(1, len(name)))
+    inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
+    if not isinstance(reached, Mapping):
+        findings.add("DB201", place, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
+    elif name != rest or not name:
+        near = _near(name, reached)
+        help = f"did you mean `{near}`?" if near else f"there are: {', '.join(list(reached.entries)[:20])}"
+        findings.add("DB201", place, f"there is no `{name}`{inside}", help=help)
+    else:
+        return (*steps, name), _key(place)
+    return None
+
+
+def _placed(root: Mapping, path: Path, key: Scalar, value: Node, findings: Findings) -> Mapping:
+    if isinstance(value, Scalar) and value.value is None:
+        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", help="there is no null; write a value")
+        return root
+    changed = replace(root, path, Entry(key, value))
+    return changed if isinstance(changed, Mapping) else root
+
+
+def _key(span: Span) -> Scalar:
+    return Scalar(span, span.text, span.text)
+
+
+def _near(name: str, mapping: Mapping) -> str | None:
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, mapping.entries, 1, 0.75)
+    return near[0] if near else None

@@ -1,0 +1,84 @@
+"""What a plain scalar means: the core schema of YAML 1.2 with decimal numbers only.
+
+Null, true and false, integers (also `100_000`, in groups of three) and decimals; all else is text. What another
+reader of YAML would take differently, or what looks like a number and is none, gets a warning.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from deepbots_cli.diagnostics import Findings, Span
+from deepbots_cli.source.nodes import Value
+
+_WORDS: dict[str, Value] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+_INT = re.compile(r"[-+]?(?:[0-9]+|[0-9]{1,3}(?:_[0-9]{3})+)")
+_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
+_NUMERIC_START = frozenset("0123456789+-.")
+
+# `y` and `n` are left out: they are coordinates and counts far more often than answers.
+_YAML11 = {
+    **dict.fromkeys(("on", "On", "ON", "yes", "Yes", "YES"), "true"),
+    **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
+}
+
+_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
+_RADIX = re.compile(r"([-+]?)0(?:x([0-9A-Fa-f]+)|o([0-7]+)|b([01]+))")
+_COMMA = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
+_SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
+_GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
+
+# The largest integer that a double still tells from its neighbours would be 2**53; seeds may use all of 64 bits.
+_LARGEST = 2**64
+
+
+def resolve(text: str) -> Value:
+    """The value of the plain scalar `text`; a number beyond all bounds is infinite."""
+    if not text or text[0] not in _NUMERIC_START:
+        return _WORDS.get(text, text)
+    if _INT.fullmatch(text):
+        # Python refuses to read integers of more than 4300 digits.
+        number = int(text) if len(text) <= 24 else _LARGEST + 1
+        return number if abs(number) <= _LARGEST else math.inf
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    return text
+
+
+def warn(text: str, span: Span, findings: Findings) -> None:
+    """Report a plain value that older or looser readers take differently."""
+    if text in _YAML11:
+        help = f"write {_YAML11[text]}, or put it in quotes if text is meant"
+        findings.add("DB003", span, f"`{text}` is text, though older YAML reads it as {_YAML11[text]}", help=help)
+    elif text and text[0] in "0123456789+-":
+        odd = _odd_number(text)
+        if odd:
+            findings.add("DB004", span, odd[0], help=odd[1])
+
+
+def _odd_number(text: str) -> tuple[str, str] | None:
+    """Headline and help for something that looks like a number, or is another number elsewhere."""
+    if _INT.fullmatch(text):
+        if not _LEADING_ZERO.fullmatch(text) or len(text) > 24:
+            return None
+        return f"`{text}` is {int(text)} here, though older YAML reads a leading zero as octal", f"write {int(text)}"
+    if radix := _RADIX.fullmatch(text):
+        sign, hexadecimal, octal, binary = radix.groups()
+        number = int(hexadecimal, 16) if hexadecimal else int(octal, 8) if octal else int(binary, 2)
+        return f"`{text}` is text: numbers are decimal", f"write {sign}{number}" if len(text) <= 24 else "write it in decimal"
+    if _COMMA.fullmatch(text):
+        help = f"write {text.replace(',', '.')} for a decimal" if text.count(",") == 1 else f"write {text.replace(',', '_')}"
+        return f"`{text}` is text: a decimal takes a point", help
+    if _SEXAGESIMAL.fullmatch(text):
+        return (
+            f"`{text}` is text, though older YAML reads it as a number in base 60",
+            "write a duration with its unit, such as 750 s, or use quotes if text is meant",
+        )
+    if _GROUPS.fullmatch(text):
+        return f"`{text}` is text: digits are grouped in threes", f"write {text.replace('_', '')}"
+    return None

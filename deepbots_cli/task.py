@@ -1,0 +1,124 @@
+"""The checked task: typed expressions with their places. What lint rules read, and what is lowered.
+
+Figures that are fixed (the world, robot bodies, training) are already in the form of the compiled
+scenario; whatever has a value only in an episode or a step is a typed tree here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from deepbots_cli import ir
+from deepbots_cli.diagnostics import Span
+from deepbots_cli.lang.typed import Typed
+from deepbots_cli.lang.types import Components
+
+
+@dataclass(frozen=True, eq=False)
+class Valued:
+    """A named expression; `text` is what the user wrote, `owner` its place in the scenario, such as `reward.alive`."""
+
+    name: str
+    span: Span
+    text: str
+    typed: Typed
+    owner: str
+
+    @property
+    def components(self) -> Components:
+        return self.typed.type.components or ()
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """What drives one actuator: one target per joint, or one for all."""
+
+    actuator: ir.Actuator
+    target: Valued
+
+
+@dataclass(frozen=True, eq=False)
+class TaskRobot:
+    """A robot controller with typed expressions."""
+
+    name: str
+    sensors: tuple[ir.Sensor, ...]
+    actuators: tuple[ir.Actuator, ...]
+    receive: tuple[Valued, ...]
+    emit: tuple[Valued, ...]
+    commands: tuple[Command, ...]
+    listens: bool
+    """Whether `receive` stands in the file; otherwise the robot receives the action variables that `apply` uses."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedValue:
+    """An entry of the observation: its value, and the fixed bounds of each component in SI units."""
+
+    value: Valued
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TaskEnding:
+    value: Valued
+    outcome: ir.Outcome
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinate:
+    """One number of a placement: a typed tree, or a turn drawn from the whole circle (`any`)."""
+
+    owner: str
+    typed: Typed | None
+
+    @property
+    def anywhere(self) -> bool:
+        return self.typed is None
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Pose of a body at reset: x, y, z in m, roll, pitch, yaw in rad; what is not listed is 0."""
+
+    body: str
+    coordinates: Mapping[str, Coordinate]
+
+
+@dataclass(frozen=True, eq=False)
+class JointStart:
+    """Joints that start at a position (one value per joint, or one for all), at a velocity."""
+
+    robot: str
+    joints: tuple[str, ...]
+    position: Valued
+    velocity: Valued | None
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One checked scenario. `order` lists augmentation and signals so that each comes after what it is made of."""
+
+    name: str
+    summary: str
+    language: int
+    world: ir.WorldModel
+    robots: tuple[TaskRobot, ...]
+    format: ir.MessageFormat
+    timing: ir.Timing
+    parameters: tuple[Valued, ...]
+    action: tuple[ir.Choices | ir.Interval, ...]
+    order: tuple[Valued, ...]
+    observation: tuple[ObservedValue, ...]
+    reward: tuple[Valued, ...]
+    endings: tuple[TaskEnding, ...]
+    truncation: ir.Truncation
+    placements: tuple[Placement, ...]
+    joint_starts: tuple[JointStart, ...]
+    settle: float
+    solved: ir.Solved | None
+    training: ir.Training | None
+    evaluation: ir.Evaluation
+    augmented: frozenset[str]

@@ -1,0 +1,124 @@
+"""Mesh files: where they are, whether they may be read, what they hold.
+
+Reading them here, before any engine does, is what keeps a mesh from crashing one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli.urdf.mesh_format import fault
+
+MAX_BYTES = 32 * 2**20
+MAX_TOTAL_BYTES = 256 * 2**20
+FORMATS = (".stl", ".obj", ".dae")
+_ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a file is not read, as a headline and a remedy."""
+
+    why: str
+    help: str | None = None
+
+
+ResolveMesh = Callable[[str], Path | Refusal]
+"""From a `filename` as written in the robot file to the real path, where it may be read."""
+
+
+def locate(reference: str, folder: Path) -> Path | Refusal:
+    """The real path that `reference` names in a robot file of `folder`, whether it exists or not.
+
+    `package://X/rest` is looked up in the installed package X (found without importing it), then in a
+    folder above called X, then as X/rest beside the robot file, which is what some published robots mean.
+    """
+    scheme, colon, rest = reference.partition("://")
+    if not colon:
+        return Path(os.path.realpath(folder / reference))
+    if scheme == "file":
+        return Path(os.path.realpath(folder / rest))
+    if scheme != "package":
+        return Refusal(f"a mesh cannot be fetched from {scheme[:20]!r}", "store the file beside the robot and name its path")
+    package, _, inside = rest.partition("/")
+    home = package_folder(package) or next((above for above in folder.absolute().parents if above.name == package), None)
+    return Path(os.path.realpath(home / inside if home else folder / rest))
+
+
+def package_folder(name: str) -> Path | None:
+    """The folder of an installed package, without importing it; None for namespace packages and modules."""
+    from importlib.util import find_spec
+
+    if not name.isidentifier():
+        return None
+    try:
+        spec = find_spec(name)
+    except (ImportError, ValueError):  # ValueError: already imported, and without a spec, as `__main__` is
+        return None
+    if spec is None or spec.origin is None or not spec.submodule_search_locations:
+        return None
+    return Path(spec.submodule_search_locations[0])
+
+
+def beside(folder: Path) -> ResolveMesh:
+    """Allows the folder of the robot file and what lies below it, and the installed package that a `package://` names."""
+
+    def resolve(reference: str) -> Path | Refusal:
+        path = locate(reference, folder)
+        if isinstance(path, Refusal):
+            return path
+        roots = [folder]
+        if reference.startswith("package://"):
+            home = package_folder(reference.removeprefix("package://").partition("/")[0])
+            roots += [home] if home else []
+        if any(path.is_relative_to(os.path.realpath(root)) for root in roots):
+            return path
+        return Refusal("the mesh lies outside the folder of the robot", "move it beside the robot file")
+
+    return resolve
+
+
+class Meshes:
+    """Reads each mesh of one robot once: path and sha256 digest, or a refusal."""
+
+    def __init__(self, resolve: ResolveMesh) -> None:
+        self._resolve = resolve
+        self._known: dict[Path, str | Refusal] = {}
+        self._total = 0
+
+    def load(self, reference: str) -> tuple[Path, str] | Refusal:
+        try:
+            path = self._resolve(reference)
+            if isinstance(path, Refusal):
+                return path
+            if path not in self._known:
+                self._known[path] = self._digest(path)
+        except OSError as error:
+            return Refusal(f"the mesh cannot be read: {error.strerror}")
+        digest = self._known[path]
+        return digest if isinstance(digest, Refusal) else (path, digest)
+
+    def _digest(self, path: Path) -> str | Refusal:
+        if not str(path).isprintable():
+            return Refusal("the path of the mesh holds characters that cannot be printed", "rename the file or its folder")
+        if path.suffix.lower() not in FORMATS:
+            return Refusal(f"the mesh format {path.suffix[:20]!r} is not read", f"convert it to one of: {', '.join(FORMATS)}")
+        if not path.exists():
+            return Refusal("the mesh does not exist", f"looked for {path}")
+        if not path.is_file():
+            return Refusal("the mesh is not a regular file")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            return Refusal(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
+        self._total += len(data)
+        if self._total > MAX_TOTAL_BYTES:
+            return Refusal(f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together", "simplify them")
+        if data.startswith(_ARCHIVES):
+            return Refusal("the mesh is an archive", "unpack it")
+        wrong = fault(path.suffix.lower(), data)
+        return Refusal(wrong) if wrong else hashlib.sha256(data).hexdigest()

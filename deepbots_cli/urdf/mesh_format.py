@@ -1,0 +1,78 @@
+"""What a mesh file must hold so that an engine survives it.
+
+PyBullet 3.2.7 was seen to crash the process on a vertex that is not a number, on an OBJ face that names a
+missing vertex and on a COLLADA file without its libraries; an STL file of another length than it claims is
+drawn as nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from array import array
+
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.urdf import xml
+
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+_NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
+_NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
+_FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
+_INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
+_COLLADA = ("asset", "library_geometries", "library_visual_scenes")
+
+
+def fault(suffix: str, data: bytes) -> str | None:
+    """What is wrong with the mesh in `data`, as a headline; None where it may be loaded."""
+    match suffix:
+        case ".stl":
+            return _stl(data)
+        case ".obj":
+            return _obj(data)
+        case _:
+            return _dae(data)
+
+
+def _stl(data: bytes) -> str | None:
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+        return "the STL file holds a vertex that is not finite" if _NOT_FINITE_STL.search(data) else None
+    if len(data) < 84:
+        return "the STL file is shorter than its header"
+    triangles = int.from_bytes(data[80:84], "little")
+    if len(data) != 84 + 50 * triangles:
+        return f"the STL file claims {triangles} triangles and has room for {(len(data) - 84) / 50:g}"
+    if not triangles:
+        return "the STL file holds no triangle"
+    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
+    if sys.byteorder == "big":
+        numbers.byteswap()
+    # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
+    return None if math.isfinite(sum(numbers)) else "the STL file holds a vertex that is not finite"
+
+
+def _obj(data: bytes) -> str | None:
+    if b"\0" in data:
+        return "the OBJ file is not text"
+    vertices = len(_VERTEX.findall(data))
+    if not vertices:
+        return "the OBJ file holds no vertex"
+    lower = data.lower()  # two plain searches take a third of the time of the pattern, which they nearly always spare
+    if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
+        return "the OBJ file holds a vertex that is not finite"
+    indices = set(_INDEX.findall(b"".join(_FACE.findall(data))))
+    if not indices:
+        return "the OBJ file holds no face"
+    last = max(indices, key=lambda digits: (len(digits), digits))
+    if len(last) > 9 or int(last) > vertices:
+        return f"the OBJ file has a face with vertex {last[:12].decode()} and only {vertices} vertices"
+    return None
+
+
+def _dae(data: bytes) -> str | None:
+    source = Source("mesh", data.decode("utf-8", errors="replace").removeprefix("\ufeff"))
+    root = xml.parse(source, Findings())
+    if root is None or root.tag != "COLLADA":
+        return "the mesh is not a COLLADA file"
+    missing = next((tag for tag in _COLLADA if not root.all(tag)), None)
+    return f"the COLLADA file has no <{missing}>" if missing else None

@@ -1,0 +1,274 @@
+"""What every engine owes the port, over the worlds that it can hold."""
+
+from __future__ import annotations
+
+import struct
+from itertools import product
+from math import isclose, pi, sqrt
+
+import pytest
+
+from deepbots_cli.engines import ENGINES, frames
+from deepbots_cli.errors import EngineError
+
+BOTH = pytest.mark.parametrize("engine_name", sorted(ENGINES))
+TURNED = frames.from_rpy((0.4, -0.3, 1.1))
+
+
+def episode(engine, ticks: int, substeps: int = 4, start: float = 0.1) -> bytes:
+    """Every figure of a run in which the cart is pushed to and fro."""
+    read, pose, velocity = engine.joint_states("robot", ["slide", "hinge"]), engine.pose("robot", "tip"), engine.velocity("robot", "tip")
+    push = engine.torque_motor("robot", ["slide"], [8.0])
+    engine.set_joint("robot", "hinge", start, 0.2)
+    figures: list[float] = []
+    for tick in range(ticks):
+        push([6.0 if tick % 7 < 3 else -9.0])
+        engine.step(substeps)
+        for part in (*(state[:2] for state in read()), *pose(), *velocity()):
+            figures += part
+    return struct.pack(f"{len(figures)}d", *figures)
+
+
+@BOTH
+def test_the_same_calls_give_the_same_bytes(engine_name, worlds, build):
+    assert episode(build(engine_name, worlds.rail()), 50) == episode(build(engine_name, worlds.rail()), 50)
+
+
+@BOTH
+def test_a_reset_world_equals_a_fresh_one_after_a_different_episode(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    fresh = episode(engine, 40)
+    for ticks in (0, 1, 7, 33):
+        engine.reset()
+        episode(engine, ticks, start=-0.4)
+        engine.reset()
+        assert episode(engine, 40) == fresh
+
+
+@BOTH
+def test_motors_exert_nothing_after_a_reset(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    writers = (
+        engine.torque_motor("robot", ["slide"], [8.0]),
+        engine.velocity_motor("robot", ["slide"], [8.0]),
+        engine.position_motor("robot", ["slide"], [8.0], 50.0, 1.0),
+        engine.position_motor("robot", ["slide"], [8.0], None, None),
+    )
+    for write in writers:
+        write([3.0])
+        engine.step(4)
+        engine.reset()
+        engine.step(4)
+        assert engine.joint_states("robot", ["slide"])()[0][:2] == (0.0, 0.0)
+        assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(0.0, abs=1e-100)
+
+
+@BOTH
+def test_a_reader_only_reads(engine_name, worlds, build):
+    quiet, curious = build(engine_name, worlds.rail()), build(engine_name, worlds.rail())
+    readers = [
+        curious.joint_states("robot", ["slide", "hinge"]),
+        curious.joint_torques("robot", ["slide"]),
+        *(read("robot", link) for read, link in product((curious.pose, curious.velocity), ("rail", "cart", "pole", "tip"))),
+    ]
+    for engine in (quiet, curious):
+        engine.set_joint("robot", "hinge", 0.5, 0.0)
+    for _ in range(20):
+        quiet.step(4)
+        curious.step(4)
+        curious.require_finite()
+        assert [read() for read in readers] == [read() for read in readers]
+    both = [engine.joint_states("robot", ["slide", "hinge"])() for engine in (quiet, curious)]
+    assert both[0] == both[1]
+
+
+@BOTH
+def test_closing_twice_is_fine_and_use_after_it_is_an_error(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    step = engine.step
+    engine.close()
+    engine.close()
+    uses = (
+        lambda: step(1),
+        engine.reset,
+        engine.require_finite,
+        lambda: engine.place("robot", (0, 0, 0), frames.UPRIGHT),
+        lambda: engine.set_joint("robot", "slide", 0, 0),
+        lambda: engine.pose("robot"),
+        lambda: engine.joint_states("robot", ["slide"]),
+    )
+    for use in uses:
+        with pytest.raises(EngineError, match="closed"):
+            use()
+
+
+@BOTH
+def test_a_body_goes_exactly_where_it_is_placed(engine_name, worlds, build):
+    engine = build(engine_name, worlds.ball())
+    engine.place("ball", (0.1, 0.2, 0.3), TURNED)
+    assert engine.pose("ball")() == ((0.1, 0.2, 0.3), pytest.approx(TURNED, abs=1e-15))
+    assert engine.velocity("ball")() == ((0, 0, 0), (0, 0, 0))
+
+
+@BOTH
+def test_placing_means_the_origin_of_the_link_and_not_its_centre_of_mass(engine_name, worlds, build):
+    engine = build(engine_name, worlds.crooked())
+    engine.place("robot", (0.1, 0.2, 0.3), TURNED)
+    position, orientation = engine.pose("robot")()
+    assert position == pytest.approx((0.1, 0.2, 0.3), abs=1e-12)
+    assert orientation == pytest.approx(TURNED, abs=1e-12)
+
+
+@BOTH
+def test_a_joint_goes_exactly_where_it_is_set_and_its_links_with_it(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    engine.set_joint("robot", "slide", 0.25, -0.5)
+    engine.set_joint("robot", "hinge", pi / 2, 2.0)
+    slide, hinge = engine.joint_states("robot", ["slide", "hinge"])()
+    assert (*slide[:2], *hinge[:2]) == (0.25, -0.5, pi / 2, 2.0)
+    assert engine.pose("robot", "tip")()[0] == pytest.approx((1.25, 0, 1), abs=1e-6)
+    linear, angular = engine.velocity("robot", "tip")()
+    assert linear == pytest.approx((-0.5, 0, -2.0), abs=1e-6)
+    assert angular == pytest.approx((0, 2.0, 0), abs=1e-12)
+
+
+@BOTH
+def test_poses_and_velocities_agree_while_moving(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.002, substeps=2))
+    engine.set_joint("robot", "slide", 0.0, 0.4)
+    engine.set_joint("robot", "hinge", 0.3, 1.5)
+    for link in ("cart", "pole", "tip"):
+        pose, velocity = engine.pose("robot", link), engine.velocity("robot", link)
+        engine.step(2)
+        before, speed_before = pose()[0], velocity()[0]
+        engine.step(2)
+        mean = [(a + b) / 2 for a, b in zip(speed_before, velocity()[0], strict=True)]
+        assert [(b - a) / 0.002 for a, b in zip(before, pose()[0], strict=True)] == pytest.approx(mean, abs=0.02)
+
+
+@BOTH
+@pytest.mark.parametrize("substeps", [1, 2, 4, 8])
+def test_a_torque_acts_alike_over_any_number_of_substeps(engine_name, substeps, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=substeps))
+    engine.set_joint("robot", "hinge", pi / 2, 0.0)
+    engine.torque_motor("robot", ["slide"], [5.0])([2.0])
+    engine.step(substeps)
+    # With the pole level, the hinge hands on no force along the rail: 1.1 kg in all, but the pole's weight acts across it.
+    assert isclose(engine.joint_states("robot", ["slide"])()[0][1], 2.0 / 1.1 * 0.01, rel_tol=0.01)
+    assert isclose(engine.joint_torques("robot", ["slide"])()[0], 2.0, rel_tol=1e-9)
+
+
+@BOTH
+@pytest.mark.parametrize("substeps", [1, 2, 4, 8])
+def test_a_velocity_motor_never_exceeds_its_torque(engine_name, substeps, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=substeps))
+    engine.set_joint("robot", "hinge", pi / 2, 0.0)
+    engine.velocity_motor("robot", ["slide"], [2.0])([50.0])
+    engine.step(substeps)
+    assert isclose(engine.joint_states("robot", ["slide"])()[0][1], 2.0 / 1.1 * 0.01, rel_tol=0.01)
+
+
+@BOTH
+def test_a_strong_velocity_motor_reaches_its_target_within_a_tick(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    engine.velocity_motor("robot", ["slide"], [1000.0])([0.7])
+    for _ in range(10):
+        engine.step(4)
+        assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(0.7, abs=1e-3)
+
+
+@BOTH
+def test_motors_on_several_joints_act_together(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    engine.velocity_motor("robot", ["slide", "hinge"], [1000.0, 1000.0])([0.7, -0.4])
+    engine.step(4)
+    slide, hinge = engine.joint_states("robot", ["slide", "hinge"])()
+    assert (slide[1], hinge[1]) == pytest.approx((0.7, -0.4), abs=1e-3)
+
+
+@BOTH
+def test_torques_are_limited(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    engine.torque_motor("robot", ["slide"], [2.0])([-50.0])
+    engine.step(4)
+    assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(-2.0)
+
+
+@BOTH
+def test_a_spring_swings_at_its_own_frequency(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=20))
+    engine.velocity_motor("robot", ["hinge"], [1e6])([0.0])
+    engine.position_motor("robot", ["slide"], [1e3], 40.0, 0.0)([0.0])
+    engine.set_joint("robot", "slide", 0.1, 0.0)
+    half_period = pi / sqrt(40.0 / 1.1)
+    ticks = round(half_period / 0.01)
+    for _ in range(ticks):
+        engine.step(20)
+    assert engine.joint_states("robot", ["slide"])()[0][0] == pytest.approx(-0.1, abs=2e-3)
+
+
+@BOTH
+def test_a_servo_settles_on_its_target(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    engine.position_motor("robot", ["slide"], [100.0], None, None)([0.3])
+    for _ in range(25):
+        engine.step(4)
+    assert engine.joint_states("robot", ["slide"])()[0][0] == pytest.approx(0.3, abs=2e-3)
+
+
+@BOTH
+def test_a_free_hinge_is_free(engine_name, worlds, build):
+    """A hanging pole on a cart that is free to roll swings with the period that its inertia gives."""
+    engine = build(engine_name, worlds.rail(timestep=0.005, substeps=5))
+    engine.set_joint("robot", "hinge", pi + 0.05, 0.0)
+    cart_and_pole, moment, inertia = 1.1, 0.1 * 0.5, 0.1 / 3
+    rate = sqrt(9.81 * moment * cart_and_pole / (cart_and_pole * inertia - moment**2))
+    angles = []
+    for _ in range(round(2 * pi / rate / 0.005)):
+        engine.step(5)
+        angles.append(engine.joint_states("robot", ["hinge"])()[0][0] - pi)
+    assert angles[-1] == pytest.approx(0.05, abs=5e-4)
+    assert min(angles) == pytest.approx(-0.05, abs=5e-4)
+
+
+@BOTH
+def test_damping_of_a_joint_slows_it(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1, damping=2.2))
+    engine.set_joint("robot", "hinge", pi, 0.0)
+    engine.velocity_motor("robot", ["hinge"], [1e6])([0.0])
+    engine.set_joint("robot", "slide", 0.0, 1.0)
+    for _ in range(500):
+        engine.step(1)
+    assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(0.3679, rel=5e-3)
+
+
+@BOTH
+def test_a_body_in_free_fall_follows_the_parabola(engine_name, worlds, build):
+    engine = build(engine_name, worlds.ball(height=5.0))
+    for _ in range(25):
+        engine.step(4)
+    (_, _, height), _ = engine.pose("ball")()
+    assert height == pytest.approx(5.0 - 9.81 / 8, abs=0.5 * 9.81 * 0.005 * 0.51)
+    assert engine.velocity("ball")()[0][2] == pytest.approx(-9.81 / 2)
+
+
+@BOTH
+def test_unknown_names_list_those_there_are(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    for use in (
+        lambda: engine.pose("robto"),
+        lambda: engine.pose("robot", "poel"),
+        lambda: engine.joint_states("robot", ["slied"]),
+        lambda: engine.set_joint("robot", "slied", 0, 0),
+    ):
+        with pytest.raises(EngineError, match="there are"):
+            use()
+
+
+@BOTH
+def test_a_pose_that_is_not_finite_is_found_out(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
+    engine.set_joint("robot", "hinge", float("nan"), 0.0)
+    engine.step(4)
+    with pytest.raises(EngineError, match=r"'robot'.* is no longer finite"):
+        engine.require_finite()

@@ -1,0 +1,273 @@
+"""PyBullet as an engine: contacts, resets, pictures, and its traps."""
+
+from __future__ import annotations
+
+import pickle
+import runpy
+import subprocess
+import sys
+from dataclasses import replace
+from hashlib import sha256
+from math import atan, pi, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepbots_cli.errors import EngineError
+from deepbots_cli.ir import Arena, Ground, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.port import View
+from deepbots_cli.urdf.model import Box, Cylinder, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
+
+EPISODE = Path(__file__).with_name("arena_episode.py")
+trajectory = runpy.run_path(str(EPISODE))["trajectory"]
+
+
+def in_fresh_process(world: WorldModel, seed: int, ticks: int) -> bytes:
+    return subprocess.run([sys.executable, str(EPISODE)], input=pickle.dumps((world, seed, ticks)), capture_output=True, check=True).stdout
+
+
+def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(worlds, build):
+    world = worlds.arena()
+    fresh = in_fresh_process(world, seed=5, ticks=60)
+    engine = build("pybullet", world)
+    assert trajectory(engine, seed=5, ticks=60) == fresh
+    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
+        engine.reset()
+        trajectory(engine, seed=ticks, ticks=ticks)
+        engine.reset()
+        assert trajectory(engine, seed=5, ticks=60) == fresh
+
+
+def test_a_library_prints_nothing_and_leaves_stdout_to_the_program(worlds):
+    script = "import pickle, sys; from deepbots_cli.engines import create; create('pybullet', pickle.load(sys.stdin.buffer)); print('done')"
+    done = subprocess.run([sys.executable, "-c", script], input=pickle.dumps(worlds.arena()), capture_output=True, check=True)
+    assert (done.stdout, done.stderr) == (b"done\n", b"")
+
+
+def test_a_closed_world_is_not_stepped_when_another_takes_its_place(worlds, build):
+    first = build("pybullet", worlds.ball())
+    step = first.step
+    first.close()
+    second = build("pybullet", worlds.ball())
+    with pytest.raises(EngineError):
+        step(1)
+    assert second.pose("ball")()[0] == (0, 0, 5.0)
+
+
+def test_an_engine_that_is_dropped_gives_its_world_back(worlds, build):
+    def number() -> int:
+        from deepbots_cli.engines.pybullet import PyBulletEngine
+
+        return PyBulletEngine(worlds.ball())._client
+
+    assert number() == number()
+
+
+def test_wheels_roll_without_slip_on_their_exact_radius(worlds, build):
+    engine = build("pybullet", worlds.arena(timestep=0.016))
+    engine.place("ball", (0, 3, 0.05), (0, 0, 0, 1))
+    engine.position_motor("robot", ["hinge"], [1e3], None, None)([0.0])
+    drive = engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)
+    drive([2.5] * 4)
+    velocity, pose = engine.velocity("robot"), engine.pose("robot")
+    for _ in range(30):
+        engine.step(4)
+    for _ in range(30):
+        engine.step(4)
+        assert velocity()[0][0] == pytest.approx(0.1, rel=0.01)
+    assert pose()[0][2] == pytest.approx(0.04, abs=1e-4)
+
+
+def test_bodies_rest_where_they_stand(worlds, build):
+    engine = build("pybullet", worlds.arena())
+    engine.position_motor("robot", ["hinge"], [1e3], None, None)([0.0])
+    engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([0.0] * 4)
+    for _ in range(60):
+        engine.step(4)
+    for body, at in (("robot", (0, 0, 0.04)), ("ball", (0.3, 0.02, 0.05)), ("crate", (-0.3, 0.03, 0.05)), ("drum", (0.2, -0.3, 0.05))):
+        assert engine.pose(body)()[0] == pytest.approx(at, abs=1e-3)
+    assert engine.pose("mark")()[0] == (0.0, 0.3, 0.05)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.7])
+def test_a_crate_slides_on_a_slope_steeper_than_its_friction_and_not_on_a_flatter_one(friction, worlds, build):
+    shifts = []
+    for factor in (0.9, 1.1):
+        engine = build("pybullet", worlds.slope(atan(friction * factor), friction))
+        for _ in range(50):
+            engine.step(4)
+        shifts.append(engine.pose("crate")()[0][0])
+    assert shifts[0] < 0.002 < 0.05 < shifts[1]
+
+
+def test_an_object_stays_within_the_walls(worlds, build):
+    world = WorldModel(
+        0.02, 4, (6.0, 2.0, -9.81), arena=Arena((0.6, 0.4), 0.1), objects=(ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.05)), 0.2),)
+    )
+    engine = build("pybullet", world)
+    for _ in range(200):
+        engine.step(4)
+    assert engine.pose("ball")()[0] == pytest.approx((0.25, 0.15, 0.05), abs=2e-3)
+
+
+def test_a_fixed_object_stands_and_one_that_is_not_solid_stops_nothing(worlds, build):
+    def crate(name, y, **kind):
+        return ObjectBody(name, Box((0.1, 0.1, 0.1)), Pose((0.5, y, 0.05)), **kind)
+
+    balls = tuple(ObjectBody(f"ball_{y}", Sphere(0.05), Pose((0, y, 0.05)), 0.2) for y in (0, 1))
+    world = WorldModel(0.02, 4, (3, 0, -9.81), objects=(crate("wall", 0, fixed=True), crate("ghost", 1, solid=False), *balls))
+    engine = build("pybullet", world)
+    for _ in range(100):
+        engine.step(4)
+    assert engine.pose("ball_0")()[0][0] == pytest.approx(0.4, abs=2e-3)
+    assert engine.pose("ball_1")()[0][0] > 1.0
+    assert engine.pose("wall")()[0] == (0.5, 0, 0.05)
+
+
+def test_a_fixed_object_that_is_placed_is_met_where_it_was_placed(worlds, build):
+    wall = ObjectBody("wall", Box((0.1, 0.1, 0.1)), Pose((0.5, 0, 0.05)), fixed=True)
+    ball = ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.05)), 0.2)
+    engine = build("pybullet", WorldModel(0.02, 4, (3, 0, -9.81), objects=(wall, ball)))
+    engine.place("wall", (0.8, 0, 0.05), (0, 0, 0, 1))
+    for _ in range(150):
+        engine.step(4)
+    assert engine.pose("ball")()[0][0] == pytest.approx(0.7, abs=2e-3)
+
+
+def test_a_rolling_cylinder_has_the_inertia_of_a_cylinder(worlds, build):
+    drum = ObjectBody("drum", Cylinder(0.1, 0.3), Pose((0, 0, 0.1), (pi / 2, 0, 0)), 1.0)
+    engine = build("pybullet", WorldModel(0.01, 16, (1.5, 0, -9.81), objects=(drum,)))
+    for _ in range(100):
+        engine.step(16)
+    assert engine.velocity("drum")()[0][0] == pytest.approx(1.0, rel=0.01)
+
+
+def test_the_velocity_of_a_link_is_that_of_its_origin_and_not_of_its_centre_of_mass(worlds, build):
+    engine = build("pybullet", worlds.rotor())
+    engine.set_joint("robot", "hinge", 0.6, 3.0)
+    for _ in range(5):
+        linear, angular = engine.velocity("robot", "arm")()
+        assert linear == pytest.approx((0, 0, 0), abs=1e-6)
+        assert angular == pytest.approx((0, 0, 3.0))
+        assert engine.pose("robot", "arm")()[0] == pytest.approx((0.2, 0, 0), abs=1e-6)
+        engine.step(4)
+
+
+def test_the_velocity_of_a_crooked_body_is_that_of_its_origin(worlds, build):
+    engine = build("pybullet", worlds.crooked())
+    engine.place("robot", (0, 0, 2), (0, 0, 0, 1))
+    for _ in range(3):
+        engine.step(4)
+    assert engine.velocity("robot")()[0] == pytest.approx((0, 0, -9.81 * 0.06))
+
+
+def test_a_stop_holds_a_joint_in_its_range(worlds, build):
+    engine = build("pybullet", worlds.rail(limit=Limit(lower=-0.2)))
+    push = engine.torque_motor("robot", ["slide"], [20.0])
+    for force, expected in ((-20.0, -0.2), (20.0, 0.8)):
+        push([force])
+        for _ in range(25):
+            engine.step(4)
+        position = engine.joint_states("robot", ["slide"])()[0][0]
+        assert position == pytest.approx(expected, abs=0.01) if force < 0 else position > expected
+
+
+def test_friction_of_a_joint_holds_what_is_weaker(worlds, build):
+    engine = build("pybullet", worlds.rail(friction=5.0))
+    engine.set_joint("robot", "hinge", pi, 0.0)
+    engine.set_joint("robot", "slide", 0.0, 1.0)
+    for _ in range(30):
+        engine.step(4)
+    assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_joint_may_turn_faster_than_the_library_allows_by_itself(worlds, build):
+    engine = build("pybullet", worlds.rotor())
+    engine.set_joint("robot", "hinge", 0.0, 500.0)
+    engine.step(4)
+    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(500.0)
+
+
+def test_links_without_inertial_weigh_nothing(worlds, build):
+    frames = [Link(f"frame_{i}") for i in range(5)]
+    joints = tuple(Joint(f"hold_{i}", "fixed", "body", f"frame_{i}", Pose((0.3, 0, 0))) for i in range(5))
+    model = RobotModel("tray", (Link("body", Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)), *frames), joints, root="body")
+    lever = replace(
+        model,
+        joints=(*joints, Joint("hinge", "continuous", "wall", "body", axis=(0, 1, 0))),
+        links=(Link("wall"), *model.links),
+        root="wall",
+    )
+    engine = build("pybullet", WorldModel(0.02, 4, ground=None, robots=(RobotBody("robot", lever, fixed_base=True),)))
+    engine.step(4)
+    assert engine.joint_states("robot", ["hinge"])()[0][1] == 0.0
+
+
+def test_what_moves_without_mass_is_refused_by_name(worlds, build):
+    wheel = RobotModel("r", (Link("base", Inertial(1.0)), Link("wheel")), (Joint("axle", "continuous", "base", "wheel"),), root="base")
+    for model, fixed, name in ((wheel, True, "axle"), (RobotModel("r", (Link("base"),), (), root="base"), False, "base")):
+        with pytest.raises(EngineError, match=f"'{name}'"):
+            build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=fixed),)))
+
+
+def test_a_mesh_is_loaded_only_while_it_is_the_one_that_was_checked(tmp_path, build):
+    file = tmp_path / "tetra.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    mesh = Mesh(str(file), sha256(file.read_bytes()).hexdigest(), (0.1, 0.1, 0.1))
+    world = WorldModel(0.02, 4, objects=(ObjectBody("stone", mesh, Pose((0, 0, 0.2)), 1.0),))
+    engine = build("pybullet", world)
+    for _ in range(50):
+        engine.step(4)
+    engine.require_finite()
+    assert abs(engine.pose("stone")()[0][2]) < 0.1
+    file.write_text(file.read_text() + "# changed\n")
+    with pytest.raises(EngineError, match="has changed"):
+        build("pybullet", world)
+    file.unlink()
+    with pytest.raises(EngineError, match="cannot be read"):
+        build("pybullet", world)
+
+
+def test_a_world_that_blew_up_says_so_and_is_not_reset(worlds, build):
+    engine = build("pybullet", worlds.arena())
+    engine.set_joint("robot", "wheel_1", float("nan"), float("nan"))
+    engine.step(1)
+    for use in (engine.require_finite, engine.reset):
+        with pytest.raises(EngineError, match=r"'robot'.* is no longer finite"):
+            use()
+
+
+def test_a_picture_shows_bodies_before_floor_and_sky(worlds, build):
+    engine = build("pybullet", worlds.arena())
+    view = View((1.0, -1.3, 0.9), (0.0, 0.0, 0.2), width=120, height=80)
+    picture = engine.render(view)
+    assert picture.shape == (80, 120, 3)
+    assert picture.dtype == np.uint8
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 200
+    engine.place("robot", (0.2, 0.2, 0.04), (0, 0, 0, 1))
+    moved = engine.render(view)
+    assert (moved != picture).any()
+    assert (moved[:10, :10] == picture[:10, :10]).all()
+    assert engine.render(replace(view, samples=1)).shape == (80, 120, 3)
+
+
+def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
+    engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
+    for eye in ((0.0, 0.0, 2.0), (0.3, 0.2, -1.0)):
+        assert engine.render(View(eye, (0.0, 0.0, 0.0), 40, 40)).shape == (40, 40, 3)
+
+
+def test_drawing_changes_nothing_that_follows(worlds, build):
+    seen, unseen = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
+    seen.render(View((1, 1, 1), (0, 0, 0), 32, 32))
+    assert trajectory(seen, 3, 20) == trajectory(unseen, 3, 20)
+
+
+def test_the_pendulum_of_a_rotor_keeps_its_speed_without_gravity(worlds, build):
+    engine = build("pybullet", worlds.rotor())
+    engine.set_joint("robot", "hinge", 0.0, 2.0)
+    for _ in range(100):
+        engine.step(4)
+    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(2.0, rel=1e-6)
+    assert sqrt(sum(x * x for x in engine.velocity("robot", "arm")()[1])) == pytest.approx(2.0)

@@ -1,0 +1,122 @@
+"""The robots that are shipped, and published ones as they are."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.urdf import inertia
+from deepbots_cli.urdf.kinematics import joint_above, match, tree_order
+from deepbots_cli.urdf.model import Box, Cylinder, Sphere
+from deepbots_cli.urdf.reader import RobotFile, read, read_bytes
+from deepbots_cli.urdf.writer import write
+
+SHIPPED = Path(__file__).parents[2] / "robots/urdf"
+PUBLISHED = {
+    "r2d2.urdf": set(),
+    "husky/husky.urdf": {"DB305", "DB311"},
+    "quadruped/minitaur.urdf": {"DB307", "DB311"},
+    "laikago/laikago.urdf": {"DB306"},
+    "laikago/laikago_toes.urdf": {"DB306", "DB311"},
+    "kuka_iiwa/model.urdf": {"DB306"},
+    "franka_panda/panda.urdf": {"DB306"},
+    "a1/a1.urdf": set(),
+}
+
+
+def shipped(name: str) -> RobotFile:
+    findings = Findings()
+    robot = read(SHIPPED / name, name, findings)
+    assert list(findings) == []
+    assert robot is not None
+    return robot
+
+
+def moments(link, shape, origin):
+    """What the file says, beside the closed form."""
+    said, right = link.inertial, inertia.of(shape, link.inertial.mass, origin)
+    return [said.ixx, said.iyy, said.izz], pytest.approx([right.ixx, right.iyy, right.izz], rel=1e-9)
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.urdf")), ids=lambda path: path.stem)
+def test_a_shipped_robot_is_silent_and_survives_the_round_trip(path: Path):
+    robot = shipped(path.name)
+    again = read_bytes(write(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    assert again is not None
+    assert again.model == robot.model
+
+
+def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
+    model = shipped("cartpole.urdf").model
+    assert model.root == "body"
+    wheels = match((joint.name for joint in model.moving_joints), "wheel_*")
+    assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
+    assert tree_order(model) == ("body", *wheels, "pole", "tip")
+    assert joint_above(model, "tip").origin.xyz == (0.0, 0.0, 1.0)
+    assert joint_above(model, "body") is None
+    hinge = model.joint("pole_hinge")
+    assert (hinge.limit.lower, hinge.limit.upper, hinge.limit.effort) == (-1.3, 1.3, None)
+    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == ((0.0, 1.0, 0.0), (0.0, 0.0, 0.03), 0.0, 0.0)
+
+
+def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
+    model = shipped("cartpole.urdf").model
+    assert sum(link.inertial.mass for link in model.links) == pytest.approx(2 + 4 * 0.1005 + 0.2 + 0.02)
+    for name in ("body", "pole", "tip"):
+        link = model.link(name)
+        said, right = moments(link, link.visuals[0].shape, link.visuals[0].origin)
+        assert said == right
+        assert link.inertial.origin == link.visuals[0].origin
+    for name in match((link.name for link in model.links), "wheel_*"):
+        link = model.link(name)
+        (across, along, other), right = moments(link, link.visuals[0].shape, link.visuals[0].origin)
+        assert [across, other, along] == right  # the cylinder lies along y
+    assert isinstance(model.link("body").visuals[0].shape, Box)
+    assert model.link("tip").visuals[0].shape == Sphere(0.01)
+
+
+def test_the_cart_stands_on_its_wheels_and_on_nothing_else():
+    model = shipped("cartpole.urdf").model
+    body = model.link("body").collisions[0]
+    assert body.origin.xyz[2] - body.shape.size[2] / 2 > -0.03
+    for joint in model.joints[:4]:
+        wheel = model.link(joint.child).collisions[0].shape
+        assert isinstance(wheel, Cylinder)
+        assert (wheel.radius, joint.origin.xyz[2], joint.axis) == (0.04, 0.0, (0.0, 1.0, 0.0))
+
+
+def test_the_cart_on_a_rail_is_that_of_the_textbooks():
+    model = shipped("cartpole_rail.urdf").model
+    assert (model.root, [joint.name for joint in model.moving_joints]) == ("rail", ["slider", "hinge"])
+    cart, pole = model.link("cart").inertial, model.link("pole").inertial
+    assert (cart.mass, pole.mass, pole.origin.xyz) == (1.0, 0.1, (0.0, 0.0, 0.5))
+    assert pole.iyy == pytest.approx(0.1 * 1.0**2 / 12)
+    assert model.joint("slider").limit.effort == 10.0
+    assert not any(link.collisions for link in model.links)
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_a_published_robot_is_read_with_warnings_at_most(name):
+    spec = importlib.util.find_spec("pybullet_data")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("pybullet_data is not installed")
+    findings = Findings()
+    robot = read(Path(spec.submodule_search_locations[0]) / name, name, findings)
+    assert findings.errors == []
+    assert robot is not None
+    assert {finding.code for finding in findings} == PUBLISHED[name]
+    again = read_bytes(write(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    assert again is not None
+    assert again.model == robot.model
+
+
+def test_patterns_keep_the_order_of_the_file_and_mind_case():
+    names = ("b_1", "a_1", "B_1", "c")
+    assert match(names, "*_1") == ("b_1", "a_1", "B_1")
+    assert match(names, "b_?") == ("b_1",)
+    assert match(names, "[ab]_1") == ("b_1", "a_1")
+    assert match(names, "x*") == ()
+    assert match(["a" * 5000], "*a" * 30 + "b") == ()
