@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 
-
 @dataclass(frozen=True, eq=False)
 class Compiled:
     """A compiled scenario with all that a run records of it.
@@ -141,6 +140,8 @@ def make(
 def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | None = None) -> Supervisor:
     """The environment of a compiled scenario; see `make`."""
     try:
+        from gymnasium.envs.registration import EnvSpec
+
         from deepbots_cli import engines
         from deepbots_cli.runtime import load_module
     except ModuleNotFoundError as error:
@@ -150,4 +151,5 @@ def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | 
     module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(ir)[:12]}>")
     environment: Supervisor = vars(module)[f"{name}Supervisor"](ir, engines.create(engine, ir.world), render_mode)
     environment.rebuild = partial(build, ir, engine=engine, render_mode=render_mode)
+    environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=partial(build, ir), kwargs={"engine": engine, "render_mode": render_mode})
     return environment

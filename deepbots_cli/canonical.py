@@ -49,7 +49,9 @@ def from_json(text: str) -> ir.CompiledScenario:
         data = json.loads(text)
         version = data.get("version") if isinstance(data, dict) else None
         if version != ir.IR_VERSION:
-            raise CanonicalError(f"compiled scenario has format {version!r}, this deepbots reads {ir.IR_VERSION}; compile the scenario again")
+            raise CanonicalError(
+                f"compiled scenario has format {version!r}, this deepbots reads {ir.IR_VERSION}; compile the scenario again"
+            )
         result = _build(data, ir.CompiledScenario, "scenario")
     except (json.JSONDecodeError, RecursionError) as error:
         raise CanonicalError(f"not a compiled scenario: {error}") from None

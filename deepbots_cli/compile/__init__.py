@@ -156,7 +156,12 @@ class _Pass:
             return Symbol(name, None)
         typed = checked.value
         if checked.redraw is not None:
-            self.values.findings.add("DB108", text.span, "a draw that is repeated within an episode is not supported yet", help="leave out `every`: it is then drawn once per episode")
+            self.values.findings.add(
+                "DB108",
+                text.span,
+                "a draw that is repeated within an episode is not supported yet",
+                help="leave out `every`: it is then drawn once per episode",
+            )
         self.parameters[name] = Valued(name, text.span, text.text, typed, f"parameters.{name}")
         known = typed.type
         return Symbol(name, Type(known.dimension, known.components, known.boolean, known.interval, known.stage), constant(typed))
@@ -168,7 +173,11 @@ class _Pass:
         """Names whose definition had findings are known all the same, so that using them is no further fault."""
         for path in self.spec.pruned:
             name = path[-1] if path[0] == "termination" else path[1] if len(path) > 1 else None
-            if isinstance(name, str) and path[0] in ("parameters", "augment", "signals", "action", "termination") and name not in self.namespace.definitions:
+            if (
+                isinstance(name, str)
+                and path[0] in ("parameters", "augment", "signals", "action", "termination")
+                and name not in self.namespace.definitions
+            ):
                 self.namespace.define(name, Origin.SIGNAL, path, lambda name=name: Symbol(name, None))  # type: ignore[misc]  # bound here
             if isinstance(name, str) and path[0] == "robots" and (len(path) == 2 or path[2] in ("urdf", "sensors", "emit", "groups")):
                 self.namespace.robots[name] = None

@@ -11,8 +11,8 @@ from deepbots_cli.compile.scopes import ParameterScope, RobotScope, SupervisorSc
 from deepbots_cli.compile.sensors import SENSOR_KINDS
 from deepbots_cli.compile.values import Values
 from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, SPEED, TIME, TORQUE, Dimension
-from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
+from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type
 from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
 from deepbots_cli.source.nodes import Path
@@ -83,7 +83,9 @@ class Controller:
                 chosen |= dict.fromkeys(joints, position or 0.0)
             ordered = {joint: chosen[joint] for joint in names if joint in chosen}
             interval = Interval(min(ordered.values(), default=0.0), max(ordered.values(), default=0.0))
-            self.own[name] = Symbol(name, Type(dimension, tuple(ordered), interval=interval), tuple(ordered.values())) if ordered else Symbol(name, None)
+            self.own[name] = (
+                Symbol(name, Type(dimension, tuple(ordered), interval=interval), tuple(ordered.values())) if ordered else Symbol(name, None)
+            )
 
     def joints_of(self, spec: object, place: Path) -> tuple[Joint, ...]:
         """The joints that `joint` or `joints` of a sensor or actuator names; empty after a finding."""
@@ -98,14 +100,18 @@ class Controller:
             return ()
         joints = tuple(self.scene.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:
-            self.values.findings.add("DB404", self.values.span((*place, key)), "turning and sliding joints together", help="name them apart")
+            self.values.findings.add(
+                "DB404", self.values.span((*place, key)), "turning and sliding joints together", help="name them apart"
+            )
             return ()
         return joints
 
     def _joint_missing(self, place: Path, pattern: str, moving: list[str]) -> None:
         if pattern in self.scene.joint_names:
             headline = f"the joint `{pattern}` cannot move: it is {self.scene.model.joint(pattern).type}"
-            self.values.findings.add("DB303", self.values.span(place), headline, help=f"joints that move are: {', '.join(moving) or 'none'}")
+            self.values.findings.add(
+                "DB303", self.values.span(place), headline, help=f"joints that move are: {', '.join(moving) or 'none'}"
+            )
         else:
             empty_match(self.values.findings, self.values, place, pattern, "joint", moving)
 
@@ -113,7 +119,11 @@ class Controller:
 
     def _define_fields(self) -> None:
         emit = self.scene.spec.emit
-        entries = [(name, (*self.path, "emit", name)) for name in emit] if isinstance(emit, dict) else [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
+        entries = (
+            [(name, (*self.path, "emit", name)) for name in emit]
+            if isinstance(emit, dict)
+            else [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
+        )
         for name, place in entries:
             self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, lambda name=name, place=place: self._field(name, place))  # type: ignore[misc]  # defaults bind the loop's values
 
@@ -123,7 +133,9 @@ class Controller:
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
             close = ", ".join(self.own) or "none"
-            self.values.findings.add("DB201", text.span, f"there is no sensor `{name}`", help=f"sensors of `{self.scene.name}` are: {close}")
+            self.values.findings.add(
+                "DB201", text.span, f"there is no sensor `{name}`", help=f"sensors of `{self.scene.name}` are: {close}"
+            )
             return Symbol(full, None)
         typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
         if typed is None:
@@ -148,7 +160,9 @@ class Controller:
             symbols[name] = Symbol(name, None)
             if typed is not None:
                 self.received[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.receive.{name}")
-                symbols[name] = Symbol(name, Type(typed.type.dimension, typed.type.components, typed.type.boolean, typed.type.interval, Stage.STEP))
+                symbols[name] = Symbol(
+                    name, Type(typed.type.dimension, typed.type.components, typed.type.boolean, typed.type.interval, Stage.STEP)
+                )
         return symbols
 
     def finish(self) -> TaskRobot:
@@ -161,7 +175,9 @@ class Controller:
             place = (*self.path, "apply", name)
             if name not in self.scene.spec.actuators:
                 names = list(self.scene.spec.actuators)
-                self.values.findings.add("DB201", self.values.key_span(place), f"there is no actuator `{name}`", help=f"there are: {', '.join(names) or 'none'}")
+                self.values.findings.add(
+                    "DB201", self.values.key_span(place), f"there is no actuator `{name}`", help=f"there are: {', '.join(names) or 'none'}"
+                )
                 continue
             command = self._command(name, given, place, actuators.get(name), scope)
             if command:
@@ -203,7 +219,9 @@ class Controller:
         if isinstance(spec, PositionMotor):
             stiffness = self._figure((*place, "stiffness"), spec.stiffness, effort / joint_dimension(joints[0]))
             damping = self._figure((*place, "damping"), spec.damping, effort / rate)
-        kind: ir.ActuatorKind = "torque_motor" if isinstance(spec, TorqueMotor) else "velocity_motor" if isinstance(spec, VelocityMotor) else "position_motor"
+        kind: ir.ActuatorKind = (
+            "torque_motor" if isinstance(spec, TorqueMotor) else "velocity_motor" if isinstance(spec, VelocityMotor) else "position_motor"
+        )
         return ir.Actuator(name, kind, tuple(joint.name for joint in joints), max_torque, max_velocity, stiffness, damping)
 
     def _limit(self, place: Path, given: object, dimension: Dimension, from_urdf: list[float | None]) -> tuple[float | None, ...]:
@@ -214,7 +232,9 @@ class Controller:
         over = [limit for limit in from_urdf if limit is not None and figure > limit * (1 + 1e-9)]
         if over:
             headline = f"a limit of {figure:g} {dimension}, where the robot file allows {min(over):g}"
-            self.values.findings.add("DB304", self.values.span(place), headline, help="lower it, or raise the limit in the robot file if the motor can do more")
+            self.values.findings.add(
+                "DB304", self.values.span(place), headline, help="lower it, or raise the limit in the robot file if the motor can do more"
+            )
         return (figure,) * len(from_urdf)
 
     def _figure(self, place: Path, given: object, dimension: Dimension) -> float | None:
@@ -225,7 +245,9 @@ class Controller:
         typed = self.values.quantity(text, f"`{place[-1]}`", ParameterScope(self.namespace, Context.FIELD), dimension, None, Stage.EPISODE)
         fixed = constant(typed) if typed else None
         if typed is not None and fixed is None:
-            self.values.findings.add("DB108", text.span, "a figure of an actuator that is drawn anew is not supported yet", help="give a fixed figure")
+            self.values.findings.add(
+                "DB108", text.span, "a figure of an actuator that is drawn anew is not supported yet", help="give a fixed figure"
+            )
         return float(fixed[0]) if fixed else None
 
 
@@ -247,5 +269,3 @@ def _interval(kind: str, joints: tuple[Joint, ...]) -> Interval:
         each = [joint_interval(joint) for joint in joints]
         return Interval(min(i.low for i in each), max(i.high for i in each))
     return EVERYTHING
-
-

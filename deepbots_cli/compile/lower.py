@@ -53,7 +53,9 @@ def _observed(observed: ObservedValue) -> list[ir.Observed]:
     known = value.typed.type
     components = known.components or (None,)
     rows = zip(components, _scalars(value), observed.low, observed.high, strict=True)
-    return [ir.Observed(value.name, component, scalar, low, high, str(known.dimension), known.boolean) for component, scalar, low, high in rows]
+    return [
+        ir.Observed(value.name, component, scalar, low, high, str(known.dimension), known.boolean) for component, scalar, low, high in rows
+    ]
 
 
 # Robots and their messages
@@ -114,7 +116,9 @@ def _received_fields(receive: tuple[ir.NamedValues, ...], robot: TaskRobot, task
 
 def _field(value: Valued) -> ir.Field:
     known = value.typed.type
-    return ir.Field(value.name, "" if known.boolean else str(known.dimension), known.components or (), "bool" if known.boolean else "float64")
+    return ir.Field(
+        value.name, "" if known.boolean else str(known.dimension), known.components or (), "bool" if known.boolean else "float64"
+    )
 
 
 def _layout(robot: str, direction: ir.Direction, fields: tuple[ir.Field, ...]) -> ir.MessageLayout:
@@ -146,4 +150,7 @@ def _joint_starts(start: JointStart) -> list[ir.SetJoint]:
     spread = start.joints if len(start.joints) > 1 else None
     positions = _scalars(start.position, spread)
     velocities = _scalars(start.velocity, spread) if start.velocity else (Const(0.0),) * len(start.joints)
-    return [ir.SetJoint(start.robot, joint, position, velocity) for joint, position, velocity in zip(start.joints, positions, velocities, strict=True)]
+    return [
+        ir.SetJoint(start.robot, joint, position, velocity)
+        for joint, position, velocity in zip(start.joints, positions, velocities, strict=True)
+    ]

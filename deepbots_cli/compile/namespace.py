@@ -84,7 +84,12 @@ class Namespace:
         if definition.symbol is None:
             if definition.open:
                 headline = f"`{name}` is defined by way of itself"
-                self.values.findings.add("DB207", self.values.key_span(definition.path), headline, help="break the circle: `previous(...)` gives the value of the step before")
+                self.values.findings.add(
+                    "DB207",
+                    self.values.key_span(definition.path),
+                    headline,
+                    help="break the circle: `previous(...)` gives the value of the step before",
+                )
                 definition.symbol = Symbol(name, None)
                 return definition.symbol
             definition.open = True

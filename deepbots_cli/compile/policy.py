@@ -42,7 +42,9 @@ class Actions:
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Each option sets the variable called like the action, or the variables that it lists."""
         options = part.choices
-        variables = list(dict.fromkeys(variable for option in options.values() if isinstance(option, dict) for variable in option)) or [name]
+        variables = list(dict.fromkeys(variable for option in options.values() if isinstance(option, dict) for variable in option)) or [
+            name
+        ]
         figures: dict[str, dict[str, float]] = {variable: {} for variable in variables}
         for option, given in options.items():
             place: Path = ("action", name, "choices", option)
@@ -53,7 +55,9 @@ class Actions:
             missing = [variable for variable in variables if variable not in given]
             if missing:
                 headline = f"the choice `{option}` leaves `{missing[0]}` open, which other choices set"
-                self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be")
+                self._values.findings.add(
+                    "DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be"
+                )
             for variable, figure in given.items():
                 number = self._values.number(places[variable], figure, NUMBER, ParameterScope(self._namespace, Context.FIXED))
                 if variable in figures:
@@ -106,7 +110,12 @@ class Actions:
             return joints or None
         if robot_name in self._namespace.robots and robot is None:
             return None
-        self._values.findings.add("DB201", self._values.span(place), f"there is no group `{reference}`", help="name a group or an actuator of a robot, such as `dog.legs`")
+        self._values.findings.add(
+            "DB201",
+            self._values.span(place),
+            f"there is no group `{reference}`",
+            help="name a group or an actuator of a robot, such as `dog.legs`",
+        )
         return None
 
 
@@ -151,7 +160,12 @@ class Observations:
         if tree is None:
             return None
         if not isinstance(tree, syntax.Name):
-            self._values.findings.add("DB103", text.span, "an expression where a name is needed", help="name the expression under `augment`, and observe that name")
+            self._values.findings.add(
+                "DB103",
+                text.span,
+                "an expression where a name is needed",
+                help="name the expression under `augment`, and observe that name",
+            )
             return None
         typed = self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
         head = next((name for name in (tree.dotted, tree.parts[0]) if name in self._namespace.definitions), None)
@@ -181,7 +195,9 @@ class Observations:
             return (low,) * count, (high,) * count
         found = self._values.range(text, ParameterScope(self._namespace, Context.FIXED))
         shape = typed.type.components or None
-        bounds = found and expect_range(found, self._values.report(text), "the range of an observation", dimension=typed.type.dimension, components=shape)
+        bounds = found and expect_range(
+            found, self._values.report(text), "the range of an observation", dimension=typed.type.dimension, components=shape
+        )
         lows, highs = _ends(bounds) if bounds else (None, None)
         if lows is None or highs is None:
             return None
@@ -189,5 +205,3 @@ class Observations:
             self._values.findings.add("DB105", text.span, "an empty range", help="give the low end first, and let the ends differ")
             return None
         return (lows * count if len(lows) == 1 else lows), (highs * count if len(highs) == 1 else highs)
-
-

@@ -23,7 +23,9 @@ def placements(spec: Scenario, namespace: Namespace) -> tuple[Placement, ...]:
         path: Path = ("reset", "place", body)
         if namespace.origin(body) not in (Origin.ROBOT, Origin.OBJECT):
             names = namespace.named(Origin.ROBOT, Origin.OBJECT)
-            namespace.values.findings.add("DB201", namespace.values.key_span(path), f"there is no robot or object `{body}`", help=f"there are: {', '.join(names)}")
+            namespace.values.findings.add(
+                "DB201", namespace.values.key_span(path), f"there is no robot or object `{body}`", help=f"there are: {', '.join(names)}"
+            )
             continue
         found.append(_placement(body, place, path, namespace))
     placed = {placement.body for placement in found}
@@ -53,14 +55,18 @@ def _coordinate(given: object, path: Path, dimension: Dimension, namespace: Name
     if given == "any":
         return Coordinate(_owner(path), None)
     values = namespace.values
-    typed = values.quantity(values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, None, Stage.EPISODE)
+    typed = values.quantity(
+        values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, None, Stage.EPISODE
+    )
     return Coordinate(_owner(path), typed) if typed else None
 
 
 def _vector(given: object, path: Path, parts: tuple[str, ...], dimension: Dimension, namespace: Namespace) -> dict[str, Coordinate]:
     """The components of `xyz` or `rpy`, each picked from the same typed vector."""
     values = namespace.values
-    typed = values.quantity(values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, SPACE, Stage.EPISODE)
+    typed = values.quantity(
+        values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, SPACE, Stage.EPISODE
+    )
     if typed is None:
         return {}
     return {part: Coordinate(f"{_owner(path)}[{index}]", typed) for index, part in enumerate(parts)}
@@ -78,7 +84,9 @@ def _joint_start(key: str, given: object, namespace: Namespace) -> JointStart | 
     if robot is None:
         if robot_name not in namespace.robots:
             known = namespace.named(Origin.ROBOT)
-            namespace.values.findings.add("DB201", namespace.values.key_span(path), f"there is no robot `{robot_name}`", help=f"robots are: {', '.join(known)}")
+            namespace.values.findings.add(
+                "DB201", namespace.values.key_span(path), f"there is no robot `{robot_name}`", help=f"robots are: {', '.join(known)}"
+            )
         return None
     subject = robot.subject(part)
     if subject is None or subject.kind not in (Kind.JOINT, Kind.JOINTS):
@@ -96,10 +104,11 @@ def _joint_start(key: str, given: object, namespace: Namespace) -> JointStart | 
     return JointStart(robot_name, joints, position, velocity) if position and velocity else None
 
 
-def _start_value(given: object, path: Path, dimension: Dimension, components: tuple[str, ...] | None, namespace: Namespace) -> Valued | None:
+def _start_value(
+    given: object, path: Path, dimension: Dimension, components: tuple[str, ...] | None, namespace: Namespace
+) -> Valued | None:
     values = namespace.values
     text = values.text(path, given)
     scope = ParameterScope(namespace, Context.RESET)
     typed = values.quantity(text, "the start of a joint", scope, dimension, components, Stage.EPISODE)
     return Valued(str(path[2]), text.span, text.text, typed, _owner(path)) if typed else None
-

@@ -10,8 +10,8 @@ from pathlib import Path
 from deepbots_cli.compile.values import Values
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, TIME, TORQUE, Dimension
-from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
+from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.types import SPACE, Components, Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
 from deepbots_cli.schema.robot import JointOverride, LinkOverride
 from deepbots_cli.schema.robot import Robot as RobotSpec
@@ -21,6 +21,7 @@ from deepbots_cli.urdf import mesh, override
 from deepbots_cli.urdf.kinematics import match
 from deepbots_cli.urdf.model import Joint, RobotModel
 from deepbots_cli.urdf.reader import RobotFile, read
+
 
 @dataclass(frozen=True, eq=False)
 class RobotScene:
@@ -138,7 +139,9 @@ def _mesh_resolver(folder: Path, allowed: tuple[Path, ...]) -> mesh.ResolveMesh:
 # Groups
 
 
-def expand(names: list[str], patterns: str | Iterable[str], groups: dict[str, tuple[Kind, tuple[str, ...]]]) -> tuple[tuple[str, ...], list[str]]:
+def expand(
+    names: list[str], patterns: str | Iterable[str], groups: dict[str, tuple[Kind, tuple[str, ...]]]
+) -> tuple[tuple[str, ...], list[str]]:
     """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
     listed = [patterns] if isinstance(patterns, str) else list(patterns)
     found: dict[str, None] = {}
@@ -211,7 +214,13 @@ class _WithUrdf:
 
 
 def _figure(
-    place: NodePath, given: object, urdf: float | None, dimension: Dimension, values: Values, scope: Scope, components: Components | None = None
+    place: NodePath,
+    given: object,
+    urdf: float | None,
+    dimension: Dimension,
+    values: Values,
+    scope: Scope,
+    components: Components | None = None,
 ) -> tuple[float, ...] | None:
     """The fixed SI values of an override; a drawn one is reported as not supported yet."""
     known = Symbol("urdf", Type(dimension), (urdf,)) if urdf is not None else Symbol("urdf", None, refused="the robot file does not say")
@@ -241,13 +250,22 @@ def _override_links(model: RobotModel, overrides: dict[str, LinkOverride], path:
 def _override_link(model: RobotModel, link: str, change: LinkOverride, place: NodePath, values: Values, scope: Scope) -> RobotModel:
     if change.stretch is not None:
         factors = _figure((*place, "stretch"), change.stretch, None, NUMBER, values, scope, SPACE)
-        model = _accept(model, override.stretch(model, link, (factors[0], factors[1], factors[2])), (*place, "stretch"), values) if factors else model
+        model = (
+            _accept(model, override.stretch(model, link, (factors[0], factors[1], factors[2])), (*place, "stretch"), values)
+            if factors
+            else model
+        )
     if change.mass is not None:
         inertial = model.link(link).inertial
         mass = _figure((*place, "mass"), change.mass, inertial.mass if inertial else None, MASS, values, scope)
         model = _accept(model, override.with_mass(model, link, mass[0]), (*place, "mass"), values) if mass else model
     contact = {}
-    for key, field in (("friction", "lateral"), ("spinning_friction", "spinning"), ("rolling_friction", "rolling"), ("restitution", "restitution")):
+    for key, field in (
+        ("friction", "lateral"),
+        ("spinning_friction", "spinning"),
+        ("rolling_friction", "rolling"),
+        ("restitution", "restitution"),
+    ):
         given = getattr(change, key)
         figure = _figure((*place, key), given, None, NUMBER, values, scope) if given is not None else None
         if figure:
@@ -287,5 +305,7 @@ def _override_joint(model: RobotModel, joint: Joint, change: JointOverride, plac
         changed |= {"friction": friction[0]} if friction else {}
     for key in ("range", "max_torque", "max_velocity"):
         if getattr(change, key) is not None:
-            values.findings.add("DB108", values.key_span((*place, key)), f"`{key}` of a joint is not supported yet", help="change it in the robot file")
+            values.findings.add(
+                "DB108", values.key_span((*place, key)), f"`{key}` of a joint is not supported yet", help="change it in the robot file"
+            )
     return override.with_joint(model, joint.name, **changed) if changed else model

@@ -32,7 +32,10 @@ class Signals:
         for name, given in spec.signals.items():
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
         self._outcomes: dict[str, ir.Outcome] = {}
-        outcomes: tuple[tuple[ir.Outcome, dict[str, str | PythonTerm]], ...] = (("success", spec.termination.success), ("failure", spec.termination.failure))
+        outcomes: tuple[tuple[ir.Outcome, dict[str, str | PythonTerm]], ...] = (
+            ("success", spec.termination.success),
+            ("failure", spec.termination.failure),
+        )
         for outcome, conditions in outcomes:
             for name, condition in conditions.items():
                 self._outcomes[name] = outcome
@@ -45,7 +48,9 @@ class Signals:
         if isinstance(given, PythonTerm):
             return Symbol(name, None)
         text = self._values.text(place, given)
-        typed = self._values.expression(text, SupervisorScope(self._namespace, context), boolean=True if context is Context.ENDING else None)
+        typed = self._values.expression(
+            text, SupervisorScope(self._namespace, context), boolean=True if context is Context.ENDING else None
+        )
         if typed is None:
             return Symbol(name, None)
         self.valued[name] = Valued(name, text.span, text.text, typed, ".".join(map(str, place)))
@@ -87,15 +92,24 @@ def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:
     scope = ParameterScope(namespace, Context.FIXED)
     limits = spec.truncation
     if limits is None:
-        values.findings.add("DB803", values.key_span(("reward",)), "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`")
+        values.findings.add(
+            "DB803",
+            values.key_span(("reward",)),
+            "nothing is sure to end an episode",
+            help="add `truncation: {max_steps: 1000}`, or a `max_time`",
+        )
         return ir.Truncation()
     steps = values.number(("truncation", "max_steps"), limits.max_steps, NUMBER, scope) if limits.max_steps is not None else None
     if steps is not None and (steps < 1 or steps != int(steps)):
-        values.findings.add("DB105", values.span(("truncation", "max_steps")), f"{steps:g} is no number of steps", help="give a whole number, at least 1")
+        values.findings.add(
+            "DB105", values.span(("truncation", "max_steps")), f"{steps:g} is no number of steps", help="give a whole number, at least 1"
+        )
         steps = None
     time = values.number(("truncation", "max_time"), limits.max_time, TIME, scope) if limits.max_time is not None else None
     if time is not None and time <= 0:
-        values.findings.add("DB105", values.span(("truncation", "max_time")), "a time limit that is over at once", help="give more than 0 s")
+        values.findings.add(
+            "DB105", values.span(("truncation", "max_time")), "a time limit that is over at once", help="give more than 0 s"
+        )
         time = None
     return ir.Truncation(int(steps) if steps else None, time)
 
@@ -134,4 +148,6 @@ def _check_algorithm(algorithm: str, values: Values, action: tuple[ir.Choices | 
     if algorithm in _ON_CHOICES and (continuous or len(action) > 1):
         values.findings.add("DB612", span, f"{algorithm} needs one choice as its action", help="use PPO, or give the action as `choices`")
     elif algorithm in _ON_INTERVALS and len(continuous) < len(action):
-        values.findings.add("DB612", span, f"{algorithm} cannot choose between options", help="use PPO or DQN, or give the action as a range")
+        values.findings.add(
+            "DB612", span, f"{algorithm} cannot choose between options", help="use PPO or DQN, or give the action as a range"
+        )

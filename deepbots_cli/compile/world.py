@@ -42,7 +42,12 @@ class WorldBuilder:
         spec = self._spec.world
         timestep = self._values.number(("world", "timestep"), spec.timestep, TIME, self._scope)
         if timestep is not None and not 0 < timestep <= 60:
-            self._values.findings.add("DB105", self._values.span(("world", "timestep")), f"a timestep of {timestep:g} s", help="give more than 0 s and at most 60 s; 10 to 100 ms are usual")
+            self._values.findings.add(
+                "DB105",
+                self._values.span(("world", "timestep")),
+                f"a timestep of {timestep:g} s",
+                help="give more than 0 s and at most 60 s; 10 to 100 ms are usual",
+            )
             timestep = None
         gravity = self._values.numbers(("world", "gravity"), spec.gravity, ACCELERATION, SPACE, self._scope) or (0.0, 0.0, -9.81)
         friction = self._number(("world", "ground", "friction"), spec.ground.friction, 1.0)
@@ -73,7 +78,9 @@ class WorldBuilder:
         if size is None or height is None or thickness is None:
             return None
         if min(size) <= 0:
-            self._values.findings.add("DB105", self._values.span((*path, "size")), "an arena without extent", help="give two lengths above 0 m")
+            self._values.findings.add(
+                "DB105", self._values.span((*path, "size")), "an arena without extent", help="give two lengths above 0 m"
+            )
             return None
         return ir.Arena((size[0], size[1]), height, thickness, friction)
 
@@ -124,5 +131,10 @@ class WorldBuilder:
         if given.startswith("#") and len(given) == 7:
             return (int(given[1:3], 16) / 255, int(given[3:5], 16) / 255, int(given[5:7], 16) / 255, 1.0)
         if given not in COLOURS:
-            self._values.findings.add("DB108", self._values.span((*path, "colour")), f"the colour `{given}` is not supported yet", help=f"use one of {', '.join(COLOURS)}")
+            self._values.findings.add(
+                "DB108",
+                self._values.span((*path, "colour")),
+                f"the colour `{given}` is not supported yet",
+                help=f"use one of {', '.join(COLOURS)}",
+            )
         return COLOURS.get(given, COLOURS["grey"])

@@ -44,6 +44,11 @@ def reset_lines(state: State, memory: str, result: str, args: list[str]) -> list
     return RULES[state.function].reset(memory, result, args)
 
 
+def _whole(code: str) -> str:
+    """The code as one operand: in parentheses unless it is a name or a number."""
+    return code if code.replace(".", "").replace("_", "").isalnum() else f"({code})"
+
+
 def _from_zero(memory: str, result: str, _args: list[str]) -> list[str]:
     return [f"{result} = {memory} = 0.0"]
 
@@ -70,19 +75,19 @@ def _hold(memory: str, result: str, args: list[str], _timestep: str) -> list[str
 
 def _smooth(memory: str, result: str, args: list[str], timestep: str) -> list[str]:
     """Backward Euler: stable for every time constant, and the complementary filter's own formula."""
-    return [f"{result} = {memory} = {memory} + (({args[0]}) - {memory}) * ({timestep} / ({args[1]} + {timestep}))"]
+    return [f"{result} = {memory} = {memory} + ({_whole(args[0])} - {memory}) * ({timestep} / ({_whole(args[1])} + {timestep}))"]
 
 
 def _integral(memory: str, result: str, args: list[str], timestep: str) -> list[str]:
-    return [f"{result} = {memory} = {memory} + ({args[0]}) * {timestep}"]
+    return [f"{result} = {memory} = {memory} + {_whole(args[0])} * {timestep}"]
 
 
 def _accumulate(memory: str, result: str, args: list[str], _timestep: str) -> list[str]:
-    return [f"{result} = {memory} = min(max({memory} + ({args[0]}), {args[1]}), {args[2]})"]
+    return [f"{result} = {memory} = min(max({memory} + {_whole(args[0])}, {args[1]}), {args[2]})"]
 
 
 def _duration(memory: str, result: str, args: list[str], timestep: str) -> list[str]:
-    return [f"{result} = {memory} = {memory} + {timestep} if {args[0]} else 0.0"]
+    return [f"{result} = {memory} = {memory} + {timestep} if {_whole(args[0])} else 0.0"]
 
 
 def _rising(memory: str, result: str, args: list[str], _timestep: str) -> list[str]:

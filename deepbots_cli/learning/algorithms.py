@@ -47,7 +47,7 @@ class Algorithm:
 
 
 def _ppo(training: Training, total: int) -> Settings:
-    # Small updates, often: on a cart-pole of 10x10 units this solves in 26 000 steps, with 2048 steps and a rate of 3e-4 not in 100 000.
+    # Small updates, often: a cart-pole for 10x10 units is solved in 26 000 steps; with 1024 steps and a rate of 3e-4 in 69 000 to 97 000.
     n_steps = max(32, 256 // training.environments // 32 * 32)
     return {
         "n_steps": n_steps,

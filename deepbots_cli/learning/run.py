@@ -119,13 +119,19 @@ class Run:
             raise RunError(f"{path / linked} is a symbolic link, which no run of ours holds")
         try:
             ir = canonical.from_json(read_bytes(path / _SCENARIO, _SCENARIO_LIMIT).decode())
-        except UnicodeDecodeError as error:
-            raise RunError(f"{path / _SCENARIO} is not text") from error
-        except DeepbotsError as error:
-            raise RunError(f"{path / _SCENARIO} cannot be used: {error}") from error
+        except (DeepbotsError, ValueError) as error:
+            raise RunError(f"{path / _SCENARIO} cannot be used: {' '.join(str(error).split())[:200]}") from error
         if canonical.digest(ir) != record.digest or interface.digest(ir) != record.interface:
             raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
+        if not _sensible(ir):
+            raise RunError(f"{path / _SCENARIO} holds figures that no scenario of ours does")
         return Run(path, record, ir)
+
+
+def _sensible(ir: CompiledScenario) -> bool:
+    """Whether the figures that learning itself computes with are in the range that compiling leaves them in."""
+    windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
+    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows)
 
 
 def new_directory(wanted: Path | None, parent: Path, scenario: str, seed: int) -> Path:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -38,7 +39,8 @@ Array = npt.NDArray[Any]
 _STATE = "state.json"
 _STATE_LIMIT = 4_000_000
 _OVERHEAD_LIMIT = 8_000_000
-_HEADER_LIMIT = 1_000
+# Of version 1.0, in C order. Numpy's own reader evaluates the header as Python and may fail in a dozen ways.
+_HEADER = re.compile(rb"\{'descr': '(?P<dtype>[<|][a-zA-Z]\d{0,2})', 'fortran_order': False, 'shape': \((?P<shape>[\d, ]{0,80})\), \} *\n")
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq", "square_avg", "momentum_buffer", "grad_avg")
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -181,16 +183,18 @@ def _arrays(archive: zipfile.ZipFile, path: Path, slots: Mapping[str, Slot]) -> 
 
 def _read_array(member: IO[bytes], slot: Slot, where: str) -> Array:
     """One array, after its header was found to fit: nothing is allocated on the word of the file."""
-    if np.lib.format.read_magic(member) != (1, 0):
-        raise RunError(f"{where} has an unknown format")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(member, max_header_size=_HEADER_LIMIT)
-    if dtype != slot.dtype or fortran or not slot.fits(shape):
-        raise RunError(f"{where} is {dtype} of shape {shape}, the scenario's policy needs {slot.dtype} of shape {slot.shape}")
-    size = math.prod(shape) * dtype.itemsize
+    start = member.read(10)
+    header = _HEADER.fullmatch(member.read(int.from_bytes(start[8:], "little")))
+    if start[:8] != b"\x93NUMPY\x01\x00" or header is None:
+        raise RunError(f"{where} is no array as we write them")
+    dtype, shape = header["dtype"].decode(), tuple(int(size) for size in header["shape"].split(b",") if size.strip())
+    if dtype != slot.dtype.str or not slot.fits(shape):
+        raise RunError(f"{where} is {dtype} of shape {shape}, the scenario's policy needs {slot.dtype.str} of shape {slot.shape}")
+    size = math.prod(shape) * slot.dtype.itemsize
     content = member.read(size + 1)
     if len(content) != size:
         raise RunError(f"{where} is cut short or too long")
-    array = np.frombuffer(content, dtype).reshape(shape).copy()
+    array = np.frombuffer(content, slot.dtype).reshape(shape).copy()
     if not np.isfinite(array).all():
         raise RunError(f"{where} holds a number that is not finite")
     return array

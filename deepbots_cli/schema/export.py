@@ -155,7 +155,7 @@ def _shape_of(spec: Spec) -> JsonSchema:
 
 def to_text() -> str:
     """The schema as it is committed."""
-    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ def _lines(node: Node, depth: int) -> list[str]:
 
 def _entry(head: str, value: Node, depth: int) -> list[str]:
     match value:
-        case (Mapping(entries=inner) | Sequence(items=inner)) if inner:
+        case Mapping(entries=inner) | Sequence(items=inner) if inner:
             return [head, *_lines(value, depth + 1)]
         case _:
             return [f"{head} {_inline(value)}"]

@@ -135,6 +135,9 @@ class Bench:
         """What the printed Python computes, given the values that it reads."""
         return evaluate(self.clean(text), read)
 
+    def values_of(self, value: Typed, read: dict[str, object]) -> list[float]:
+        return evaluate(value, read)
+
 
 def evaluate(value: Typed, read: dict[str, object]) -> list[float]:
     scalars = lower(value, "item")
@@ -158,13 +161,7 @@ def bench() -> Bench:
     return Bench()
 
 
-@pytest.fixture
-def evaluated():
-    """`evaluated(typed, names)`: the numbers that the printed Python computes."""
-    return evaluate
-
-
-@pytest.fixture
-def named():
-    """The code that stands for what an expression reads."""
-    return leaf
+@pytest.fixture(scope="session")
+def bench_of():
+    """A new bench for each example of a property test."""
+    return Bench

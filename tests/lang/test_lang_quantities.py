@@ -59,14 +59,12 @@ def test_dimensions_read_as_a_person_would_write_them():
         ("0 0 1 m", [0.0, 0.0, 1.0], LENGTH),
         ("10 70 30 cm", [0.1, 0.7, 0.3], LENGTH),
         ("0 5 10 15 mm", [0.0, 0.005, 0.01, 0.015], LENGTH),
-        ("0.6 - 0.4 m/s * s / m", [0.2], NUMBER),
+        ("0.6 m - 0.4 m", [0.2], LENGTH),
     ],
 )
 def test_literals_are_numbers_in_si(bench, text, values, dimension):
-    assert bench.typed(text) is not None
-    found = bench.clean(text) if "- 0.4" not in text else bench.typed(text)
-    assert found.type.dimension == dimension
-    assert bench.values(text) == pytest.approx(values, rel=1e-15)
+    assert bench.clean(text).type.dimension == dimension
+    assert bench.values(text) == pytest.approx(values, rel=1e-14)
 
 
 def test_a_unit_binds_tighter_than_any_operator(bench):
@@ -89,7 +87,9 @@ def test_every_unit_is_understood_behind_a_number(bench, name):
     assert bench.clean(f"2 {name}").type.dimension == UNITS[name].dimension
 
 
-@pytest.mark.parametrize(("typed", "meant"), [("metres", "m"), ("degrees", "deg"), ("Nm", "N*m"), ("hz", "Hz"), ("sec", "s"), ("kgg", "kg")])
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("metres", "m"), ("degrees", "deg"), ("Nm", "N*m"), ("hz", "Hz"), ("sec", "s"), ("kgg", "kg")]
+)
 def test_a_misspelt_unit_is_recognised(bench, typed, meant):
     assert suggest_unit(typed) == meant
     said = bench.only(f"5 {typed}")

@@ -61,7 +61,11 @@ def scenario(
         to_robot=MessageLayout("cart", "to_robot", (Field("drive", ""),), 1),
         from_robot=MessageLayout("cart", "from_robot", fields, 2),
     )
-    drive = Interval("drive", (), -1.0, 1.0, "") if continuous else Choices("drive", ("drive",), (Option("forward", (1.0,)), Option("backward", (-1.0,))))
+    drive = (
+        Interval("drive", (), -1.0, 1.0, "")
+        if continuous
+        else Choices("drive", ("drive",), (Option("forward", (1.0,)), Option("backward", (-1.0,))))
+    )
     return CompiledScenario(
         name=name,
         summary="Keep a pole upright.",

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli import api, canonical
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
 from deepbots_cli.errors import UsageError
@@ -29,8 +30,6 @@ def command(
       deepbots compile cartpole -o environment.py
       deepbots compile cartpole --ir
     """
-    from deepbots_cli import api, canonical
-
     if ir and as_json:
         raise UsageError("--ir and --json exclude each other: the former is JSON already")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import copying, terminal
 from deepbots_cli.cli.options import Json
 
 
 def command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A scenario that comes with deepbots; see: deepbots list")],
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to put it.")] = Path("."),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to put it.")] = Path("."),
     as_json: Json = False,
 ) -> None:
     """Copy a scenario that comes with deepbots, to change it.
@@ -24,8 +24,6 @@ def command(
       deepbots copy cartpole               makes ./cartpole.yaml and ./robots/urdf/cartpole.urdf
       deepbots copy cartpole experiments
     """
-    from deepbots_cli.cli import copying
-
     written = copying.write(copying.collect(name), folder)
     if as_json:
         terminal.show_json({"scenario": written[0], "files": written})

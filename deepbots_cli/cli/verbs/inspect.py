@@ -8,8 +8,11 @@ from typing import Annotated
 
 import typer
 
-from deepbots_cli.cli import terminal
+from deepbots_cli import api
+from deepbots_cli.cli import anatomy, terminal
+from deepbots_cli.cli import picture as drawing
 from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.tables import pairs, table
 
 
 def command(
@@ -28,9 +31,6 @@ def command(
       deepbots inspect cartpole --picture world.png
       deepbots inspect cartpole --set messages.timing=paper
     """
-    from deepbots_cli import api
-    from deepbots_cli.cli import anatomy, picture as drawing
-
     if picture is not None:
         drawing.check(picture)
     checked = api.load(scenario, sets=sets or (), allow_paths=allow_paths or ())
@@ -50,8 +50,6 @@ def command(
 
 
 def _show(tables: anatomy.Sections) -> None:
-    from deepbots_cli.cli.tables import pairs, table
-
     for name, rows in tables.items():
         terminal.say(name.replace("_", " "))
         terminal.say((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")

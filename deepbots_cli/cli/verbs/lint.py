@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import AllowPaths, Sets
@@ -35,7 +36,7 @@ class FailOn(StrEnum):
 
 
 def command(
-    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Files, names of shipped scenarios, or folders of scenarios.")],
+    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO", help="Files, names of shipped scenarios, or folders of scenarios.")],
     sets: Sets = None,
     format: Annotated[Format, typer.Option("--format", help="With the lines in question, one line each, or for programs.")] = Format.full,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
@@ -54,8 +55,6 @@ def command(
 
     A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB604]
     """
-    from deepbots_cli import api
-
     names = list(dict.fromkeys(name for given in scenarios for name in _expanded(given)))
     for name in names:
         api.locate(name)

@@ -10,6 +10,9 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.record import NAME, Record
+from deepbots_cli.source import Scalar, load, shipped
 
 
 def command(
@@ -34,8 +37,6 @@ def command(
 
 
 def _scenarios() -> list[Row]:
-    from deepbots_cli.source import Scalar, load, shipped
-
     rows: list[Row] = []
     for name in shipped.scenario_names():
         path = shipped.scenario_path(name)
@@ -46,8 +47,6 @@ def _scenarios() -> list[Row]:
 
 
 def _runs(folder: Path) -> list[Row]:
-    from deepbots_cli.learning.record import NAME
-
     if not folder.is_dir():
         return []
     found = [path for path in folder.iterdir() if (path / NAME).is_file()]
@@ -55,9 +54,6 @@ def _runs(folder: Path) -> list[Row]:
 
 
 def _run(path: Path) -> Row:
-    from deepbots_cli.errors import RunError
-    from deepbots_cli.learning.record import Record
-
     try:
         record = Record.read(path)
     except RunError as error:

@@ -42,7 +42,6 @@ class EvaluationPrinter:
     def printer(self, *, starting: bool) -> Printer:
         return Printer(self._resolve, self.names, self._scenario.world.timestep, starting=starting)
 
-
     def _resolve(self, leaf: Name | World) -> str:
         if isinstance(leaf, World):
             return self.reads.code(leaf)

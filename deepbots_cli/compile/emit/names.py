@@ -25,7 +25,9 @@ def check_names(scenario: CompiledScenario) -> None:
 
     The schema has checked what users write; this guards against a compiled scenario from elsewhere.
     """
-    robots = [entry for robot in scenario.robots for entry in (robot, *robot.sensors, *robot.actuators, *robot.receive, *robot.emit, *robot.apply)]
+    robots = [
+        entry for robot in scenario.robots for entry in (robot, *robot.sensors, *robot.actuators, *robot.receive, *robot.emit, *robot.apply)
+    ]
     entries = [*robots, *scenario.parameters, *scenario.signals, *scenario.reward, *scenario.endings, *scenario.action]
     names = [entry.name for entry in entries]
     names += [name for part in scenario.action if isinstance(part, Choices) for name in (*part.variables, *(o.name for o in part.options))]

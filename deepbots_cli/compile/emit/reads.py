@@ -44,10 +44,18 @@ class Reads:
 
     def bind_lines(self) -> list[str]:
         """Statements that take the readers from `engine`."""
-        lines = [f"self.read_{self._local(robot, 'joints')} = engine.joint_states({robot!r}, {tuple(joints)!r})" for robot, joints in self._joints.items()]
-        lines += [f"self.read_{self._local(robot, 'torques')} = engine.joint_torques({robot!r}, {tuple(joints)!r})" for robot, joints in self._torques.items()]
+        lines = [
+            f"self.read_{self._local(robot, 'joints')} = engine.joint_states({robot!r}, {tuple(joints)!r})"
+            for robot, joints in self._joints.items()
+        ]
+        lines += [
+            f"self.read_{self._local(robot, 'torques')} = engine.joint_torques({robot!r}, {tuple(joints)!r})"
+            for robot, joints in self._torques.items()
+        ]
         lines += [f"self.read_{self._local(subject, 'pose')} = engine.pose({_body_and_link(subject)})" for subject in self._poses]
-        lines += [f"self.read_{self._local(subject, 'velocity')} = engine.velocity({_body_and_link(subject)})" for subject in self._velocities]
+        lines += [
+            f"self.read_{self._local(subject, 'velocity')} = engine.velocity({_body_and_link(subject)})" for subject in self._velocities
+        ]
         return lines
 
     def call_lines(self) -> list[str]:

@@ -30,7 +30,10 @@ class RobotPrinter:
         robot = self._robot
         emitted = sentence_list([entry.name for entry in robot.emit]) or "nothing"
         driven = sentence_list([entry.name for entry in robot.apply]) or "nothing"
-        lines = [f"class {controller_name(robot)}(RobotController):", *indent([f'"""Robot `{robot.name}`: emits {emitted}; drives {driven}."""', ""])]
+        lines = [
+            f"class {controller_name(robot)}(RobotController):",
+            *indent([f'"""Robot `{robot.name}`: emits {emitted}; drives {driven}."""', ""]),
+        ]
         lines += indent(self._bind())
         if self._keeps_state or any(outer_states(value) for value in self._applied):
             lines += indent(self._reset())
@@ -108,7 +111,10 @@ class RobotPrinter:
             lines = printer.lines
         listed = sentence_list(labels) or "nothing"
         if self._messages:
-            return block("def create_message(self) -> Any:", [f'"""A message that holds {listed}."""', *lines, f"return self.encode({', '.join(values)})"])
+            return block(
+                "def create_message(self) -> Any:",
+                [f'"""A message that holds {listed}."""', *lines, f"return self.encode({', '.join(values)})"],
+            )
         return block("def sense(self) -> tuple[Any, ...]:", [f'"""The values of {listed}."""', *lines, f"return {tuple_code(values)}"])
 
     def _stored(self, name: str, component: str | None) -> str:
@@ -165,5 +171,3 @@ def _writer_code(robot: Robot, actuator: Actuator) -> str:
     if actuator.kind == "position_motor":
         arguments += f", {actuator.stiffness!r}, {actuator.damping!r}"
     return f"{actuator.kind}({arguments})"
-
-

@@ -65,7 +65,9 @@ class SupervisorPrinter:
             turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
             printer.line(f"self.engine.place({place.body!r}, {xyz}, {turn})")
         for joint in self._scenario.reset.joints:
-            printer.line(f"self.engine.set_joint({joint.robot!r}, {joint.joint!r}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
+            printer.line(
+                f"self.engine.set_joint({joint.robot!r}, {joint.joint!r}, {printer.value(joint.position)}, {printer.value(joint.velocity)})"
+            )
         ticks = round(self._scenario.reset.settle / self._scenario.world.timestep)
         if ticks:
             printer.line(f"self.physics({ticks * self._scenario.world.substeps})")

@@ -1,0 +1,112 @@
+"""A scenario as a small Python project of its own, whose generated classes are there to be edited."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+import deepbots_cli
+from deepbots_cli import canonical
+from deepbots_cli.api import Compiled
+from deepbots_cli.cli.copying import Files
+from deepbots_cli.compile.emit.names import class_name
+from deepbots_cli.errors import UsageError
+from deepbots_cli.urdf.writer import write as to_urdf
+
+_README = """\
+# {name}
+
+{summary}
+
+Written out by deepbots {version}, from scenario {digest}.
+
+    pip install -r requirements.txt
+    python run.py      # a few episodes of random actions
+    python train.py    # training, then evaluation
+
+- environment.py: a class for each robot, and the supervisor. **Edit this**: sensors, messages, reward, endings.
+- scenario.json: the compiled scenario: world, robots, spaces, training. The classes are joined to it by name.
+- task.py: brings the two together.
+- robots/: the robots as the physics engine gets them, to read; the figures that count are in scenario.json.
+"""
+
+_TASK = '''\
+"""Brings environment.py and scenario.json together."""
+
+from pathlib import Path
+
+from deepbots_cli import api, canonical, engines
+from deepbots_cli.ir import CompiledScenario
+from environment import {supervisor}
+
+HERE = Path(__file__).parent
+
+
+def scenario() -> CompiledScenario:
+    return canonical.from_json((HERE / "scenario.json").read_text(encoding="utf-8"))
+
+
+def make(ir: CompiledScenario, *, render_mode: str | None = None) -> {supervisor}:
+    """The environment: a Gymnasium environment like any other."""
+    return {supervisor}(ir, engines.create("pybullet", ir.world), render_mode)
+
+
+def compiled() -> api.Compiled:
+    """What a training records: the scenario, and the code as it is now."""
+    ir = scenario()
+    code = (HERE / "environment.py").read_text(encoding="utf-8")
+    inputs = {{name: (HERE / name).read_bytes() for name in ("scenario.json", "environment.py", "task.py")}}
+    return api.Compiled(ir, code, canonical.digest(ir), HERE / "scenario.json", inputs, "", ())
+'''
+
+_RUN = '''\
+"""A few episodes of random actions."""
+
+from task import make, scenario
+
+environment = make(scenario())
+for seed in range(3):
+    environment.reset(seed=seed)
+    total, steps, ended = 0.0, 0, False
+    while not ended:
+        _, reward, terminated, truncated, info = environment.step(environment.action_space.sample())
+        total, steps, ended = total + reward, steps + 1, terminated or truncated
+    print(f"episode {seed}: return {total:.1f} in {steps} steps, ended by {info['ended_by']}")
+environment.close()
+'''
+
+_TRAIN = '''\
+"""Training in a new directory under runs/, then evaluation."""
+
+from pathlib import Path
+
+from deepbots_cli.learning import evaluate, train
+from task import compiled, make
+
+if __name__ == "__main__":
+    result = train(compiled(), runs=Path("runs"), seed=0, build=make, progress=True)
+    print(f"{result.run}: {result.steps} steps, {result.episodes} episodes")
+    print(evaluate(result.run, build=make).verdict)
+'''
+
+
+def files(compiled: Compiled) -> Files:
+    """The files of the project, README first."""
+    ir = compiled.ir
+    name = class_name(ir.name)
+    texts = {
+        "README.md": _README.format(name=ir.name, summary=ir.summary, version=deepbots_cli.__version__, digest=compiled.digest[:12]),
+        "environment.py": compiled.code,
+        "scenario.json": canonical.to_json(ir) + "\n",
+        "task.py": _TASK.format(supervisor=f"{name}Supervisor"),
+        "run.py": _RUN,
+        "train.py": _TRAIN,
+        "requirements.txt": "deepbots-cli[train]\n",
+    }
+    texts |= {f"robots/{robot.name}.urdf": to_urdf(robot.model) for robot in ir.world.robots}
+    return {PurePosixPath(path): text.encode() for path, text in texts.items()}
+
+
+def check(folder: Path) -> None:
+    """Raises: UsageError: The folder is there and holds anything; a project is never written over another."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} exists and is not an empty folder; name another")

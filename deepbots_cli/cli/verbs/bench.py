@@ -1,0 +1,55 @@
+"""`deepbots bench`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.options import AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.tables import pairs as aligned
+from deepbots_cli.errors import MissingExtraError
+
+
+def command(
+    scenario: Scenario,
+    sets: Sets = None,
+    steps: Annotated[int, typer.Option("--steps", metavar="N", min=100, help="Steps of the agent per measurement.")] = 2000,
+    pairs: Annotated[int, typer.Option("--pairs", metavar="N", min=1, help="How often the two are measured.")] = 9,
+    seed: Seed = 0,
+    engine: Engine = "pybullet",
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Time a step of the environment against bare physics.
+
+    Both go through the same episodes in the same engine with the same substeps; resets are not timed. The ratio is what messages,
+    observation, reward and endings cost.
+
+    \b
+      deepbots bench cartpole
+      deepbots bench cartpole --set messages.format=csv --pairs 15
+    """
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    terminal.mention(compiled.findings, scenario)
+    try:
+        from deepbots_cli.cli import measure
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("sim", "timing a scenario") from error
+    result = measure.compare(compiled.ir, engine=engine, steps=steps, pairs=pairs, seed=seed)
+    if as_json:
+        terminal.show_json(asdict(result))
+        return
+    terminal.say(
+        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {result.pairs} pairs of {result.steps:,} steps\n"
+        + aligned(
+            {
+                "step of the environment": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
+                "bare physics": f"{result.bare_us:.2f} us",
+                "ratio": f"{result.ratio:.3f} ({result.least_ratio:.3f} .. {result.greatest_ratio:.3f})",
+            }
+        )
+    )

@@ -1,0 +1,86 @@
+"""`deepbots run`."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from enum import StrEnum
+from statistics import fmean
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.options import AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.episodes import Episode
+
+
+class Policy(StrEnum):
+    random = "random"
+    zero = "zero"
+
+
+def command(
+    scenario: Scenario,
+    sets: Sets = None,
+    policy: Annotated[Policy | None, typer.Option("--policy", help="Draw actions, or do nothing; random by default.")] = None,
+    actions: Annotated[
+        str | None, typer.Option("--actions", metavar="A,B,...", help="Take these actions, over and over: options by name, or numbers.")
+    ] = None,
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", min=1, help="How many episodes to run.")] = 3,
+    steps: Annotated[int | None, typer.Option("--steps", metavar="N", min=1, help="Stop after so many steps in all.")] = None,
+    seed: Seed = 0,
+    engine: Engine = "pybullet",
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Run episodes without a trained policy, and show the reward terms.
+
+    What a scenario pays, and how its episodes end, is best looked at before any training.
+
+    \b
+      deepbots run cartpole
+      deepbots run cartpole --policy zero --episodes 1
+      deepbots run cartpole --actions forward,backward --steps 50
+
+    An action of several parts is written with colons: --actions left:0.5,right:-0.5
+    """
+    if policy is not None and actions is not None:
+        raise UsageError("--policy and --actions exclude each other")
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    terminal.mention(compiled.findings, scenario)
+    with closing(api.make(compiled, engine=engine)) as environment:
+        from deepbots_cli.cli import replay  # needs the simulator, whose absence `make` has reported by now
+
+        chosen = replay.scripted(compiled.ir, actions) if actions is not None else getattr(replay, policy or Policy.random)(environment)
+        done = list(replay.episodes(environment, chosen, count=episodes, seed=seed, most_steps=steps))
+    if as_json:
+        terminal.show_json({"scenario": compiled.ir.name, "digest": compiled.digest, "seed": seed, "episodes": list(map(_row, done))})
+    else:
+        _show(done)
+
+
+def _row(episode: Episode) -> Row:
+    return {
+        "return": episode.total_return,
+        "length": episode.length,
+        "ended_by": episode.ended_by,
+        "success": episode.is_success,
+        "reward_terms": dict(episode.terms),
+    }
+
+
+def _show(done: list[Episode]) -> None:
+    rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(done)]
+    terminal.say("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
+    terminal.say("\nreward terms\n" + table([_term(done, name) for name in done[0].terms]))
+
+
+def _term(done: list[Episode], name: str) -> Row:
+    sums = [episode.terms[name] for episode in done]
+    steps = sum(episode.length for episode in done)
+    return {"term": name, "per_episode": fmean(sums), "per_step": sum(sums) / steps, "least": min(sums), "greatest": max(sums)}

@@ -1,0 +1,92 @@
+"""`deepbots train`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepbots_cli import api, learning
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.exits import INTERRUPTED
+from deepbots_cli.cli.options import AllowPaths, Engine, Json, Sets
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import report
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning import TrainingResult
+
+
+def command(
+    scenario: Annotated[str | None, typer.Argument(metavar="SCENARIO", help="A file, or the name of a shipped scenario.")] = None,
+    sets: Sets = None,
+    seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="The root of every random number; 0 by default.")] = None,
+    timesteps: Annotated[int | None, typer.Option("--timesteps", metavar="N", min=1, help="Train for so many steps in all.")] = None,
+    run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="The run directory to make; by default one in ./runs.")] = None,
+    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
+    full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
+    engine: Engine = "pybullet",
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Train a policy in a new run directory, and evaluate it.
+
+    The run directory keeps whatever the training was made from and has made; none is ever overwritten. Training ends when
+    the scenario counts as solved. Ctrl-C ends it early and keeps what was learned.
+
+    \b
+      deepbots train cartpole
+      deepbots train cartpole.yaml --seed 1 --set pole_length=0.3m
+      deepbots train cartpole --timesteps 200000 --full --run runs/long
+      deepbots train --resume runs/cartpole-0-1
+
+    Steps count over all copies of the environment. A resumed training takes up networks, optimiser and counts, and begins
+    new episodes; with --timesteps it gets a new goal, counted from the very start.
+    """
+    told = not quiet
+    if resume is not None:
+        if scenario is not None or sets or seed is not None or run is not None or allow_paths:
+            raise UsageError("a resumed run keeps its scenario and its seed; beside --resume go only --timesteps, --full, --quiet and --json")
+        result = learning.resume(resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told)
+    elif scenario is None:
+        raise UsageError("there is nothing to train; name a scenario, such as: deepbots train cartpole")
+    else:
+        compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+        terminal.mention(compiled.findings, scenario)
+        result = learning.train(
+            compiled,
+            run=run,
+            seed=seed or 0,
+            total_timesteps=timesteps,
+            stop_when_solved=not full,
+            progress=told,
+            command=["deepbots", *sys.argv[1:]],
+            engine=engine,
+        )
+    _finish(result, quiet=quiet, as_json=as_json)
+
+
+def _finish(result: TrainingResult, *, quiet: bool, as_json: bool) -> None:
+    """Show how the training ended; unless it was interrupted, evaluate it and say how to go on."""
+    if not as_json:
+        terminal.say(report.training_text(result))
+    if result.interrupted:
+        if as_json:
+            terminal.show_json({"training": report.to_json(result), "evaluation": None})
+        raise typer.Exit(INTERRUPTED)
+    if not quiet:
+        terminal.note("evaluating on held-out starts ...")
+    evaluation = learning.evaluate(result.run)
+    if as_json:
+        terminal.show_json({"training": report.to_json(result), "evaluation": report.to_json(evaluation)})
+        return
+    terminal.say(f"\n{report.evaluation_text(evaluation)}")
+    terminal.note(
+        f"\nnext:\n"
+        f"  deepbots eval {result.run} --video {result.run.name}.mp4\n"
+        f"  deepbots train --resume {result.run} --timesteps {2 * result.total_timesteps} --full\n"
+        f"  tensorboard --logdir {result.run / 'tensorboard'}"
+    )

@@ -1,0 +1,139 @@
+"""Random expressions: the printed Python computes what a direct evaluation gives, inside the known interval."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+READ = {"gas": st.floats(-1, 1), "turn": st.floats(-1, 1), "x": st.floats(-50, 50), "y": st.floats(-2, 3), "flag": st.booleans()}
+
+
+class Drawn:
+    """A text together with the function that gives its value directly."""
+
+    def __init__(self, text, value):
+        self.text, self.value = text, value
+
+
+def leaf(text, name=None, scale=1.0):
+    return Drawn(text, (lambda read: read[name]) if name else (lambda read: scale))
+
+
+numbers = st.sampled_from(
+    [
+        leaf("0.5", scale=0.5),
+        leaf("3", scale=3.0),
+        leaf("gas", "gas"),
+        leaf("turn", "turn"),
+        leaf("-2", scale=-2.0),
+        leaf("25 %", scale=0.25),
+    ]
+)
+lengths = st.sampled_from([leaf("x", "x"), leaf("y", "y"), leaf("30 cm", scale=0.3), leaf("-2 m", scale=-2.0)])
+truths = st.sampled_from([leaf("flag", "flag"), leaf("true", scale=True)])
+
+
+def pair(form, function, a, b):
+    return st.builds(lambda p, q: Drawn(form.format(p.text, q.text), lambda read: function(p.value(read), q.value(read))), a, b)
+
+
+def one(form, function, a):
+    return st.builds(lambda p: Drawn(form.format(p.text), lambda read: function(p.value(read))), a)
+
+
+def choose(condition, a, b):
+    return st.builds(
+        lambda c, p, q: Drawn(f"where({c.text}, {p.text}, {q.text})", lambda read: p.value(read) if c.value(read) else q.value(read)),
+        condition,
+        a,
+        b,
+    )
+
+
+def grow(n):
+    """Numbers, lengths and truth values of `n` levels."""
+    if n == 0:
+        return numbers, lengths, truths
+    a, v, t = grow(n - 1)
+    number = st.one_of(
+        a,
+        pair("({} + {})", lambda p, q: p + q, a, a),
+        pair("{} - {}", lambda p, q: p - q, numbers, numbers).map(lambda d: Drawn(f"({d.text})", d.value)),
+        pair("{} * ({})", lambda p, q: p * q, a, a),
+        one("({}) / (2 m)", lambda p: p / 2, v),
+        one("sin(({}) * rad)", math.sin, a),
+        one("exp(-abs({}))", lambda p: math.exp(-abs(p)), a),
+        one("({})^2", lambda p: p * p, a),
+        one("-({})", lambda p: -p, a),
+        pair("max({}, {})", max, a, a),
+        one("clamp({}, -1 .. 2)", lambda p: min(max(p, -1.0), 2.0), a),
+        choose(t, a, a),
+    )
+    length = st.one_of(
+        v,
+        pair("({} + {})", lambda p, q: p + q, v, v),
+        pair("({} - ({}))", lambda p, q: p - q, v, v),
+        pair("({}) * ({})", lambda p, q: p * q, a, v),
+        pair("norm(vector({}, {}))", math.hypot, v, v),
+        pair("sum(vector({}, {}))", lambda p, q: p + q, v, v),
+        one("sqrt(({})^2)", lambda p: math.sqrt(p * p), v),
+        one("mean(vector({0}, {0}))", lambda p: p, v),
+        choose(t, v, v),
+    )
+    truth = st.one_of(
+        t,
+        pair("({} > {})", lambda p, q: p > q, v, v),
+        pair("({} <= {})", lambda p, q: p <= q, a, a),
+        pair("({} and {})", lambda p, q: p and q, t, t),
+        pair("({} or not {})", lambda p, q: p or not q, t, t),
+    )
+    return number, length, truth
+
+
+@settings(max_examples=120, deadline=None)
+@given(st.data())
+def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
+    drawn = data.draw(st.one_of(*grow(3)), label="expression")
+    bench = bench_of()
+    typed = bench.typed(drawn.text)
+    assert {said.code for said in bench.said} <= {"DB406"}, (drawn.text, bench.said)
+    read = {name: data.draw(values, label=name) for name, values in READ.items()}
+    expected = drawn.value(read)
+    (found,) = bench.values_of(typed, read)
+    if typed.type.boolean:
+        assert found == expected
+        return
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    interval = typed.type.interval
+    slack = 1e-9 * max(1.0, abs(expected))
+    assert interval.high >= expected - slack or "x" in drawn.text
+    assert interval.low <= expected + slack or "x" in drawn.text
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("gas * 2 - 1", -3.0, 1.0),
+        ("gas^2", 0.0, 1.0),
+        ("gas^3", -1.0, 1.0),
+        ("abs(y) / m", 0.0, 3.0),
+        ("clamp(x, -1 .. 2 m)", -1.0, 2.0),
+        ("sin(gas * 180 deg)", -1.0, 1.0),
+        ("cos(gas * 90 deg)", 0.0, 1.0),
+        ("exp(-gas^2)", math.exp(-1), 1.0),
+        ("norm(stride)", 0.0, math.sqrt(2)),
+        ("sum(stride^2)", 0.0, 2.0),
+        ("delta(gas)", -2.0, 2.0),
+        ("where(flag, gas, 5)", -1.0, 5.0),
+        ("min(gas, 0.5)", -1.0, 0.5),
+        ("5 when flag", 0.0, 5.0),
+        ("2 / (y + 3 m) * m", 1 / 3, 2.0),
+        ("tilt(cart)", 0.0, math.pi),
+        ("distance(cart, ball)", 0.0, math.inf),
+        ("exp(x / m)", 0.0, math.inf),
+    ],
+)
+def test_intervals_are_as_tight_as_a_person_would_say(bench, text, low, high):
+    interval = bench.clean(text).type.interval
+    assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-12)

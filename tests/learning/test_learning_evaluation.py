@@ -1,0 +1,116 @@
+"""Evaluating a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import stand_in
+
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.ir import Solved
+from deepbots_cli.learning import TrainingResult, evaluate
+from deepbots_cli.learning.evaluation import judge
+from deepbots_cli.learning.report import evaluation_text, to_json
+
+
+def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
+    return to_json(evaluate(trained.run, build=stand_in.build, **settings))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(trained: TrainingResult, deterministic: bool) -> None:
+    results = [figures(trained, episodes=21, copies=copies, deterministic=deterministic) for copies in (1, 3, 8)]
+    assert results[0] == results[1] == results[2]
+    assert results[0]["least_return"] != results[0]["greatest_return"]
+
+
+def test_other_seeds_are_other_starts(trained: TrainingResult) -> None:
+    assert figures(trained, episodes=20, seed=0) != figures(trained, episodes=20, seed=1)
+    assert figures(trained, episodes=20, seed=0) == figures(trained, episodes=20, seed=0)
+
+
+def test_the_figures_belong_together(trained: TrainingResult) -> None:
+    result = evaluate(trained.run, build=stand_in.build)
+    assert result.episodes == 20
+    assert sum(result.endings.values()) == 20
+    assert result.mean_return == pytest.approx(result.mean_length) == pytest.approx(result.term_means["alive"])
+    assert result.return_interval is not None
+    assert result.return_interval[0] <= result.mean_return <= result.return_interval[1]
+    assert result.success_interval[0] <= result.success_rate <= result.success_interval[1]
+    assert result.least_return <= result.mean_return <= result.greatest_return
+    text = evaluation_text(result)
+    assert "95 %" in text
+    assert text.splitlines()[-1] == result.verdict
+    assert json.loads(json.dumps(to_json(result)))["episodes"] == 20
+
+
+def test_a_single_episode_has_no_deviation(trained: TrainingResult) -> None:
+    result = evaluate(trained.run, episodes=1, build=stand_in.build)
+    assert result.deviation is None
+    assert evaluation_text(result)
+
+
+def test_the_verdict_follows_the_scenario() -> None:
+    solved = Solved(100, mean_return=195.0)
+    assert judge(solved, 100, 199.0, 0.0) == (True, "solved: mean return 199 where 195 is asked")
+    assert judge(solved, 100, 190.0, 0.0)[0] is False
+    assert judge(solved, 20, 199.0, 0.0)[0] is None
+    assert judge(None, 100, 199.0, 0.0)[0] is None
+    assert judge(Solved(10, mean_return=1.0, success_rate=0.9), 10, 5.0, 0.5)[0] is False
+
+
+def test_a_scenario_that_no_longer_fits_is_refused_field_by_field(trained: TrainingResult) -> None:
+    with pytest.raises(RunError) as caught:
+        evaluate(trained.run, scenario=stand_in.compiled(speed_range=2.0), build=stand_in.build)
+    assert "observation.speed: run -0.8 .. 0.8 m/s, scenario -2 .. 2 m/s" in str(caught.value)
+    assert "observation.x" not in str(caught.value)
+
+
+def test_reordered_observations_and_other_actions_are_refused(trained: TrainingResult) -> None:
+    compiled = stand_in.compiled()
+    turned = stand_in.altered(compiled, observation=compiled.ir.observation[::-1])
+    with pytest.raises(RunError, match=r"order: run observation\.x"):
+        evaluate(trained.run, scenario=turned, build=stand_in.build)
+    with pytest.raises(RunError, match=r"action\.drive: run forward \(1\) \| backward \(-1\) sets drive, scenario -1 .. 1"):
+        evaluate(trained.run, scenario=stand_in.compiled(continuous=True), build=stand_in.build)
+
+
+def test_changed_messages_are_refused(trained: TrainingResult) -> None:
+    compiled = stand_in.compiled()
+    robot = compiled.ir.robots[0]
+    renamed = replace(robot, from_robot=replace(robot.from_robot, fields=(replace(robot.from_robot.fields[0], unit="deg"),)))
+    with pytest.raises(RunError, match=r"message from robot cart\.pole_angle: run float64 rad, scenario float64 deg"):
+        evaluate(trained.run, scenario=stand_in.altered(compiled, robots=(renamed,)), build=stand_in.build)
+
+
+def test_a_policy_may_be_tried_in_a_scenario_with_other_rules(trained: TrainingResult) -> None:
+    result = evaluate(trained.run, episodes=3, scenario=stand_in.compiled(max_steps=7, name="Short"), build=stand_in.build)
+    assert result.scenario == "Short"
+    assert result.greatest_return == 7
+
+
+def test_a_video_shows_the_first_episode(trained: TrainingResult, tmp_path: Path) -> None:
+    imageio = pytest.importorskip("imageio.v2")
+    path = tmp_path / "out.mp4"
+    result = evaluate(trained.run, episodes=1, video_to=path, build=stand_in.build)
+    assert [item.name for item in tmp_path.iterdir()] == ["out.mp4"]
+    with imageio.get_reader(path) as reader:
+        assert reader.get_meta_data()["fps"] == pytest.approx(31.25)
+        assert reader.count_frames() == result.mean_length + 1
+
+
+@pytest.mark.parametrize(("name", "reason"), [("out.avi", "mp4"), ("missing/out.mp4", "no directory")])
+def test_a_video_that_cannot_be_written_is_refused_before_anything_runs(
+    trained: TrainingResult, tmp_path: Path, name: str, reason: str
+) -> None:
+    with pytest.raises(UsageError, match=reason):
+        evaluate(trained.run, video_to=tmp_path / name, build=stand_in.build)
+
+
+@pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (-1, 0), (1, -1)])
+def test_senseless_figures_are_refused(trained: TrainingResult, episodes: int, seed: int) -> None:
+    with pytest.raises(UsageError):
+        evaluate(trained.run, episodes=episodes, seed=seed, build=stand_in.build)

@@ -1,0 +1,274 @@
+"""Training and going on with it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import stand_in
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.monitor import load_results
+
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.ir import Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train
+from deepbots_cli.learning.progress import Lines, Standing
+from deepbots_cli.learning.report import to_json, training_text
+from deepbots_cli.learning.training import _training_of
+
+
+def short(tmp_path: Path, **settings: Any) -> TrainingResult:
+    """A training of 300 steps or so."""
+    training = Training("PPO", settings.pop("total", 300), environments=2, hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1))
+    return train(
+        stand_in.compiled(training=settings.pop("training", training), solved=settings.pop("solved", None)), runs=tmp_path, **settings
+    )
+
+
+def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
+    return tuple(Hyperparameter(name, value) for name, value in figures.items())
+
+
+def rows(run: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
+
+
+class Telling:
+    """A reporter that does something after some updates."""
+
+    def __init__(self, after: int, action: Any) -> None:
+        self.after = after
+        self.action = action
+        self.stopped = False
+
+    def start(self, standing: Standing) -> None:
+        pass
+
+    def update(self, standing: Standing) -> None:
+        self.after -= 1
+        if self.after == 0:
+            self.action()
+
+    def stop(self) -> None:
+        self.stopped = True
+
+
+def test_the_small_world_is_a_proper_environment() -> None:
+    check_env(stand_in.build(stand_in.scenario()))
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
+    digests = [short(tmp_path, seed=seed, build=stand_in.build).weights_digest for seed in (0, 0, 1)]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_the_log_of_episodes_is_in_order_of_completion_and_complete(trained: TrainingResult) -> None:
+    log = rows(trained.run)
+    assert [int(row["episode"]) for row in log] == list(range(1, trained.episodes + 1))
+    steps = [int(row["steps"]) for row in log]
+    assert steps == sorted(steps)
+    assert steps[-1] <= trained.steps
+    assert float(log[-1]["simulated_hours"]) == pytest.approx(steps[-1] * 0.032 / 3600, abs=1e-6)
+    assert {row["ended_by"] for row in log} <= {"fallen", "off_track", "max_steps"}
+    assert sum(int(row["l"]) for row in log) <= trained.steps
+
+
+def test_stable_baselines3_reads_the_log(trained: TrainingResult) -> None:
+    pytest.importorskip("pandas")
+    assert len(load_results(str(trained.run))) == trained.episodes
+
+
+def test_tensorboard_shows_returns_success_terms_and_simulated_time(trained: TrainingResult) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(trained.run / "tensorboard"))
+    events.Reload()
+    assert {
+        "rollout/ep_rew_mean",
+        "rollout/success_rate",
+        "rollout/simulated_hours",
+        "reward/alive",
+        "reward/centre",
+        "time/fps",
+    } <= set(events.Tags()["scalars"])
+
+
+def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None:
+    easy = Solved(2, mean_return=5.0)
+    stopped = short(tmp_path, total=5_000, solved=easy, build=stand_in.build)
+    assert stopped.status == "finished"
+    assert stopped.steps < 1_000
+    assert stopped.solved_at is not None
+    assert stopped.solved_at.cpu_seconds > 0
+    further = short(tmp_path, total=600, solved=easy, stop_when_solved=False, build=stand_in.build)
+    assert further.steps >= 600
+    assert further.solved_at is not None
+
+
+def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(run_copy: Path, trained: TrainingResult) -> None:
+    before = (run_copy / "monitor.csv").read_text()
+    events = set((run_copy / "tensorboard").iterdir())
+    with pytest.raises(UsageError, match="has trained"):
+        resume(run_copy, build=stand_in.build)
+    result = resume(run_copy, total_timesteps=trained.steps + 1_500, build=stand_in.build)
+    assert result.steps >= trained.steps + 1_500
+    assert result.episodes > trained.episodes
+    assert (run_copy / "monitor.csv").read_text().startswith(before)
+    assert [int(row["episode"]) for row in rows(run_copy)] == list(range(1, result.episodes + 1))
+    assert events < set((run_copy / "tensorboard").iterdir())
+    record = json.loads((run_copy / "run.json").read_text())
+    assert record["resumed_at"] == [trained.steps]
+    assert record["status"] == "finished"
+
+
+def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: TrainingResult) -> None:
+    def stop(ir: Any, *, render_mode: str | None = None) -> Any:
+        raise DeepbotsError("no world today")
+
+    with pytest.raises(DeepbotsError, match="no world"):
+        resume(run_copy, total_timesteps=100_000, build=stop)
+    told = Telling(1, lambda: os.kill(os.getpid(), signal.SIGINT))
+    result = resume(run_copy, total_timesteps=100_000, progress=told, build=stand_in.build)
+    assert result.interrupted
+    assert result.weights_digest == trained.weights_digest
+    with np.load(run_copy / "checkpoint.npz") as after, np.load(trained.run / "checkpoint.npz") as before:
+        assert any("optimizer" in name for name in before.files)
+        assert all(np.array_equal(before[name], after[name]) for name in before.files if name.startswith("policy"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tmp_path: Path, number: int) -> None:
+    handler = signal.getsignal(number)
+    told = Telling(20, lambda: os.kill(os.getpid(), number))
+    result = short(tmp_path, total=50_000, progress=told, build=stand_in.build)
+    assert result.interrupted
+    assert told.stopped
+    assert f"deepbots train --resume {result.run}" in training_text(result)
+    assert json.loads((result.run / "run.json").read_text())["status"] == "interrupted"
+    assert signal.getsignal(number) is handler
+    assert evaluate(result.run, episodes=1, build=stand_in.build).episodes == 1
+    again = resume(result.run, total_timesteps=result.steps + 100, build=stand_in.build)
+    assert again.status == "finished"
+    assert again.steps > result.steps
+
+
+def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Path) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    result = short(tmp_path, total=50_000, progress=Telling(5, interrupt), build=stand_in.build)
+    assert result.interrupted
+    assert (result.run / "models" / "last.npz").exists()
+
+
+def test_training_works_outside_the_main_thread(tmp_path: Path) -> None:
+    results: list[TrainingResult] = []
+    thread = threading.Thread(target=lambda: results.append(short(tmp_path, build=stand_in.build)))
+    thread.start()
+    thread.join()
+    assert results[0].status == "finished"
+
+
+def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path: Path) -> None:
+    training = Training("PPO", 20_000, environments=2, hyperparameters=hyper(learning_rate=1e30, n_steps=32, batch_size=32))
+    with pytest.raises(RunError, match="diverged"):
+        short(tmp_path, training=training, build=stand_in.build)
+    run = next(tmp_path.iterdir())
+    assert json.loads((run / "run.json").read_text())["status"] == "failed"
+    assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
+
+
+def test_a_reward_that_is_no_number_ends_the_training_with_its_term(tmp_path: Path) -> None:
+    with pytest.raises(DeepbotsError, match="centre"):
+        short(tmp_path, build=lambda ir, render_mode=None: stand_in.Failing(ir, render_mode))
+    run = next(tmp_path.iterdir())
+    assert json.loads((run / "run.json").read_text())["status"] == "failed"
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "continuous", "figures"),
+    [
+        ("A2C", False, {}),
+        ("A2C", True, {"learning_rate": Schedule(1e-3, 0.0)}),
+        ("PPO", True, {"n_steps": 32, "n_epochs": 1, "clip_range": Schedule(0.3, 0.1)}),
+        ("DQN", False, {"learning_starts": 20}),
+        ("SAC", True, {"learning_starts": 20, "train_freq": 8}),
+        ("TD3", True, {"learning_starts": 20, "train_freq": 8}),
+        ("DDPG", True, {"learning_starts": 20, "train_freq": 8}),
+    ],
+)
+def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, algorithm: str, continuous: bool, figures: dict[str, Any]) -> None:
+    training = Training(algorithm, 100, environments=2, hyperparameters=hyper(**figures), policy=Policy((8,), "relu"))
+    compiled = stand_in.compiled(training=training, continuous=continuous)
+    result = train(compiled, runs=tmp_path, build=stand_in.build)
+    again = resume(result.run, total_timesteps=result.steps + 60, build=stand_in.build)
+    assert again.steps >= result.steps + 60
+    assert evaluate(result.run, episodes=2, model="last", build=stand_in.build).episodes == 2
+
+
+def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
+    training = Training("DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), policy=Policy((8,), "relu"))
+    result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
+    again = resume(result.run, total_timesteps=150, build=stand_in.build)
+    with np.load(result.run / "checkpoint.npz") as checkpoint:
+        assert checkpoint["replay/rewards"].shape[0] == again.steps
+
+
+@pytest.mark.parametrize(
+    ("training", "reason"),
+    [
+        (Training("PPO", 0), "at least 1"),
+        (Training("PPOO", 100), "did you mean PPO"),
+        (Training("PPO", 100, environments=0), "environments"),
+        (Training("PPO", 100, policy=Policy((10**9,))), "hidden layers"),
+        (Training("PPO", 100, policy=Policy(activation="relou")), "did you mean relu"),
+        (Training("SAC", 100), "SAC refuses"),
+        (Training("PPO", 100, hyperparameters=hyper(tau=1.0)), "PPO refuses .*tau"),
+        (Training("PPO", 100, hyperparameters=hyper(batch_size=1)), "PPO refuses"),
+    ],
+)
+def test_settings_that_cannot_be_trained_with_are_refused(tmp_path: Path, training: Training, reason: str) -> None:
+    with pytest.raises(UsageError, match=reason) as caught:
+        short(tmp_path, training=training, build=stand_in.build)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scenario_without_a_train_section_is_refused() -> None:
+    from dataclasses import replace
+
+    with pytest.raises(UsageError, match="no 'train' section"):
+        _training_of(replace(stand_in.scenario(), training=None), None)
+
+
+def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
+    made: list[stand_in.CartPole] = []
+
+    def build(ir: Any, *, render_mode: str | None = None) -> stand_in.CartPole:
+        made.append((stand_in.CartPole if len(made) < 2 else stand_in.Failing)(ir))
+        return made[-1]
+
+    short(tmp_path, build=build)
+    with pytest.raises(DeepbotsError):
+        short(tmp_path, build=build)
+    assert [world.closed for world in made] == [1, 1, 1, 1]
+
+
+def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -> None:
+    stream = io.StringIO()
+    short(tmp_path, total=2_000, progress=Lines(stream), build=stand_in.build)
+    lines = stream.getvalue().splitlines()
+    assert 5 <= len(lines) <= 11
+    assert all("steps/s" in line and "return" in line for line in lines)
+
+
+def test_results_are_json_and_text(trained: TrainingResult) -> None:
+    assert json.loads(json.dumps(to_json(trained)))["run"] == str(trained.run)
+    assert str(trained.run) in training_text(trained)
