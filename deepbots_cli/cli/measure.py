@@ -1,8 +1,9 @@
 """What a step of the environment costs beside the physics in it.
 
-The same episodes, from the same seeds and with the same actions, are gone through twice per pair: by `env.step`, and by the
-engine's bare step in an environment that was reset alike. Resets are not timed. Each side takes the first action of an episode
-untimed, so that motors drive on both. Times are CPU times of the process, and the two sides take turns in being first.
+The same episodes are gone through twice per pair, from the same seeds: by `env.step`, and by the engine's bare step in an
+environment that was reset alike. In each episode one random action is held; the bare side takes the first step like the other, so
+that its motors drive and both sides make the same motion, which is what contacts cost by. First steps and resets are not timed.
+Times are CPU times of the process, and the two sides take turns in being first.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import repeat
 from statistics import median
 from typing import Any
 
@@ -42,26 +44,28 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Episode:
+    """One action, held for `steps` steps after the first."""
+
     seed: int
-    actions: list[Any]
+    action: Any
+    steps: int
 
 
 def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: int) -> Comparison:
-    """Time about `steps` steps of random actions, `pairs` times.
+    """Time about `steps` steps, `pairs` times on either side.
 
     Raises:
         UsageError: Every episode ends in its first step, so nothing can be timed.
     """
     with closing(api.build(ir, engine=engine)) as environment, closing(api.build(ir, engine=engine)) as other:
         plan = _plan(environment, steps, seed)
-        timed = sum(len(episode.actions) - 1 for episode in plan)
-        physics, substeps = other.engine.step, ir.world.substeps
+        timed = sum(episode.steps for episode in plan)
 
         def whole() -> float:
-            return _run(environment, plan, environment.step)
+            return _time(environment, plan, environment.step, lambda episode: episode.action)
 
         def bare() -> float:
-            return _run(other, plan, lambda _: physics(substeps))
+            return _time(other, plan, other.engine.step, lambda episode: ir.world.substeps)
 
         whole(), bare()  # caches and clocks warm up
         measured = [_pair(whole, bare, swapped=bool(number % 2)) for number in range(pairs)]
@@ -73,35 +77,34 @@ def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: 
 
 
 def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Episode]:
-    """Episodes of random actions with about `steps` steps after the first of each."""
+    """Episodes that together have `steps` steps after the first of each."""
     plan: list[_Episode] = []
     left = steps
     while left > 0:
         number = seed + len(plan)
         environment.reset(seed=number)
-        actions: list[Any] = []
-        ended = False
-        while not ended and len(actions) <= left:
-            actions.append(environment.action_space.sample())
-            _, _, terminated, truncated, _ = environment.step(actions[-1])
-            ended = terminated or truncated
-        if len(actions) == 1:
-            raise UsageError("an episode of random actions ends in its first step, so there is nothing to time")
-        plan.append(_Episode(number, actions))
-        left -= len(actions) - 1
+        action = environment.action_space.sample()
+        length, ended = 0, False
+        while not ended and length <= left:
+            _, _, terminated, truncated, _ = environment.step(action)
+            length, ended = length + 1, terminated or truncated
+        if length == 1:
+            raise UsageError("an episode ends in its first step, so there is nothing to time")
+        plan.append(_Episode(number, action, length - 1))
+        left -= length - 1
     return plan
 
 
-def _run(environment: Supervisor, plan: list[_Episode], step: Callable[[Any], object]) -> float:
-    """CPU seconds of all steps but the first of each episode."""
+def _time(environment: Supervisor, plan: list[_Episode], call: Callable[[Any], object], argument_of: Callable[[_Episode], Any]) -> float:
+    """CPU seconds of `call` in all steps but the first of each episode."""
     total = 0.0
     for episode in plan:
         environment.reset(seed=episode.seed)
-        environment.step(episode.actions[0])
-        rest = episode.actions[1:]
+        environment.step(episode.action)
+        argument = argument_of(episode)
         start = time.process_time()
-        for action in rest:
-            step(action)
+        for _ in repeat(None, episode.steps):
+            call(argument)
         total += time.process_time() - start
     return total
 

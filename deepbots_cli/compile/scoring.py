@@ -118,7 +118,8 @@ def solved(spec: Scenario, values: Values) -> ir.Solved | None:
     if spec.solved is None:
         return None
     rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
-    return ir.Solved(spec.solved.episodes, spec.solved.mean_return, rate)
+    mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
+    return ir.Solved(spec.solved.episodes, mean_return, rate)
 
 
 def training(spec: Scenario, values: Values, action: tuple[ir.Choices | ir.Interval, ...]) -> ir.Training | None:

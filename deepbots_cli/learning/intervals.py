@@ -18,7 +18,8 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> Pair:
     share, spread = successes / trials, z * z / trials
     centre = (share + spread / 2) / (1 + spread)
     half = math.sqrt(share * (1 - share) * spread + spread * spread / 4) / (1 + spread)
-    return max(0.0, centre - half), min(1.0, centre + half)
+    # The share itself bounds the rounding: 20 of 20 reach up to exactly 1.
+    return max(0.0, min(share, centre - half)), min(1.0, max(share, centre + half))
 
 
 def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Pair | None:

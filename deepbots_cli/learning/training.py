@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 
 import torch
+from stable_baselines3.common import logger
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.logger import configure
 
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, interface, weights
 from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
@@ -180,6 +180,8 @@ def default_build(engine: str) -> BuildWorld:
 
 
 def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
+    if logger.SummaryWriter is None:  # how Stable-Baselines3 says that there is no tensorboard
+        raise MissingExtraError("train", "training")
     if ir.training is None:
         raise UsageError(f"{ir.name} has no 'train' section, so there is nothing to train with")
     training = ir.training if total_timesteps is None else replace(ir.training, total_timesteps=total_timesteps)
@@ -257,7 +259,7 @@ def _model(run: Run, training: Training, copies: Copies, statistics: Statistics)
         weights.put(model, weights.read(run.checkpoint, model))
         model.num_timesteps = statistics.steps
         model.set_random_seed(derive(seed, "policy", "resumed", statistics.steps))
-    model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
+    model.set_logger(logger.configure(str(run.tensorboard), ["tensorboard"]))
     return model
 
 

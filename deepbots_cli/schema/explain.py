@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.schema.hyperparameters import ALGORITHMS, ELSEWHERE
-from deepbots_cli.schema.part import Part, Spec, fields, noun_of
+from deepbots_cli.schema.hyperparameters import ELSEWHERE
+from deepbots_cli.schema.part import Kinds, Part, Spec, fields, noun_of
 from deepbots_cli.schema.plain import nearest
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.training import Training
@@ -71,8 +71,11 @@ def help_for_unknown(data: object, parent: Path, key: str) -> str | None:
     if not parent and key in _RESERVED:
         return _RESERVED[key]
     known = keys_of(spec)
-    if issubclass(spec, Training) and (elsewhere := _help_for_hyperparameter(key)):
-        return f"{elsewhere}; {known}" if key not in ELSEWHERE else elsewhere
+    if issubclass(spec, Training) and key in ELSEWHERE:
+        return ELSEWHERE[key]
+    others = _kinds_with(spec_at(Scenario, data, parent, settled=False), key)
+    if others:
+        return f"it is a key of {_listed(others)}; here the keys are {_listed(fields(spec))}"
     near = nearest(key, tuple(fields(spec)))
     belongs = _home_near(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
@@ -80,11 +83,9 @@ def help_for_unknown(data: object, parent: Path, key: str) -> str | None:
     return f"did you mean `{near}`? {known}" if near else known
 
 
-def _help_for_hyperparameter(key: str) -> str | None:
-    if key in ELSEWHERE:
-        return ELSEWHERE[key]
-    others = [algorithm for algorithm, own in ALGORITHMS.items() if key in own]
-    return f"it is a hyperparameter of {', '.join(others)}" if others else None
+def _kinds_with(spec: Spec | None, key: str) -> list[str]:
+    """The kinds beside the one given that know the key."""
+    return [name for name in spec.names if key in fields(spec.model(name))] if isinstance(spec, Kinds) else []
 
 
 def _home_near(parent: Path, key: str) -> str | None:

@@ -44,8 +44,15 @@ def at(step: str | int, error: PydanticCustomError, value: object) -> Validation
 class Leaf:
     """The kind of a single value."""
 
-    noun = "a value"
-    example: str | None = None
+    @property
+    def noun(self) -> str:
+        """What a finding calls it, with its article."""
+        return "a value"
+
+    @property
+    def example(self) -> str | None:
+        """How one may be written."""
+        return None
 
     @property
     def plural(self) -> str:
@@ -144,7 +151,7 @@ class Quantity(Leaf):
     whole: bool = False
 
     @property
-    def noun(self) -> str:  # type: ignore[override]  # computed from the dimension
+    def noun(self) -> str:
         noun = "a whole number" if self.whole else MEASURES[self.dimension][0]
         return f"{noun} with {self.components} components" if self.components else noun
 
@@ -154,7 +161,7 @@ class Quantity(Leaf):
         return f"{noun} with {self.components} components" if self.components else noun
 
     @property
-    def example(self) -> str:  # type: ignore[override]  # computed from the dimension
+    def example(self) -> str:
         number, _, unit = MEASURES[self.dimension][1].partition(" ")
         return " ".join([number] * (self.components or 1) + [unit]).strip() if not self.whole else "3"
 
@@ -236,7 +243,7 @@ class Range(Leaf):
     noun = "a range"
 
     @property
-    def example(self) -> str:  # type: ignore[override]  # computed from the dimension
+    def example(self) -> str:
         unit = "" if self.dimension == "any" else MEASURES[self.dimension][1].partition(" ")[2]
         return f"-1 .. 1 {unit}".strip()
 
@@ -262,11 +269,11 @@ class Expression(Leaf):
     boolean: bool | None = None
 
     @property
-    def noun(self) -> str:  # type: ignore[override]  # computed from what it yields
+    def noun(self) -> str:
         return "a condition" if self.boolean else "an expression"
 
     @property
-    def example(self) -> str:  # type: ignore[override]  # computed from what it yields
+    def example(self) -> str:
         return "abs(x) > 0.4 m" if self.boolean else "2 * speed"
 
     def holds(self, value: object) -> bool:
@@ -304,7 +311,7 @@ class Reference(Leaf):
         return self.kind in _SEVERAL
 
     @property
-    def noun(self) -> str:  # type: ignore[override]  # computed from the kind
+    def noun(self) -> str:
         return f"a list of {self.kind[:-1]} names" if self.several else f"the name of {article(self.kind)}"
 
     @property
@@ -340,7 +347,7 @@ class Pattern(Leaf):
     kind: str
 
     @property
-    def noun(self) -> str:  # type: ignore[override]  # computed from the kind
+    def noun(self) -> str:
         return f"a name or a pattern of {self.kind}s"
 
     @property
@@ -355,5 +362,5 @@ class FilePath(Leaf):
     kind: str
 
     @property
-    def noun(self) -> str:  # type: ignore[override]  # computed from the kind
+    def noun(self) -> str:
         return f"the path of {article(self.kind)}"

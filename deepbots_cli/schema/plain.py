@@ -44,7 +44,7 @@ class Word(Leaf):
         return replace(self, words=get_args(annotation))
 
     @property
-    def noun(self) -> str:  # type: ignore[override]  # computed from the words
+    def noun(self) -> str:
         return f"one of {', '.join(f'`{word}`' for word in self.words)}"
 
     def examine(self, value: object) -> None:
@@ -68,7 +68,8 @@ class Count(Leaf):
         return isinstance(value, int) and not isinstance(value, bool)
 
     def examine(self, value: object) -> None:
-        examine_bounds(value, self.minimum, self.maximum)  # type: ignore[arg-type]  # `holds` has made sure of an int
+        if isinstance(value, int):
+            examine_bounds(value, self.minimum, self.maximum)
 
     def json_schema(self) -> JsonSchema:
         return {"type": "integer", "minimum": self.minimum, "maximum": self.maximum}

@@ -6,18 +6,19 @@ passes see all that is sound, and nothing is reported twice.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import ValidationError
 
-from deepbots_cli.diagnostics import Findings, Span
+from deepbots_cli.diagnostics import Finding, Findings, Span
 from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place
 from deepbots_cli.schema.part import Keys
 from deepbots_cli.schema.scenario import VERSION, Scenario
 from deepbots_cli.schema.walk import Path, parts, spec_at
-from deepbots_cli.source.nodes import Mapping, Node, Scalar, Sequence, descend, to_data, walk
+from deepbots_cli.source import nodes
+from deepbots_cli.source.nodes import Mapping, Node, Scalar, descend, to_data, walk
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
@@ -63,14 +64,14 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
             findings.add("DB107", span, f"`{name_of(path)}` has no value", help="give it one, or take the key out")
             _prune(data, path, pruned)
 
-    known = frozenset(pruned)
+    earlier = tuple(findings)
     troubles = list(_key_troubles(data))
     for round_number in range(_ROUNDS):
-        scenario, refused = _attempt(root, data, lenient=bool(pruned))
+        scenario, refused = _attempt(root, data, lenient=round_number > 0)
         troubles += refused
         if round_number == 0:
             for trouble in troubles:
-                if not (_is_follow_up(root, trouble, known, findings) or _is_misspelt(trouble, troubles)):
+                if not (_is_follow_up(root, trouble, earlier) or _is_misspelt(trouble, troubles)):
                     findings.add(trouble.code, _span(root, trouble), trouble.headline, help=trouble.help or about(data, trouble.path))
         for trouble in troubles:
             _prune(data, trouble.path, pruned, trouble.missing)
@@ -95,7 +96,6 @@ def _attempt(root: Mapping, data: Any, *, lenient: bool) -> tuple[Scenario | Non
     try:
         return Scenario.model_validate(data, context={"pruned": True} if lenient else None), []
     except ValidationError as error:
-        # Some lines may have lost their place in the data; they are still a reason to go on pruning.
         return None, [_trouble(root, data, line) for line in error.errors(include_url=False, include_input=False)]
 
 
@@ -157,7 +157,7 @@ def _steps(root: Mapping, loc: Path) -> tuple[Path, bool]:
         match node:
             case Mapping() if isinstance(step, str) and step in node.entries:
                 node = node.entries[step].value
-            case Sequence() if isinstance(step, int) and 0 <= step < len(node.items):
+            case nodes.Sequence() if isinstance(step, int) and 0 <= step < len(node.items):
                 node = node.items[step]
             case _:
                 if step == "[key]" and index == len(loc) - 1:
@@ -167,18 +167,21 @@ def _steps(root: Mapping, loc: Path) -> tuple[Path, bool]:
     return tuple(path), False
 
 
-def _is_follow_up(root: Mapping, trouble: _Trouble, pruned: frozenset[Path], findings: Findings) -> bool:
-    """Whether something is missing or empty only because a key had no value, which was said already, here or by the reader."""
+def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) -> bool:
+    """Whether something is missing or empty only because the value there was found faulty before, and left out."""
     if trouble.code not in ("DB102", "DB107"):
         return False
     span = descend(root, trouble.path)[0].span
-    emptied = {
-        found.span.text.strip("'\"")
-        for found in findings
-        if found.code == "DB107" and found.span.source is span.source and span.start <= found.span.start <= span.end
-    }
-    emptied |= {str(path[-1]) for path in pruned if path[:-1] == trouble.path}
-    return bool(emptied) if trouble.code == "DB107" else not emptied.isdisjoint(trouble.missing)
+    inside = [found.span for found in earlier if found.span.source is span.source and span.start <= found.span.start <= span.end]
+    if trouble.code == "DB107":
+        return bool(inside)
+    return any(_is_about(found, key) for found in inside for key in trouble.missing)
+
+
+def _is_about(span: Span, key: str) -> bool:
+    """Whether a finding at `span` marks this key, or its value."""
+    before = span.source.text[: span.start].rstrip()
+    return span.text.strip("'\"") == key or before.endswith((f"{key}:", f"{key}':", f'{key}":'))
 
 
 def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:

@@ -69,8 +69,11 @@ def parts(spec: Spec, data: object, path: Path = ()) -> Iterator[tuple[Path, typ
                     yield from parts(known, data[key], (*path, key))
 
 
-def spec_at(spec: Spec, data: object, path: Path) -> Spec | None:
-    """The spec of the value at `path` in raw data; None where data and language part."""
+def spec_at(spec: Spec, data: object, path: Path, *, settled: bool = True) -> Spec | None:
+    """The spec of the value at `path` in raw data; None where data and language part.
+
+    Unless `settled`, the last one still has its forms and kinds.
+    """
     for step in path:
         spec_here = settle(spec, data)
         match spec_here, data:
@@ -82,7 +85,7 @@ def spec_at(spec: Spec, data: object, path: Path) -> Spec | None:
                 spec, data = fields(spec_here)[step], data[step]
             case _:
                 return None
-    return settle(spec, data)
+    return settle(spec, data) if settled else spec
 
 
 def settle(spec: Spec, data: object) -> Spec | None:

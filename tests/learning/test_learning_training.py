@@ -6,7 +6,10 @@ import csv
 import io
 import json
 import os
+import shutil
 import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -15,7 +18,6 @@ import numpy as np
 import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.monitor import load_results
 
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.ir import Hyperparameter, Policy, Schedule, Solved, Training
@@ -72,6 +74,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 
 def test_the_log_of_episodes_is_in_order_of_completion_and_complete(trained: TrainingResult) -> None:
     log = rows(trained.run)
+    assert list(log[0])[:3] == ["r", "l", "t"]  # where Stable-Baselines3's tools look for them
     assert [int(row["episode"]) for row in log] == list(range(1, trained.episodes + 1))
     steps = [int(row["steps"]) for row in log]
     assert steps == sorted(steps)
@@ -79,11 +82,6 @@ def test_the_log_of_episodes_is_in_order_of_completion_and_complete(trained: Tra
     assert float(log[-1]["simulated_hours"]) == pytest.approx(steps[-1] * 0.032 / 3600, abs=1e-6)
     assert {row["ended_by"] for row in log} <= {"fallen", "off_track", "max_steps"}
     assert sum(int(row["l"]) for row in log) <= trained.steps
-
-
-def test_stable_baselines3_reads_the_log(trained: TrainingResult) -> None:
-    pytest.importorskip("pandas")
-    assert len(load_results(str(trained.run))) == trained.episodes
 
 
 def test_tensorboard_shows_returns_success_terms_and_simulated_time(trained: TrainingResult) -> None:
@@ -167,6 +165,15 @@ def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Pa
     result = short(tmp_path, total=50_000, progress=Telling(5, interrupt), build=stand_in.build)
     assert result.interrupted
     assert (result.run / "models" / "last.npz").exists()
+
+
+def test_a_killed_process_leaves_a_run_that_can_be_evaluated_and_resumed(tmp_path: Path) -> None:
+    left = tmp_path / "left"
+    runs = tmp_path / "runs"
+    short(runs, total=1_000, progress=Telling(3, lambda: shutil.copytree(next(runs.iterdir()), left)), build=stand_in.build)
+    assert json.loads((left / "run.json").read_text())["status"] == "running"
+    assert evaluate(left, episodes=1, build=stand_in.build).episodes == 1
+    assert resume(left, build=stand_in.build).steps >= 1_000
 
 
 def test_training_works_outside_the_main_thread(tmp_path: Path) -> None:
@@ -267,6 +274,37 @@ def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -
     lines = stream.getvalue().splitlines()
     assert 5 <= len(lines) <= 11
     assert all("steps/s" in line and "return" in line for line in lines)
+
+
+NEEDS_EXTRA = """
+import sys
+sys.modules[sys.argv[1]] = None
+import stand_in
+import deepbots_cli.learning
+try:
+    deepbots_cli.learning.train(stand_in.compiled(), build=stand_in.build)
+except deepbots_cli.learning.MissingExtraError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("module", ["torch", "stable_baselines3", "tensorboard"])
+def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path: Path) -> None:
+    said = python(NEEDS_EXTRA, module, folder=tmp_path)
+    assert said == "training needs the 'train' extra; install it with: pip install 'deepbots-cli[train]'\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_importing_the_package_brings_neither_torch_nor_numpy(tmp_path: Path) -> None:
+    code = "import sys, deepbots_cli.learning.report\nprint([name for name in ('torch', 'numpy', 'gymnasium') if name in sys.modules])"
+    assert python(code, folder=tmp_path) == "[]\n"
+
+
+def python(code: str, *arguments: str, folder: Path) -> str:
+    """What a fresh interpreter prints."""
+    places = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, cwd=folder, env=os.environ | places).stdout
 
 
 def test_results_are_json_and_text(trained: TrainingResult) -> None:

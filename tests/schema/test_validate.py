@@ -16,9 +16,9 @@ FAULTS = [
     ("name: C", "timestep: 1 s\nname: C", "DB101", "timestep", "unknown key `timestep` at the top level", "it belongs under `world`"),
     ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "later version"),
     ("PPO,", "PPO, gama: 0.9,", "DB101", "gama", "unknown key `gama` in `train`", "did you mean `gamma`?"),
-    ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "it is a hyperparameter of DQN, SAC"),
+    ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "it is a key of `DQN`, `SAC`"),
     ("PPO,", "PPO, seed: 1,", "DB101", "seed", "unknown key `seed` in `train`", "--seed 1"),
-    ("joint: pole_hinge", "joint: p, rays: 3", "DB101", "rays", "unknown key `rays` in `pole_angle`", "its keys are"),
+    ("joint: pole_hinge", "joint: p, rays: 3", "DB101", "rays", "unknown key `rays` in `pole_angle`", "it is a key of `infrared`, `sonar`"),
     ("joint: pole_hinge", "joint: p, joints: q", "DB101", "joints", "`joints` cannot stand beside `joint`", "keep one"),
     ("x:               -0.4 .. 0.4 m", "x: {range: 0 .. 1 m, histori: 2}", "DB101", "histori", "unknown key `histori` in `x`", "`history`"),
     # missing keys
@@ -149,6 +149,11 @@ def test_a_key_without_a_value_is_not_also_missing(check: Check, cartpole: str) 
     for old, new in (("timestep: 32 ms", "timestep:"), ("  alive: 1", "  alive:"), ("type: joint_position", "type: ")):
         _, findings = check(cartpole.replace(old, new))
         assert [finding.code for finding in findings] == ["DB107"], new
+
+
+def test_a_value_that_the_reader_refused_is_not_also_missing(check: Check, cartpole: str) -> None:
+    _, findings = check(cartpole.replace("timestep: 32 ms", "timestep: 1e999"))
+    assert [finding.code for finding in findings] == ["DB105"]
 
 
 def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str) -> None:

@@ -87,7 +87,7 @@ def _show(findings: list[Finding], names: list[str], format: Format) -> None:
         print(text, end="")
     elif findings:
         print(text)
-        terminal.say(summary(findings))
+        print(summary(findings))
     else:
         terminal.say(f"{names[0] if len(names) == 1 else f'{len(names)} scenarios'}: no findings")
 

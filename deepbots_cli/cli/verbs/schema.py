@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli.schema.export import to_text
+
 
 def command(
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced.")] = None,
@@ -20,9 +22,7 @@ def command(
 
     and, as the first line of a scenario: # yaml-language-server: $schema=scenario.schema.json
     """
-    from deepbots_cli.schema.export import export
-
-    text = export()
+    text = to_text()
     if output is None:
         print(text, end="")
     else:
