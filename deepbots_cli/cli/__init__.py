@@ -27,6 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     3 a fault of deepbots; 130 interrupted.
     """
     from deepbots_cli.cli.exits import guarded
-    from deepbots_cli.cli.group import run
 
-    return guarded(lambda: run(arguments))
+    def run() -> None:
+        from deepbots_cli.cli import group
+
+        group.run(arguments)
+
+    return guarded(run)

@@ -19,7 +19,7 @@ def timing(scenario: CompiledScenario) -> list[Row]:
     late = 1 if scenario.timing == "paper" else 0
     acts = substeps * late + 1
     rows: list[Row] = [
-        {"what": "action", "name": part.name, "moment": "acts from", "physics_step": f"{substeps}n + {acts}", "age": late * timestep}
+        {"what": "action", "name": part.name, "moment": "acts from", "physics_step": f"{substeps}n + {acts}", "age_s": late * timestep}
         for part in scenario.action
     ]
     fields = {f"{robot.name}.{entry.name}" for robot in scenario.robots for entry in robot.emit}
@@ -34,7 +34,7 @@ def timing(scenario: CompiledScenario) -> list[Row]:
                 "name": full_name(observed.name, observed.component),
                 "moment": "measured after",
                 "physics_step": f"{substeps}n + {after}" if after else f"{substeps}n",
-                "age": ticks * timestep,
+                "age_s": ticks * timestep,
                 "by": ", ".join(sorted({name.split(".")[0] for name in sent})) or "supervisor",
             }
         )

@@ -55,16 +55,16 @@ def _scenario(scenario: CompiledScenario, digest: str) -> Row:
         "name": scenario.name,
         "summary": scenario.summary,
         "digest": digest,
-        "timestep": world.timestep,
+        "timestep_s": world.timestep,
         "substeps": world.substeps,
-        "physics_step": world.timestep / world.substeps,
+        "physics_step_s": world.timestep / world.substeps,
         "gravity": list(world.gravity),
         "messages": scenario.format,
         "message_timing": scenario.timing,
         "observation_space": f"Box({len(scenario.observation)})",
         "action_space": _space(scenario),
         "max_steps": scenario.truncation.max_steps,
-        "max_time": scenario.truncation.max_time,
+        "max_time_s": scenario.truncation.max_time,
         "solved": _solved(scenario),
     }
 
@@ -137,7 +137,8 @@ def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:
     drawn = {entry.name for entry in scenario.parameters}
     names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
     return [
-        {"parameter": name, "is": wording(root, "parameters", name), "set": "in every episode" if name in drawn else "once"} for name in names
+        {"parameter": name, "is": wording(root, "parameters", name), "set": "in every episode" if name in drawn else "once"}
+        for name in names
     ]
 
 

@@ -55,7 +55,9 @@ def _told(run: Callable[[], object]) -> int:
 def _fault(error: Exception) -> int:
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
-    with tempfile.NamedTemporaryFile("w", encoding="utf-8", errors="backslashreplace", prefix="deepbots-", suffix=".txt", delete=False) as file:
+    with tempfile.NamedTemporaryFile(
+        "w", encoding="utf-8", errors="backslashreplace", prefix="deepbots-", suffix=".txt", delete=False
+    ) as file:
         file.write("".join(traceback.format_exception(error)))
     terminal.complain(
         f"deepbots has failed, which is a fault of its own and not yours\n"

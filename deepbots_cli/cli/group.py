@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 import deepbots_cli
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.verbs import VERBS
 
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -38,13 +39,20 @@ class Verbs(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            typer.echo("interrupted", err=True)
+            terminal.note("interrupted")
             raise typer.Exit(130) from None
 
 
 def run(arguments: Sequence[str] | None) -> None:
     """Parse and run; ends with SystemExit, or with the exception of the verb."""
-    app = typer.Typer(cls=Verbs, add_completion=False, rich_markup_mode=None, no_args_is_help=True, subcommand_metavar="VERB ...", context_settings=_SETTINGS)
+    app = typer.Typer(
+        cls=Verbs,
+        add_completion=False,
+        rich_markup_mode=None,
+        no_args_is_help=True,
+        subcommand_metavar="VERB ...",
+        context_settings=_SETTINGS,
+    )
     app.callback()(_deepbots)
     typer.main.get_command(app).main(args=None if arguments is None else list(arguments), prog_name="deepbots")
 

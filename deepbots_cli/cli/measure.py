@@ -71,9 +71,7 @@ def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: 
         measured = [_pair(whole, bare, swapped=bool(number % 2)) for number in range(pairs)]
     ratios = [step / base for step, base in measured]
     step_us, bare_us = (1e6 / timed * median(side) for side in zip(*measured, strict=True))
-    return Comparison(
-        ir.name, engine, ir.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
-    )
+    return Comparison(ir.name, engine, ir.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us)
 
 
 def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Episode]:

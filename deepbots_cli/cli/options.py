@@ -8,23 +8,25 @@ from typing import Annotated
 import typer
 
 
-def _known_engine(name: str) -> str:
+def known_engine(name: str | None) -> str | None:
+    """A callback: refuses an engine that does not exist."""
     from deepbots_cli import engines
 
-    if name not in engines.names():
+    if name is not None and name not in engines.names():
         raise typer.BadParameter(f"there is no engine '{name}'; there are {', '.join(engines.names())}")
     return name
 
 
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A file, or the name of a scenario that comes with deepbots.")]
 Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value, such as pole_length=0.3m; may be repeated.")
+    list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value, such as fall_angle=10deg; may be repeated.")
 ]
 AllowPaths = Annotated[
-    list[Path] | None, typer.Option("--allow-path", metavar="DIR", help="A folder outside the project that may be read from; may be repeated.")
+    list[Path] | None,
+    typer.Option("--allow-path", metavar="DIR", help="A folder outside the project that may be read from; may be repeated."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, max=2**63 - 1, help="The root of every random number.")]
 Engine = Annotated[
-    str, typer.Option("--engine", metavar="NAME", callback=_known_engine, help="The physics: pybullet, or exact where equations are known.")
+    str, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet, or exact where equations are known.")
 ]

@@ -87,5 +87,7 @@ def _value(part: Choices | Interval, word: str) -> float:
     except ValueError:
         value = float("nan")
     if not -1 <= value <= 1:
-        raise UsageError(f"'{word}' is no value of '{part.name}'; the agent acts from -1 to 1, which mean {part.low:g} and {part.high:g} {part.unit}")
+        raise UsageError(
+            f"'{word}' is no value of '{part.name}'; the agent acts from -1 to 1, which mean {part.low:g} and {part.high:g} {part.unit}"
+        )
     return value

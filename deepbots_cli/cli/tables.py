@@ -9,6 +9,8 @@ from deepbots_cli.cli.terminal import printable
 
 Row = Mapping[str, object]
 
+_NUMBERS = (int, float, type(None))
+
 
 def table(rows: Sequence[Row], indent: str = "  ") -> str:
     """Rows under the names of their keys; columns of numbers are aligned to the right.
@@ -17,16 +19,15 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
     """
     names = [name for name in rows[0] if any(row.get(name) not in (None, "") for row in rows)] if rows else []
     cells = [[cell(row.get(name)) for name in names] for row in rows]
-    right = [all(isinstance(row.get(name), int | float | None) for row in rows) for name in names]
-    heads = [name.replace("_", " ") for name in names]
-    widths = [max(map(columns, column)) for column in zip(heads, *cells, strict=True)]
-    lines = [_line(line, widths, right) for line in (heads, ["-" * width for width in widths], *cells)]
+    right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
+    widths = [max(map(columns, column)) for column in zip(names, *cells, strict=True)]
+    lines = [_line(line, widths, right) for line in (names, ["-" * width for width in widths], *cells)]
     return "\n".join(f"{indent}{line}".rstrip() for line in lines)
 
 
 def pairs(row: Row, indent: str = "  ") -> str:
     """One row as lines of name and value; empty values are left out."""
-    shown = {name.replace("_", " "): cell(value) for name, value in row.items() if value not in (None, "", ())}
+    shown = {name: cell(value) for name, value in row.items() if value not in (None, "", ())}
     width = max(map(columns, shown), default=0)
     return "\n".join(f"{indent}{name}{' ' * (width - columns(name))}  {value}" for name, value in shown.items())
 

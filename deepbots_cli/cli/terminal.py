@@ -41,7 +41,7 @@ def complain(text: str) -> None:
 
 def show_findings(findings: Sequence[Finding]) -> None:
     """Findings in full on stderr, with their number."""
-    print(render(findings, "full", colourful(sys.stderr), width()), file=sys.stderr)
+    print(render(findings, "full", colourful(sys.stderr), width()), end="", file=sys.stderr)
     note(summary(findings))
 
 

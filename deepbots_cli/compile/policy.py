@@ -13,7 +13,7 @@ from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.expect import expect_range
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Typed, TypedRange
+from deepbots_cli.lang.typed import Typed, TypedRange, zero
 from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import ContinuousAction, DiscreteAction, Observed
@@ -90,7 +90,7 @@ class Actions:
             if group is None:
                 return Symbol(name, None)
             components = group
-        dimension = bounds.low.type.dimension if not bounds.low.zero else bounds.high.type.dimension
+        dimension = (bounds.high if zero(bounds.low) else bounds.low).type.dimension
         self._parts[name] = ir.Interval(name, components, low[0], high[0], str(dimension))
         return Symbol(name, Type(dimension, components or None, interval=Interval(low[0], high[0]), stage=Stage.STEP))
 

@@ -19,12 +19,17 @@ def atomic(path: Path) -> Iterator[IO[bytes]]:
     """Write `path` through a neighbour that takes its place at the end; readers never see half a file.
 
     There is no fsync: what matters here is a killed process, not a power cut.
+
+    Raises:
+        RunError: The disk refuses it.
     """
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with draft.open("wb") as stream:
             yield stream
         draft.replace(path)
+    except OSError as error:
+        raise RunError(f"{path} cannot be written: {error.strerror}") from error
     finally:
         draft.unlink(missing_ok=True)
 

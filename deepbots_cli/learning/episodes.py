@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.ir import Solved
 from deepbots_cli.learning.atomic import Entries
 
@@ -176,7 +176,10 @@ class EpisodeFile:
     def __init__(self, path: Path, scenario: str) -> None:
         fresh = not path.exists()
         # One line per write: a killed process loses none.
-        self._stream = path.open("a", encoding="utf-8", newline="", buffering=1)
+        try:
+            self._stream = path.open("a", encoding="utf-8", newline="", buffering=1)
+        except OSError as error:
+            raise RunError(f"{path} cannot be written: {error.strerror}") from error
         self._writer = csv.writer(self._stream, lineterminator="\n")
         self._started = time.time()
         if fresh:

@@ -29,7 +29,8 @@ class EvaluationResult:
     """What a policy did in `episodes` held-out episodes; intervals are of 95 %.
 
     `deviation` is the sample's; it and `return_interval` are None for a single episode. `solved` is None where the scenario
-    says nothing, or asks for more episodes than there were; `verdict` puts it in words.
+    says nothing, or asks for more episodes than there were; `verdict` puts it in words. Where the scenario has no ending in
+    success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
@@ -43,6 +44,7 @@ class EvaluationResult:
     return_interval: Pair | None
     least_return: float
     greatest_return: float
+    success_defined: bool
     successes: int
     success_rate: float
     success_interval: Pair
@@ -156,6 +158,7 @@ def _summary(
         return_interval=mean_interval(returns),
         least_return=min(returns),
         greatest_return=max(returns),
+        success_defined=any(ending.outcome == "success" for ending in ir.endings),
         successes=successes,
         success_rate=rate,
         success_interval=wilson(successes, len(done)),

@@ -46,7 +46,6 @@ def evaluation_text(result: EvaluationResult) -> str:
         ("mean return", f"{result.mean_return:.2f}{_deviation(result)}"),
         ("least, greatest", f"{result.least_return:.2f}, {result.greatest_return:.2f}"),
         ("mean length", f"{result.mean_length:.1f} steps"),
-        ("success rate", f"{result.success_rate:.1%} (95 %: {result.success_interval[0]:.1%} .. {result.success_interval[1]:.1%})"),
         ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
     ]
     rows += (

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
-from stable_baselines3.common import logger
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import configure
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import CompiledScenario, Training
@@ -180,7 +181,7 @@ def default_build(engine: str) -> BuildWorld:
 
 
 def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
-    if logger.SummaryWriter is None:  # how Stable-Baselines3 says that there is no tensorboard
+    if find_spec("tensorboard") is None:  # Stable-Baselines3 would only notice with the run half made
         raise MissingExtraError("train", "training")
     if ir.training is None:
         raise UsageError(f"{ir.name} has no 'train' section, so there is nothing to train with")
@@ -259,7 +260,7 @@ def _model(run: Run, training: Training, copies: Copies, statistics: Statistics)
         weights.put(model, weights.read(run.checkpoint, model))
         model.num_timesteps = statistics.steps
         model.set_random_seed(derive(seed, "policy", "resumed", statistics.steps))
-    model.set_logger(logger.configure(str(run.tensorboard), ["tensorboard"]))
+    model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
     return model
 
 

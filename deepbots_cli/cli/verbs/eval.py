@@ -16,14 +16,21 @@ from deepbots_cli.learning import report
 
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, as `deepbots train` makes them.")],
-    episodes: Annotated[int | None, typer.Option("--episodes", metavar="N", min=1, help="How many; the scenario's figure by default.")] = None,
-    seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="The root of the starts; the training's by default.")] = None,
+    episodes: Annotated[
+        int | None, typer.Option("--episodes", metavar="N", min=1, help="How many; the scenario's figure by default.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", metavar="N", min=0, help="The root of the starts; the training's by default.")
+    ] = None,
     last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best.")] = False,
     video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Film the first episode.")] = None,
-    scenario: Annotated[str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario instead of the run's.")] = None,
+    scenario: Annotated[
+        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario instead of the run's.")
+    ] = None,
     require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
-        float | None, typer.Option("--min-success", metavar="SHARE", min=0, max=1, help="Exit with 1 if fewer episodes succeed; from 0 to 1.")
+        float | None,
+        typer.Option("--min-success", metavar="SHARE", min=0, max=1, help="Exit with 1 if fewer episodes succeed; from 0 to 1."),
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -39,9 +46,7 @@ def command(
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """
     compiled = None if scenario is None else api.compile(scenario, allow_paths=allow_paths or ())
-    result = learning.evaluate(
-        run, episodes=episodes, seed=seed, model="last" if last else "best", scenario=compiled, video_to=video
-    )
+    result = learning.evaluate(run, episodes=episodes, seed=seed, model="last" if last else "best", scenario=compiled, video_to=video)
     if as_json:
         terminal.show_json(report.to_json(result))
     else:

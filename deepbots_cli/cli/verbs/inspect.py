@@ -13,12 +13,20 @@ from deepbots_cli.cli import anatomy, terminal
 from deepbots_cli.cli import picture as drawing
 from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.tables import pairs, table
+from deepbots_cli.errors import ScenarioError
+
+_CAPTIONS = {
+    "observation": "low .. high becomes what the policy sees; values beyond are clipped",
+    "timing": "in step n of the agent; n counts from 0, physics steps from 1",
+}
 
 
 def command(
     scenario: Scenario,
     sets: Sets = None,
-    picture: Annotated[Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode.")
+    ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
@@ -34,8 +42,11 @@ def command(
     if picture is not None:
         drawing.check(picture)
     checked = api.load(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    root = checked.document.root
+    if root is None:
+        raise ScenarioError(list(checked.findings))
     compiled = api.compile(checked)
-    tables = anatomy.sections(compiled.ir, compiled.digest, checked.document.root)
+    tables = anatomy.sections(compiled.ir, compiled.digest, root)
     terminal.mention(compiled.findings, scenario)
     if picture is not None:
         with closing(api.make(compiled, render_mode="rgb_array")) as environment:
@@ -51,5 +62,5 @@ def command(
 
 def _show(tables: anatomy.Sections) -> None:
     for name, rows in tables.items():
-        terminal.say(name.replace("_", " "))
+        terminal.say(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
         terminal.say((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")

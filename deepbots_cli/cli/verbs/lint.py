@@ -51,7 +51,7 @@ def command(
     \b
       deepbots lint cartpole.yaml
       deepbots lint scenarios/ --fail-on warning
-      deepbots lint cartpole.yaml --set timestep=50ms --format concise
+      deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
 
     A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB604]
     """
@@ -86,7 +86,7 @@ def _show(findings: list[Finding], names: list[str], format: Format) -> None:
     if format is not Format.full:
         print(text, end="")
     elif findings:
-        print(text)
+        print(text, end="")
         print(summary(findings))
     else:
         terminal.say(f"{names[0] if len(names) == 1 else f'{len(names)} scenarios'}: no findings")

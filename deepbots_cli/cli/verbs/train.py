@@ -11,7 +11,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.options import AllowPaths, Engine, Json, Sets
+from deepbots_cli.cli.options import AllowPaths, Json, Sets, known_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 
@@ -27,7 +27,9 @@ def command(
     run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="The run directory to make; by default one in ./runs.")] = None,
     resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
     full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
-    engine: Engine = "pybullet",
+    engine: Annotated[
+        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet by default, or exact.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -39,7 +41,7 @@ def command(
 
     \b
       deepbots train cartpole
-      deepbots train cartpole.yaml --seed 1 --set pole_length=0.3m
+      deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
       deepbots train cartpole --timesteps 200000 --full --run runs/long
       deepbots train --resume runs/cartpole-0-1
 
@@ -48,8 +50,8 @@ def command(
     """
     told = not quiet
     if resume is not None:
-        if scenario is not None or sets or seed is not None or run is not None or allow_paths:
-            raise UsageError("a resumed run keeps its scenario and its seed; beside --resume go only --timesteps, --full, --quiet and --json")
+        if scenario is not None or sets or seed is not None or run is not None or engine is not None or allow_paths:
+            raise UsageError("a resumed run keeps what it was made with; beside --resume go only --timesteps, --full, --quiet and --json")
         result = learning.resume(resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told)
     elif scenario is None:
         raise UsageError("there is nothing to train; name a scenario, such as: deepbots train cartpole")
@@ -64,7 +66,7 @@ def command(
             stop_when_solved=not full,
             progress=told,
             command=["deepbots", *sys.argv[1:]],
-            engine=engine,
+            engine=engine or "pybullet",
         )
     _finish(result, quiet=quiet, as_json=as_json)
 
