@@ -53,7 +53,7 @@ def from_json(text: str) -> ir.CompiledScenario:
                 f"compiled scenario has format {version!r}, this deepbots reads {ir.IR_VERSION}; compile the scenario again"
             )
         result = _build(data, ir.CompiledScenario, "scenario")
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError: no JSON, or a number of thousands of digits
         raise CanonicalError(f"not a compiled scenario: {error}") from None
     assert isinstance(result, ir.CompiledScenario)  # _build returns what its second argument says
     return result

@@ -10,6 +10,7 @@ from deepbots_cli.cli.terminal import printable
 Row = Mapping[str, object]
 
 _NUMBERS = (int, float, type(None))
+_NOTHING = (None, "", [], ())
 
 
 def table(rows: Sequence[Row], indent: str = "  ") -> str:
@@ -17,7 +18,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
 
     The keys of the first row are the columns. A column that is empty in every row is left out.
     """
-    names = [name for name in rows[0] if any(row.get(name) not in (None, "") for row in rows)] if rows else []
+    names = [name for name in rows[0] if any(row.get(name) not in _NOTHING for row in rows)] if rows else []
     cells = [[cell(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
     widths = [max(map(columns, column)) for column in zip(names, *cells, strict=True)]
@@ -27,7 +28,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
 
 def pairs(row: Row, indent: str = "  ") -> str:
     """One row as lines of name and value; empty values are left out."""
-    shown = {name: cell(value) for name, value in row.items() if value not in (None, "", ())}
+    shown = {name: cell(value) for name, value in row.items() if value not in _NOTHING}
     width = max(map(columns, shown), default=0)
     return "\n".join(f"{indent}{name}{' ' * (width - columns(name))}  {value}" for name, value in shown.items())
 

@@ -6,9 +6,9 @@
 
 namespace.py    one flat namespace, each name typed when first asked for
 scopes.py       what an expression may see from its place
-values.py       texts to typed trees, findings at their places
+values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
 world.py        timestep, ground, arena, objects
-robots.py       robot files, overrides, groups
+robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
 policy.py       action and observation
 scoring.py      signals, reward, endings, training
@@ -19,9 +19,11 @@ support.py      what the language has and this version does not run yet
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 from deepbots_cli.compile.controllers import Controller
+from deepbots_cli.compile.lost import lost_names
 from deepbots_cli.compile.namespace import Namespace, Origin
 from deepbots_cli.compile.policy import Actions, Observations
 from deepbots_cli.compile.resets import joint_starts, placements
@@ -33,13 +35,15 @@ from deepbots_cli.compile.values import Values
 from deepbots_cli.compile.world import WorldBuilder
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.ir import Evaluation
+from deepbots_cli.lang import agree
 from deepbots_cli.lang.dimensions import TIME
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.types import Context, Stage, Symbol, Type
+from deepbots_cli.lang.types import Context, Stage, Symbol
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.validate import validate
+from deepbots_cli.schema.walk import visit
 from deepbots_cli.source import Document
 from deepbots_cli.source.nodes import Mapping as Tree
+from deepbots_cli.source.nodes import descend
 from deepbots_cli.task import Task, Valued
 
 __all__ = ["Checked", "check"]
@@ -80,7 +84,19 @@ def check(document: Document) -> Checked:
     pass_ = _Pass(document, document.root, spec, findings)
     task = pass_.run()
     robots = {name: robot for name, robot in pass_.namespace.robots.items() if robot is not None}
-    return Checked(document, findings, spec, None if findings.errors else task, robots, pass_.namespace)
+    return Checked(document, _joined(findings), spec, None if findings.errors else task, robots, pass_.namespace)
+
+
+def _joined(findings: Findings) -> Findings:
+    """A warning about a value that is in error anyway becomes a note of the error."""
+    wrong = {finding.span for finding in findings.errors}
+    odd = {finding.span: finding for finding in findings if finding.severity == "warning" and finding.span in wrong}
+    joined = Findings()
+    for finding in findings:
+        if finding.severity == "warning" and finding.span in wrong:
+            continue
+        joined.append(replace(finding, notes=(*finding.notes, odd[finding.span].headline)) if finding.span in odd else finding)
+    return joined
 
 
 class _Pass:
@@ -89,7 +105,8 @@ class _Pass:
     def __init__(self, document: Document, root: Tree, spec: Scenario, findings: Findings) -> None:
         self.document = document
         self.spec = spec
-        self.values = Values(root, findings)
+        kinds = {path: kind for path, kind, _ in visit(spec)}
+        self.values = Values(root, findings, kinds, lost_names(root, spec.pruned, (found.span for found in findings.errors)))
         self.namespace = Namespace(self.values)
         self.parameters: dict[str, Valued] = {}
 
@@ -105,8 +122,7 @@ class _Pass:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         scope = ParameterScope(namespace, Context.FIELD)
         for name, robot in spec.robots.items():
-            namespace.robots[name] = load_robot(name, robot, self.document, self.values, scope)
-        self._define_pruned()
+            namespace.robots[name] = load_robot(name, robot, self.document, self.values, scope) if self._is_whole(name) else None
         actions = Actions(spec, namespace)
         scenes = [scene for scene in namespace.robots.values() if scene is not None]
         controllers = [Controller(scene, namespace) for scene in scenes]
@@ -138,7 +154,7 @@ class _Pass:
             truncation(spec, namespace),
             placements(spec, namespace),
             joint_starts(spec, namespace),
-            self._settle(),
+            self._settle(world.timestep),
             solved(spec, values),
             training(spec, values, action),
             Evaluation(spec.evaluation.episodes),
@@ -147,7 +163,7 @@ class _Pass:
 
     def _define_parameters(self) -> None:
         for name, given in self.spec.parameters.items():
-            self.namespace.define(name, Origin.PARAMETER, ("parameters", name), lambda name=name, given=given: self._parameter(name, given))  # type: ignore[misc]  # defaults bind the loop's values
+            self.namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name, given))
 
     def _parameter(self, name: str, given: object) -> Symbol:
         text = self.values.text(("parameters", name), given)
@@ -162,25 +178,26 @@ class _Pass:
                 "a draw that is repeated within an episode is not supported yet",
                 help="leave out `every`: it is then drawn once per episode",
             )
+        agree.warn_of_degrees(typed, self.values.report(text))
+        fixed = self.values.fixed(typed, text, f"`{name}`") if typed.type.stage is Stage.FIXED else None
+        if typed.type.stage is Stage.FIXED and fixed is None:
+            return Symbol(name, None)
         self.parameters[name] = Valued(name, text.span, text.text, typed, f"parameters.{name}")
-        known = typed.type
-        return Symbol(name, Type(known.dimension, known.components, known.boolean, known.interval, known.stage), constant(typed))
+        return Symbol(name, typed.type, fixed)
 
     def _is_drawn(self, name: str) -> bool:
         return self.parameters[name].typed.type.stage is not Stage.FIXED
 
-    def _define_pruned(self) -> None:
-        """Names whose definition had findings are known all the same, so that using them is no further fault."""
-        for path in self.spec.pruned:
-            name = path[-1] if path[0] == "termination" else path[1] if len(path) > 1 else None
-            if (
-                isinstance(name, str)
-                and path[0] in ("parameters", "augment", "signals", "action", "termination")
-                and name not in self.namespace.definitions
-            ):
-                self.namespace.define(name, Origin.SIGNAL, path, lambda name=name: Symbol(name, None))  # type: ignore[misc]  # bound here
-            if isinstance(name, str) and path[0] == "robots" and (len(path) == 2 or path[2] in ("urdf", "sensors", "emit", "groups")):
-                self.namespace.robots[name] = None
+    def _is_whole(self, robot: str) -> bool:
+        """Whether no finding took away what the rest of the scenario may name: the robot's file, or keys of a file it includes."""
+        node = descend(self.values.root, ("robots", robot))[0]
+        return not (isinstance(node, Tree) and node.partial)
 
-    def _settle(self) -> float:
-        return self.values.number(("reset", "settle"), self.spec.reset.settle, TIME, ParameterScope(self.namespace, Context.FIXED)) or 0.0
+    def _settle(self, tick: float) -> float:
+        """Seconds, in whole ticks."""
+        path, scope = ("reset", "settle"), ParameterScope(self.namespace, Context.FIXED)
+        settle = self.values.number(path, self.spec.reset.settle, TIME, scope) or 0.0
+        if abs(settle - round(settle / tick) * tick) > 1e-9 * settle:
+            headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
+            self.values.findings.add("DB308", self.values.span(path), headline, help="the world moves on in whole timesteps")
+        return settle

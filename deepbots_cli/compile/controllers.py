@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli import ir
+from deepbots_cli.compile.joints import effort_of, hull, joint_dimension
+from deepbots_cli.compile.matching import expand, joint_missing, unmatched
 from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.robots import RobotScene, empty_match, expand, joint_dimension, joint_interval
+from deepbots_cli.compile.robots import RobotScene
 from deepbots_cli.compile.scopes import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.compile.sensors import SENSOR_KINDS
 from deepbots_cli.compile.values import Values
-from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, SPEED, TIME, TORQUE, Dimension
+from deepbots_cli.lang.dimensions import ANGLE, LENGTH, SPEED, TIME, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type
 from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
+from deepbots_cli.schema.plain import nearest
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Command, TaskRobot, Valued
 from deepbots_cli.urdf.model import Joint
@@ -54,7 +56,7 @@ class Controller:
             else:
                 link = str(getattr(spec, "link", ""))
                 if link not in self.scene.link_names:
-                    empty_match(self.values.findings, self.values, (*place, "link"), link, "link", self.scene.link_names)
+                    self.values.unknown(self.values.span((*place, "link")), "link", link, self.scene.link_names)
                     continue
                 dimension = LENGTH if spec.type == "position" else SPEED
                 self.sensors[name] = ir.Sensor(name, spec.type, (link,), SPACE, str(dimension))
@@ -76,7 +78,7 @@ class Controller:
                 place = (*self.path, "poses", name, pattern)
                 joints, missing = expand(names, pattern, self.scene.groups)
                 if missing:
-                    empty_match(self.values.findings, self.values, place, pattern, "joint", names)
+                    unmatched(self.values, self.values.key_span(place), pattern, "joint", names)
                     continue
                 dimension = joint_dimension(self.scene.model.joint(joints[0]))
                 position = self.values.number(place, given, dimension, ParameterScope(self.namespace, Context.FIXED))
@@ -95,7 +97,8 @@ class Controller:
         names, missing = expand(moving, patterns, self.scene.groups)
         for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
             if pattern in missing:
-                self._joint_missing((*place, key) if isinstance(patterns, str) else (*place, key, index), pattern, moving)
+                span = self.values.span((*place, key) if isinstance(patterns, str) else (*place, key, index))
+                joint_missing(self.values, span, pattern, self.scene.model)
         if missing:
             return ()
         joints = tuple(self.scene.model.joint(name) for name in names)
@@ -105,15 +108,6 @@ class Controller:
             )
             return ()
         return joints
-
-    def _joint_missing(self, place: Path, pattern: str, moving: list[str]) -> None:
-        if pattern in self.scene.joint_names:
-            headline = f"the joint `{pattern}` cannot move: it is {self.scene.model.joint(pattern).type}"
-            self.values.findings.add(
-                "DB303", self.values.span(place), headline, help=f"joints that move are: {', '.join(moving) or 'none'}"
-            )
-        else:
-            empty_match(self.values.findings, self.values, place, pattern, "joint", moving)
 
     # What it sends
 
@@ -132,10 +126,10 @@ class Controller:
         emit = self.scene.spec.emit
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
-            close = ", ".join(self.own) or "none"
-            self.values.findings.add(
-                "DB201", text.span, f"there is no sensor `{name}`", help=f"sensors of `{self.scene.name}` are: {close}"
-            )
+            sensors = list(self.scene.spec.sensors)
+            self.values.unknown(text.span, "sensor", name, sensors)
+            if meant := nearest(name, sensors):
+                self.values.lose(f"{self.scene.name}.{meant}")
             return Symbol(full, None)
         typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
         if typed is None:
@@ -174,10 +168,7 @@ class Controller:
         for name, given in self.scene.spec.apply.items():
             place = (*self.path, "apply", name)
             if name not in self.scene.spec.actuators:
-                names = list(self.scene.spec.actuators)
-                self.values.findings.add(
-                    "DB201", self.values.key_span(place), f"there is no actuator `{name}`", help=f"there are: {', '.join(names) or 'none'}"
-                )
+                self.values.unknown(self.values.key_span(place), "actuator", name, list(self.scene.spec.actuators))
                 continue
             command = self._command(name, given, place, actuators.get(name), scope)
             if command:
@@ -210,7 +201,7 @@ class Controller:
         joints = self.joints_of(spec, place)
         if not joints:
             return None
-        effort = TORQUE if joint_dimension(joints[0]) == ANGLE else FORCE
+        effort = effort_of(joints[0])
         max_torque = self._limit((*place, "max_torque"), spec.max_torque, effort, [joint.limit.effort for joint in joints])
         rate = joint_dimension(joints[0]) / TIME
         given_velocity = spec.max_velocity if isinstance(spec, (VelocityMotor, PositionMotor)) else None
@@ -238,34 +229,19 @@ class Controller:
         return (figure,) * len(from_urdf)
 
     def _figure(self, place: Path, given: object, dimension: Dimension) -> float | None:
-        """A fixed figure, or None where none is given or after a finding."""
-        if given is None:
-            return None
-        text = self.values.text(place, given)
-        typed = self.values.quantity(text, f"`{place[-1]}`", ParameterScope(self.namespace, Context.FIELD), dimension, None, Stage.EPISODE)
-        fixed = constant(typed) if typed else None
-        if typed is not None and fixed is None:
-            self.values.findings.add(
-                "DB108", text.span, "a figure of an actuator that is drawn anew is not supported yet", help="give a fixed figure"
-            )
-        return float(fixed[0]) if fixed else None
+        return self.values.figure(place, given, dimension, ParameterScope(self.namespace, Context.FIELD))
 
 
 def _fact_dimension(kind: str, joint: Joint) -> Dimension:
     position = joint_dimension(joint)
-    if kind == "joint_torque":
-        return TORQUE if position == ANGLE else FORCE
-    return position if kind == "joint_position" else position / TIME
+    return {"joint_position": position, "joint_velocity": position / TIME, "joint_torque": effort_of(joint)}[kind]
 
 
 def _target_dimension(kind: str, joint: Joint) -> Dimension:
     position = joint_dimension(joint)
-    return {"velocity_motor": position / TIME, "position_motor": position, "torque_motor": TORQUE if position == ANGLE else FORCE}[kind]
+    return {"velocity_motor": position / TIME, "position_motor": position, "torque_motor": effort_of(joint)}[kind]
 
 
 def _interval(kind: str, joints: tuple[Joint, ...]) -> Interval:
     """What the limits of the joints leave for a sensor's readings."""
-    if kind == "joint_position":
-        each = [joint_interval(joint) for joint in joints]
-        return Interval(min(i.low for i in each), max(i.high for i in each))
-    return EVERYTHING
+    return hull(joints) if kind == "joint_position" else EVERYTHING

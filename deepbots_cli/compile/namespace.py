@@ -8,7 +8,7 @@ while it is itself being typed closes a circle, which is a finding.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 from deepbots_cli.compile.robots import RobotScene
@@ -16,6 +16,8 @@ from deepbots_cli.compile.values import Values
 from deepbots_cli.diagnostics import Label
 from deepbots_cli.lang.types import Kind, Subject, Symbol
 from deepbots_cli.source.nodes import Path
+
+_SHOWN = 12
 
 
 class Origin(Enum):
@@ -30,7 +32,6 @@ class Origin(Enum):
     ROBOT = "a robot"
     OBJECT = "an object"
     LINE = "a line"
-    BUILT_IN = "built in"
 
 
 @dataclass(eq=False)
@@ -42,8 +43,7 @@ class Definition:
     path: Path
     make: Callable[[], Symbol] | None = None
     symbol: Symbol | None = None
-    open: bool = False
-    uses: int = field(default=0)
+    uses: int = 0
 
 
 class Namespace:
@@ -55,6 +55,7 @@ class Namespace:
         self.robots: dict[str, RobotScene | None] = {}
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
+        self._open: list[Definition] = []
 
     def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:
         """Add a name; a second definition is a finding, and the first one stays."""
@@ -69,7 +70,7 @@ class Namespace:
     def symbol(self, name: str) -> Symbol | None:
         """The typed symbol of a name that an expression uses; None where there is no such value."""
         self.touch(name)
-        return self.settle(name)
+        return self.settle(name) or (Symbol(name, None) if self.is_broken(name) else None)
 
     def touch(self, name: str) -> None:
         """Note that an expression uses `name`."""
@@ -81,23 +82,40 @@ class Namespace:
         definition = self.definitions.get(name)
         if definition is None or definition.make is None:
             return None
-        if definition.symbol is None:
-            if definition.open:
-                headline = f"`{name}` is defined by way of itself"
-                self.values.findings.add(
-                    "DB207",
-                    self.values.key_span(definition.path),
-                    headline,
-                    help="break the circle: `previous(...)` gives the value of the step before",
-                )
-                definition.symbol = Symbol(name, None)
-                return definition.symbol
-            definition.open = True
-            made = definition.make()
-            definition.open = False
-            definition.symbol = definition.symbol or made
-            self.order.append(name)
+        if definition.symbol is None and definition in self._open:
+            self._report_circle(definition)
+        elif definition.symbol is None:
+            self._open.append(definition)
+            try:
+                made = definition.make()
+            except RecursionError:
+                if self._open[0] is not definition:
+                    raise
+                self._give_up(definition)
+            else:
+                self._open.pop()
+                definition.symbol = definition.symbol or made
+                self.order.append(name)
         return definition.symbol
+
+    def _report_circle(self, definition: Definition) -> None:
+        circle = self._open[self._open.index(definition) :]
+        way = " -> ".join(entry.name for entry in (*circle[:_SHOWN], definition))
+        again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
+        help = "break the circle" + (": `previous(...)` gives the value of the step before" if again else "")
+        headline = f"`{definition.name}` is defined by way of itself"
+        notes = (f"the circle is {way}",) if len(circle) > 1 else ()
+        self.values.findings.add("DB207", self.values.key_span(definition.path), headline, help=help, notes=notes)
+        definition.symbol = Symbol(definition.name, None)
+
+    def _give_up(self, definition: Definition) -> None:
+        """More names build on each other than can be followed: none of them is looked at again."""
+        headline = f"`{definition.name}` is made of more than {len(self._open) // 2} definitions, one upon the other"
+        help = "write some of them out in the others"
+        self.values.findings.add("DB005", self.values.key_span(definition.path), headline, help=help)
+        for entry in self._open:
+            entry.symbol = entry.symbol or Symbol(entry.name, None)
+        self._open.clear()
 
     def origin(self, name: str) -> Origin | None:
         definition = self.definitions.get(name)
@@ -106,21 +124,20 @@ class Namespace:
     def named(self, *origins: Origin) -> list[str]:
         return [name for name, definition in self.definitions.items() if definition.origin in origins]
 
-    def subject(self, name: str) -> Subject | None:
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
         """The part of the world called `name`: a robot, one of its parts, an object, the ground."""
+        if name == "ground":
+            return Subject(name, Kind.GROUND)
         head, _, rest = name.partition(".")
         definition = self.definitions.get(head)
-        if definition is None:
-            return Subject("ground", Kind.GROUND) if name == "ground" else None
-        definition.uses += 1
-        if definition.origin is Origin.ROBOT:
+        found = None
+        if definition is not None and definition.origin is Origin.ROBOT:
             robot = self.robots.get(head)
-            if robot is None:
-                return None
-            return robot.subject(rest) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
-        if definition.origin is Origin.OBJECT and not rest:
-            return Subject(head, Kind.OBJECT, link=head)
-        return None
+            if robot is not None:
+                found = robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
+        elif definition is not None and definition.origin is Origin.OBJECT and not rest:
+            found = Subject(head, Kind.OBJECT, link=head)
+        return found or (Subject(name, Kind.BROKEN) if self.is_broken(name) else None)
 
     def subjects(self) -> Iterable[str]:
         for name, definition in self.definitions.items():
@@ -130,7 +147,7 @@ class Namespace:
             if robot is not None:
                 yield from (f"{name}.{part}" for part in robot.parts)
 
-    def broken(self, name: str) -> bool:
-        """Whether `name` begins with a robot whose file could not be read, so that nothing is known of its parts."""
+    def is_broken(self, name: str) -> bool:
+        """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
-        return head in self.robots and self.robots[head] is None
+        return self.values.is_lost(name) or (head in self.robots and self.robots[head] is None)

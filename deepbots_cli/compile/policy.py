@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from deepbots_cli import ir
+from deepbots_cli.compile.matching import expand
 from deepbots_cli.compile.namespace import Namespace, Origin
 from deepbots_cli.compile.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.compile.values import Text
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.dimensions import NUMBER
-from deepbots_cli.lang.expect import expect_range
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Typed, TypedRange, zero
+from deepbots_cli.lang.typed import Typed
 from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import ContinuousAction, DiscreteAction, Observed
-from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend
+from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import ObservedValue, Valued
 
 
@@ -41,87 +41,70 @@ class Actions:
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Each option sets the variable called like the action, or the variables that it lists."""
-        options = part.choices
-        variables = list(dict.fromkeys(variable for option in options.values() if isinstance(option, dict) for variable in option)) or [
-            name
-        ]
-        figures: dict[str, dict[str, float]] = {variable: {} for variable in variables}
-        for option, given in options.items():
-            place: Path = ("action", name, "choices", option)
-            if not isinstance(given, dict):
-                given, places = {variables[0]: given}, {variables[0]: place}
-            else:
-                places = {variable: (*place, variable) for variable in given}
-            missing = [variable for variable in variables if variable not in given]
-            if missing:
-                headline = f"the choice `{option}` leaves `{missing[0]}` open, which other choices set"
-                self._values.findings.add(
-                    "DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be"
-                )
-            for variable, figure in given.items():
-                number = self._values.number(places[variable], figure, NUMBER, ParameterScope(self._namespace, Context.FIXED))
-                if variable in figures:
-                    figures[variable][option] = number if number is not None else 0.0
-        for variable, by_option in figures.items():
-            interval = Interval(min(by_option.values(), default=0.0), max(by_option.values(), default=0.0))
-            symbol = Symbol(variable, Type(NUMBER, interval=interval, stage=Stage.STEP))
-            self._namespace.define(variable, Origin.ACTION, ("action", name), lambda symbol=symbol: symbol)  # type: ignore[misc]  # bound here
-        self._parts[name] = ir.Choices(
-            name,
-            tuple(variables),
-            tuple(ir.Option(option, tuple(figures[variable].get(option, 0.0) for variable in variables)) for option in options),
-        )
+        named = [variable for given in part.choices.values() if isinstance(given, dict) for variable in given]
+        variables = tuple(dict.fromkeys(named)) or (name,)
+        place: Path = ("action", name, "choices")
+        figures = {option: self._figures((*place, option), given, variables, bool(named)) for option, given in part.choices.items()}
+        for index, variable in enumerate(variables):
+            column = [row[index] for row in figures.values()]
+            symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column), max(column)), stage=Stage.STEP))
+            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
+        self._parts[name] = ir.Choices(name, variables, tuple(ir.Option(option, row) for option, row in figures.items()))
+
+    def _figures(self, place: Path, given: object, variables: tuple[str, ...], named: bool) -> tuple[float, ...]:
+        """What one option makes of each of the variables; 0 after a finding."""
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        if not isinstance(given, dict):
+            if named:
+                help = f"write what it sets, as in `{{{variables[0]}: 1}}`"
+                self._values.findings.add("DB103", self._values.span(place), "a number, where other choices set variables", help=help)
+                return (0.0,) * len(variables)
+            return (self._values.number(place, given, NUMBER, scope) or 0.0,)
+        missing = [variable for variable in variables if variable not in given]
+        if missing:
+            headline = f"the choice `{place[-1]}` leaves `{missing[0]}` open, which other choices set"
+            self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be")
+        found = {variable: self._values.number((*place, variable), figure, NUMBER, scope) for variable, figure in given.items()}
+        return tuple(found.get(variable) or 0.0 for variable in variables)
 
     def _define_interval(self, name: str, part: ContinuousAction | str) -> None:
         self._parts[name] = None
-        self._namespace.define(name, Origin.ACTION, ("action", name), lambda: self._interval(name, part))
+        self._namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
 
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
         place: Path = ("action", name) if isinstance(part, str) else ("action", name, "range")
         text = self._values.text(place, part)
-        found = self._values.range(text, ParameterScope(self._namespace, Context.FIXED))
-        bounds = found and expect_range(found, self._values.report(text), "the range of an action", components=None)
-        low, high = _ends(bounds) if bounds else (None, None)
-        if bounds is None or low is None or high is None:
-            return Symbol(name, None)
-        components: Components = ()
+        ends = self._values.ends(text, "the range of an action", ParameterScope(self._namespace, Context.FIXED))
+        components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
-            group = self._group(part.each, ("action", name, "each"))
-            if group is None:
-                return Symbol(name, None)
-            components = group
-        dimension = (bounds.high if zero(bounds.low) else bounds.low).type.dimension
-        self._parts[name] = ir.Interval(name, components, low[0], high[0], str(dimension))
-        return Symbol(name, Type(dimension, components or None, interval=Interval(low[0], high[0]), stage=Stage.STEP))
+            components = self._group(part.each, ("action", name, "each"))
+        if ends is None or components is None:
+            return Symbol(name, None)
+        low, high = ends.low[0], ends.high[0]
+        self._parts[name] = ir.Interval(name, components, low, high, str(ends.dimension))
+        return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), stage=Stage.STEP))
 
     def _group(self, reference: str, place: Path) -> Components | None:
-        """The members of a group of joints or links, or the joints of an actuator."""
+        """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
         robot_name, _, rest = reference.partition(".")
         robot = self._namespace.robots.get(robot_name)
         subject = self._namespace.subject(reference)
         if subject is not None and subject.components:
             return subject.components
         if robot is not None and rest in robot.spec.actuators:
-            from deepbots_cli.compile.robots import expand
-
             actuator = robot.spec.actuators[rest]
             patterns = getattr(actuator, "joints", None) or getattr(actuator, "joint", None) or ()
             joints, _ = expand([joint.name for joint in robot.model.moving_joints], patterns, robot.groups)
             return joints or None
-        if robot_name in self._namespace.robots and robot is None:
-            return None
-        self._values.findings.add(
-            "DB201",
-            self._values.span(place),
-            f"there is no group `{reference}`",
-            help="name a group or an actuator of a robot, such as `dog.legs`",
-        )
+        if not self._namespace.is_broken(reference):
+            scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
+            known = dict.fromkeys(f"{scene.name}.{part}" for scene in scenes for part in (*scene.groups, *scene.spec.actuators))
+            self._values.unknown(self._values.span(place), "group or actuator", reference, list(known))
         return None
 
 
-def _ends(bounds: TypedRange) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
-    low, high = constant(bounds.low), constant(bounds.high)
-    return (tuple(map(float, low)) if low else None), (tuple(map(float, high)) if high else None)
+def _itself(symbol: Symbol) -> Symbol:
+    return symbol
 
 
 class Observations:
@@ -137,7 +120,7 @@ class Observations:
 
     def _entry(self, key: str, spec: Observed | str) -> ObservedValue | None:
         place: Path = ("observation", key)
-        text = self._key_text(place)
+        text = self._values.key_text(place)
         typed = self._observed(key, text)
         range_place = place if isinstance(spec, str) else (*place, "range")
         range_text = self._values.text(range_place, spec if isinstance(spec, str) else spec.range)
@@ -149,11 +132,6 @@ class Observations:
         if bounds is None:
             return None
         return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds)
-
-    def _key_text(self, place: Path) -> Text:
-        parent = descend(self._values.root, place[:-1])[0]
-        key = parent.entries[str(place[-1])].key if isinstance(parent, Mapping) and place[-1] in parent.entries else None
-        return Text(key.text, key.part) if isinstance(key, Scalar) else self._values.text(place, place[-1])
 
     def _observed(self, key: str, text: Text) -> Typed | None:
         tree = self._values.parsed(text)
@@ -193,15 +171,7 @@ class Observations:
                 self._values.findings.add("DB102", text.span, "the range of this value is not known", help="give it: `lo .. hi unit`")
                 return None
             return (low,) * count, (high,) * count
-        found = self._values.range(text, ParameterScope(self._namespace, Context.FIXED))
-        shape = typed.type.components or None
-        bounds = found and expect_range(
-            found, self._values.report(text), "the range of an observation", dimension=typed.type.dimension, components=shape
-        )
-        lows, highs = _ends(bounds) if bounds else (None, None)
-        if lows is None or highs is None:
-            return None
-        if any(high <= low for low, high in zip(lows, highs, strict=False)):
-            self._values.findings.add("DB105", text.span, "an empty range", help="give the low end first, and let the ends differ")
-            return None
-        return (lows * count if len(lows) == 1 else lows), (highs * count if len(highs) == 1 else highs)
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        components = typed.type.components or None
+        ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
+        return (ends.low, ends.high) if ends else None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from deepbots_cli.compile.joints import joint_dimension
+from deepbots_cli.compile.matching import joint_missing
 from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.robots import empty_match, joint_dimension
 from deepbots_cli.compile.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
 from deepbots_cli.lang.types import SPACE, Context, Kind, Stage
@@ -14,6 +15,7 @@ from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Coordinate, JointStart, Placement, Valued
 
 _TURNS = ("roll", "pitch", "yaw")
+_JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
 
 def placements(spec: Scenario, namespace: Namespace) -> tuple[Placement, ...]:
@@ -22,10 +24,8 @@ def placements(spec: Scenario, namespace: Namespace) -> tuple[Placement, ...]:
     for body, place in spec.reset.place.items():
         path: Path = ("reset", "place", body)
         if namespace.origin(body) not in (Origin.ROBOT, Origin.OBJECT):
-            names = namespace.named(Origin.ROBOT, Origin.OBJECT)
-            namespace.values.findings.add(
-                "DB201", namespace.values.key_span(path), f"there is no robot or object `{body}`", help=f"there are: {', '.join(names)}"
-            )
+            known = namespace.named(Origin.ROBOT, Origin.OBJECT)
+            namespace.values.unknown(namespace.values.key_span(path), "robot or object", body, known)
             continue
         found.append(_placement(body, place, path, namespace))
     placed = {placement.body for placement in found}
@@ -79,19 +79,16 @@ def joint_starts(spec: Scenario, namespace: Namespace) -> tuple[JointStart, ...]
 
 def _joint_start(key: str, given: object, namespace: Namespace) -> JointStart | None:
     path: Path = ("reset", "set", key)
-    robot_name, _, part = key.partition(".")
-    robot = namespace.robots.get(robot_name)
+    robot_name, dot, part = key.partition(".")
+    robot, text = namespace.robots.get(robot_name), namespace.values.key_text(path)
     if robot is None:
         if robot_name not in namespace.robots:
-            known = namespace.named(Origin.ROBOT)
-            namespace.values.findings.add(
-                "DB201", namespace.values.key_span(path), f"there is no robot `{robot_name}`", help=f"robots are: {', '.join(known)}"
-            )
+            namespace.values.unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.named(Origin.ROBOT))
         return None
-    subject = robot.subject(part)
-    if subject is None or subject.kind not in (Kind.JOINT, Kind.JOINTS):
-        moving = [joint.name for joint in robot.model.moving_joints]
-        empty_match(namespace.values.findings, namespace.values, path, part, "joint", moving)
+    subject = robot.subject(part, _JOINTS)
+    if subject is None or subject.kind not in _JOINTS:
+        span = text.part(len(robot_name + dot), len(key)) if part else text.span
+        joint_missing(namespace.values, span, part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     dimension = joint_dimension(robot.model.joint(joints[0]))

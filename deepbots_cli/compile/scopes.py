@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from deepbots_cli.compile.namespace import Namespace, Origin
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.types import Context, Stage, Subject, Symbol, Type
+from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol, Type
 
 _ENDLESS = Interval(0.0, float("inf"))
 _FLAGS = ("terminated", "truncated", "ended")
@@ -28,14 +28,12 @@ class ParameterScope:
 
     def lookup(self, name: str) -> Symbol | None:
         origin = self.namespace.origin(name)
-        if origin is Origin.PARAMETER:
+        if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.LINE):
             return self.namespace.symbol(name)
-        if origin in (None, Origin.ROBOT, Origin.OBJECT, Origin.LINE):
-            return None
-        return Symbol(name, None, refused=f"{_said(origin)} has a value only while an episode runs; use a parameter")
+        return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
 
-    def subject(self, name: str) -> Subject | None:
-        return self.namespace.subject(name)
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
+        return self.namespace.subject(name, kinds)
 
     def names(self) -> Iterable[str]:
         return self.namespace.named(Origin.PARAMETER)
@@ -57,12 +55,11 @@ class SupervisorScope:
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in (Context.REWARD, Context.ENDING):
             return Symbol(name, None, refused="endings are settled after the signals; use the condition itself")
-        if origin in (Origin.ROBOT, Origin.OBJECT, Origin.LINE):
-            return None
-        symbol = self.namespace.symbol(name)
-        if symbol is None and self.namespace.broken(name):
-            return Symbol(name, None)
-        return symbol
+        robot, _, rest = name.partition(".")
+        scene = self.namespace.robots.get(robot)
+        if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_broken(name):
+            return Symbol(name, None, refused=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
+        return self.namespace.symbol(name)
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":
@@ -76,8 +73,8 @@ class SupervisorScope:
             return Symbol(name, None, refused="it is not supported yet")
         return None
 
-    def subject(self, name: str) -> Subject | None:
-        return self.namespace.subject(name)
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
+        return self.namespace.subject(name, kinds)
 
     def names(self) -> Iterable[str]:
         known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
@@ -111,18 +108,13 @@ class RobotScope:
             return Symbol(name, None, refused="it arrives with a message; use it in `apply`")
         if name in ("time", "step", *_FLAGS, *_LATER) or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
             return Symbol(name, None, refused=f"robot `{self.robot}` sees only its own sensors; send it under `receive` if it must know")
-        return None
+        return self.namespace.symbol(name)
 
-    def subject(self, name: str) -> Subject | None:
-        return self.namespace.subject(name)
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
+        return self.namespace.subject(name, kinds)
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.named(Origin.PARAMETER)]
 
     def subjects(self) -> Iterable[str]:
         return self.namespace.subjects()
-
-
-def _said(origin: Origin) -> str:
-    text = origin.value
-    return text[0].upper() + text[1:]

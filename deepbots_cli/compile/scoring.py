@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from deepbots_cli import ir
 from deepbots_cli.compile.namespace import Namespace, Origin
 from deepbots_cli.compile.scopes import ParameterScope, SupervisorScope
@@ -9,7 +11,7 @@ from deepbots_cli.compile.values import Text, Values
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.plain import parse_schedule
-from deepbots_cli.lang.types import Context, Symbol, Type
+from deepbots_cli.lang.types import Context, Symbol
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
 from deepbots_cli.source.nodes import Path
@@ -42,20 +44,19 @@ class Signals:
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
 
     def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
-        self._namespace.define(name, origin, place, lambda: self._typed(name, given, place, context))
+        self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))
 
     def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
         if isinstance(given, PythonTerm):
             return Symbol(name, None)
         text = self._values.text(place, given)
-        typed = self._values.expression(
-            text, SupervisorScope(self._namespace, context), boolean=True if context is Context.ENDING else None
-        )
+        typed = self._values.expression(text, SupervisorScope(self._namespace, context))
+        if typed is not None and context is Context.ENDING:
+            typed = expect(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
         self.valued[name] = Valued(name, text.span, text.text, typed, ".".join(map(str, place)))
-        known = typed.type
-        return Symbol(name, Type(known.dimension, known.components, known.boolean, known.interval, known.stage))
+        return Symbol(name, typed.type)
 
     def ordered(self) -> tuple[Valued, ...]:
         """Augmentation and signals, each after those that it is made of."""
@@ -65,11 +66,10 @@ class Signals:
         return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
 
     def endings(self) -> tuple[TaskEnding, ...]:
-        """In file order where none is made of another, else each after those that it is made of."""
+        """In file order."""
         for name in self._outcomes:
             self._namespace.settle(name)
-        names = [name for name in self._namespace.order if name in self.valued and self._namespace.origin(name) is Origin.ENDING]
-        return tuple(TaskEnding(self.valued[name], self._outcomes[name]) for name in names)
+        return tuple(TaskEnding(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
 
 
 def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
@@ -87,31 +87,19 @@ def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
 
 
 def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:
-    """The limits; an episode that neither limits nor endings are sure to close is a finding."""
-    values = namespace.values
-    scope = ParameterScope(namespace, Context.FIXED)
-    limits = spec.truncation
+    """The limits; without any, nothing is sure to end an episode."""
+    values, limits = namespace.values, spec.truncation
     if limits is None:
-        values.findings.add(
-            "DB803",
-            values.key_span(("reward",)),
-            "nothing is sure to end an episode",
-            help="add `truncation: {max_steps: 1000}`, or a `max_time`",
-        )
+        if not values.is_lost("truncation"):
+            span = values.key_span(("termination",) if "termination" in spec.model_fields_set else ("reward",))
+            values.findings.add(
+                "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
+            )
         return ir.Truncation()
-    steps = values.number(("truncation", "max_steps"), limits.max_steps, NUMBER, scope) if limits.max_steps is not None else None
-    if steps is not None and (steps < 1 or steps != int(steps)):
-        values.findings.add(
-            "DB105", values.span(("truncation", "max_steps")), f"{steps:g} is no number of steps", help="give a whole number, at least 1"
-        )
-        steps = None
-    time = values.number(("truncation", "max_time"), limits.max_time, TIME, scope) if limits.max_time is not None else None
-    if time is not None and time <= 0:
-        values.findings.add(
-            "DB105", values.span(("truncation", "max_time")), "a time limit that is over at once", help="give more than 0 s"
-        )
-        time = None
-    return ir.Truncation(int(steps) if steps else None, time)
+    scope = ParameterScope(namespace, Context.FIXED)
+    steps = None if limits.max_steps is None else values.number(("truncation", "max_steps"), limits.max_steps, NUMBER, scope)
+    time = None if limits.max_time is None else values.number(("truncation", "max_time"), limits.max_time, TIME, scope)
+    return ir.Truncation(None if steps is None else int(steps), time)
 
 
 def solved(spec: Scenario, values: Values) -> ir.Solved | None:

@@ -18,7 +18,9 @@ _MOTORS = ("velocity_motor", "position_motor", "torque_motor")
 # Keys of the parts found at a path (a `*` stands for any name) that are not delivered yet.
 _LATER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("world",), ("walls", "terrain", "lines", "light")),
-    (("objects", "*"), ("count", "one_of", "file")),
+    (("world", "ground"), ("colour",)),
+    (("world", "arena"), ("colour",)),
+    (("objects", "*"), ("count", "one_of", "file", "spinning_friction", "rolling_friction", "restitution")),
     (("robots", "*"), ("count",)),
     (("robots", "*", "links", "*"), ("colour",)),
     (("robots", "*", "sensors", "*"), ("period", "latency", "noise", "bias", "drift", "quantise", "range", "pose")),

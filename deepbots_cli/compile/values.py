@@ -2,37 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Mapping as Table
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Span
 from deepbots_cli.lang import agree, check, parser, syntax
 from deepbots_cli.lang.dimensions import Dimension
-from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.expect import expect, expect_range
 from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Typed, TypedRange
+from deepbots_cli.lang.typed import Typed, TypedRange, zero
 from deepbots_cli.lang.types import Components, NoNames, Report, Scope, Stage
+from deepbots_cli.schema.fields import Leaf, Quantity
+from deepbots_cli.schema.plain import choose_from
 from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend
 
 
 @dataclass(frozen=True)
 class Text:
-    """A text of the scenario: what it says, and where each part of it stands."""
+    """A text of the scenario: what it says, where each part of it stands, and what its field takes."""
 
     text: str
     part: Callable[[int, int], Span]
+    kind: Leaf | None = None
 
     @property
     def span(self) -> Span:
         return self.part(0, len(self.text))
 
 
-class Values:
-    """Reads the values of one scenario."""
+class Ends(NamedTuple):
+    """What a range goes from and to, per component, in SI units."""
 
-    def __init__(self, root: Mapping, findings: Findings) -> None:
+    dimension: Dimension
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+class Values:
+    """Reads the values of one scenario.
+
+    `kinds` says what the schema wants at each path; `lost` holds the names whose definitions had findings.
+    """
+
+    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, Leaf], lost: Iterable[str] = ()) -> None:
         self.root = root
         self.findings = findings
+        self._kinds = kinds
+        self._lost = set(lost)
 
     def span(self, path: Path) -> Span:
         """Where the value at `path` stands, or the nearest thing around it."""
@@ -47,9 +66,30 @@ class Values:
         """The text at `path`; one that the file leaves out is placed at what surrounds it."""
         node, _, steps = descend(self.root, path)
         if steps == len(path) and isinstance(node, Scalar):
-            return Text(node.text, node.part)
+            return Text(node.text, node.part, self._kinds.get(path))
         span = node.span
         return Text(str(default), lambda _start, _end: span)
+
+    def key_text(self, path: Path) -> Text:
+        """The text of the key at the end of `path`."""
+        key = descend(self.root, path)[1]
+        return Text(key.text, key.part) if key else self.text(path, path[-1])
+
+    # Names
+
+    def lose(self, name: str) -> None:
+        """Note that the definition of `name` had a finding."""
+        self._lost.add(name)
+
+    def is_lost(self, name: str) -> bool:
+        """Whether the definition of the dotted `name`, or of a part of it, had a finding."""
+        return name in self._lost or not self._lost.isdisjoint(name.split("."))
+
+    def unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
+        """A finding that `name` is none of the `known`, unless its definition had one."""
+        if not self.is_lost(name):
+            help = choose_from(name, known) if known else "there is none to choose from"
+            self.findings.add(code, span, f"there is no {what} `{name}`", help=help)
 
     def report(self, text: Text) -> Report:
         """Takes findings at offsets of `text`."""
@@ -96,7 +136,52 @@ class Values:
         typed = self.expression(text, scope, boolean=False)
         if typed is None:
             return None
-        return expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage)
+        value = expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage)
+        return value if value and self._is_within(value, text, what) else None
+
+    def _is_within(self, value: Typed, text: Text, what: str) -> bool:
+        """Whether the value keeps the bounds of its field; the schema has looked at bare numbers only."""
+        kind = text.kind
+        if not isinstance(kind, Quantity) or (kind.minimum is None and kind.maximum is None and not kind.whole):
+            return True
+        known = constant(value)
+        low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
+        least, most, unit = kind.minimum, kind.maximum, str(value.type.dimension)
+        if least is not None and math.isfinite(low) and (low < least or (kind.exclusive and low == least)):
+            odd, help = low, f"give {'more than' if kind.exclusive else 'at least'} {_figure(least, unit)}"
+        elif most is not None and math.isfinite(high) and high > most:
+            odd, help = high, f"give at most {_figure(most, unit)}"
+        elif kind.whole and known and (broken := [figure for figure in known if not float(figure).is_integer()]):
+            odd, help = broken[0], "give a whole number"
+        else:
+            return True
+        verb = "can be" if known is None else "is" if len(known) == 1 else "holds"
+        self.findings.add("DB105", text.span, f"{what} {verb} {_figure(odd, unit)}", help=help)
+        return False
+
+    def fixed(self, value: Typed, text: Text, what: str) -> tuple[float | bool, ...] | None:
+        """The SI values of a value that is settled in the file; a finding where they cannot be computed."""
+        values = constant(value)
+        if values is None:
+            help = "it divides by zero, leaves the domain of a function, or is too large"
+            self.findings.add("DB105", text.span, f"{what} cannot be computed", help=help)
+        return values
+
+    def ends(
+        self, text: Text, what: str, scope: Scope, *, dimension: Dimension | None = None, components: Components | None = None
+    ) -> Ends | None:
+        """The fixed ends of a range, one per component; None after a finding."""
+        found = self.range(text, scope)
+        bounds = found and expect_range(found, self.report(text), what, dimension=dimension, components=components)
+        low, high = (self.fixed(bounds.low, text, what), self.fixed(bounds.high, text, what)) if bounds else (None, None)
+        if bounds is None or low is None or high is None:
+            return None
+        count = len(components) if components else 1
+        lows, highs = (tuple(map(float, ends * count if len(ends) == 1 else ends)) for ends in (low, high))
+        if any(high <= low for low, high in zip(lows, highs, strict=True)):
+            self.findings.add("DB105", text.span, "an empty range", help="let its ends differ")
+            return None
+        return Ends((bounds.high if zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 
     def number(self, path: Path, default: object, dimension: Dimension, scope: Scope | None = None) -> float | None:
         """A fixed single value in SI units; None after a finding."""
@@ -107,9 +192,32 @@ class Values:
         self, path: Path, default: object, dimension: Dimension, components: Components | None, scope: Scope | None = None
     ) -> tuple[float, ...] | None:
         """The fixed SI values of a vector with `components`; None after a finding."""
-        typed = self.quantity(self.text(path, default), f"`{path[-1]}`", scope or NoNames(), dimension, components)
-        values = constant(typed) if typed else None
+        return self._figures(path, default, dimension, components, scope or NoNames(), Stage.FIXED)
+
+    def figures(
+        self, path: Path, given: object, dimension: Dimension, scope: Scope, components: Components | None = None
+    ) -> tuple[float, ...] | None:
+        """The same for a field that the language lets vary between episodes, which is not run yet; None where nothing is given."""
+        return None if given is None else self._figures(path, given, dimension, components, scope, Stage.EPISODE)
+
+    def figure(self, path: Path, given: object, dimension: Dimension, scope: Scope) -> float | None:
+        values = self.figures(path, given, dimension, scope)
+        return values[0] if values else None
+
+    def _figures(
+        self, path: Path, given: object, dimension: Dimension, components: Components | None, scope: Scope, stage: Stage
+    ) -> tuple[float, ...] | None:
+        text, what = self.text(path, given), f"`{path[-1]}`"
+        typed = self.quantity(text, what, scope, dimension, components, stage)
+        if typed is not None and typed.type.stage is not Stage.FIXED:
+            self.findings.add("DB108", text.span, f"{what} that is drawn anew is not supported yet", help="give a fixed figure")
+            return None
+        values = self.fixed(typed, text, what) if typed else None
         if not values:
             return None
         count = len(components) if components else 1
         return tuple(float(value) for value in (values * count if len(values) == 1 else values))
+
+
+def _figure(number: float, unit: str) -> str:
+    return f"{number:g}" if unit == "1" else f"{number:g} {unit}"

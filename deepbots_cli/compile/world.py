@@ -16,6 +16,9 @@ from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Shape, Sphere
 
 _WATER = 1000.0  # kg/m^3, the default density of objects
 
+# Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
+_SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
+
 COLOURS: dict[str, tuple[float, float, float, float]] = {
     "white": (0.95, 0.95, 0.95, 1.0),
     "grey": (0.6, 0.6, 0.6, 1.0),
@@ -27,6 +30,10 @@ COLOURS: dict[str, tuple[float, float, float, float]] = {
     "blue": (0.2, 0.4, 0.8, 1.0),
     "purple": (0.55, 0.3, 0.7, 1.0),
     "brown": (0.5, 0.35, 0.2, 1.0),
+    "pink": (0.95, 0.6, 0.7, 1.0),
+    "cyan": (0.2, 0.75, 0.8, 1.0),
+    "magenta": (0.8, 0.2, 0.65, 1.0),
+    "tan": (0.8, 0.7, 0.5, 1.0),
 }
 
 
@@ -37,19 +44,18 @@ class WorldBuilder:
         self._spec = spec
         self._values = namespace.values
         self._scope = ParameterScope(namespace, Context.FIXED)
+        self._drawn = ParameterScope(namespace, Context.FIELD)
 
     def build(self, robots: list[RobotScene]) -> ir.WorldModel:
         spec = self._spec.world
         timestep = self._values.number(("world", "timestep"), spec.timestep, TIME, self._scope)
-        if timestep is not None and not 0 < timestep <= 60:
+        if timestep is not None:
+            self._check_timestep(timestep)
+        gravity = self._values.figures(("world", "gravity"), spec.gravity, ACCELERATION, self._drawn, SPACE) or (0.0, 0.0, -9.81)
+        if gravity[2] > 0:
             self._values.findings.add(
-                "DB105",
-                self._values.span(("world", "timestep")),
-                f"a timestep of {timestep:g} s",
-                help="give more than 0 s and at most 60 s; 10 to 100 ms are usual",
+                "DB505", self._values.span(("world", "gravity")), "gravity that pulls upwards", help="z points up: write `0 0 -9.81 m/s^2`"
             )
-            timestep = None
-        gravity = self._values.numbers(("world", "gravity"), spec.gravity, ACCELERATION, SPACE, self._scope) or (0.0, 0.0, -9.81)
         friction = self._number(("world", "ground", "friction"), spec.ground.friction, 1.0)
         restitution = self._number(("world", "ground", "restitution"), spec.ground.restitution, 0.0)
         return ir.WorldModel(
@@ -62,8 +68,15 @@ class WorldBuilder:
             tuple(body for name, spec in self._spec.objects.items() if (body := self._object(name, spec)) is not None),
         )
 
+    def _check_timestep(self, timestep: float) -> None:
+        code = None if _SHORT <= timestep <= _LONG else "DB505" if _SHORTEST <= timestep <= _LONGEST else "DB105"
+        if code:
+            span = self._values.span(("world", "timestep"))
+            self._values.findings.add(code, span, f"a timestep of {timestep:g} s", help="10 to 100 ms are usual")
+
     def _number(self, path: Path, given: object, default: float) -> float:
-        number = self._values.number(path, given, NUMBER, self._scope)
+        """A plain number that may be drawn."""
+        number = self._values.figure(path, given, NUMBER, self._drawn)
         return default if number is None else number
 
     def _arena(self) -> ir.Arena | None:
@@ -77,20 +90,10 @@ class WorldBuilder:
         friction = self._number((*path, "friction"), spec.friction, 1.0)
         if size is None or height is None or thickness is None:
             return None
-        if min(size) <= 0:
-            self._values.findings.add(
-                "DB105", self._values.span((*path, "size")), "an arena without extent", help="give two lengths above 0 m"
-            )
-            return None
         return ir.Arena((size[0], size[1]), height, thickness, friction)
 
     def _length(self, path: Path, given: object) -> float | None:
-        """A length above 0."""
-        length = self._values.number(path, given, LENGTH, self._scope)
-        if length is not None and length <= 0:
-            self._values.findings.add("DB105", self._values.span(path), f"a length of {length:g} m", help="give more than 0 m")
-            return None
-        return length
+        return self._values.number(path, given, LENGTH, self._scope)
 
     def _object(self, name: str, spec: Placed) -> ir.ObjectBody | None:
         path: Path = ("objects", name)
@@ -99,7 +102,7 @@ class WorldBuilder:
             return None
         fixed, solid = bool(getattr(spec, "fixed", False)), getattr(spec, "solid", None) is not False
         given = getattr(spec, "mass", None)
-        mass = self._values.number((*path, "mass"), given, MASS, self._scope) if given is not None else _WATER * (volume(shape) or 0.0)
+        mass = self._values.figure((*path, "mass"), given, MASS, self._drawn) if given is not None else _WATER * (volume(shape) or 0.0)
         friction = getattr(spec, "friction", None)
         colour = self._colour(getattr(spec, "colour", None), path)
         return ir.ObjectBody(
@@ -107,7 +110,7 @@ class WorldBuilder:
             shape,
             mass=mass or 0.0,
             colour=colour,
-            friction=1.0 if friction is None else self._number((*path, "friction"), friction, 1.0),
+            friction=self._number((*path, "friction"), friction, 1.0),
             fixed=fixed,
             solid=solid,
         )
@@ -115,7 +118,7 @@ class WorldBuilder:
     def _shape(self, spec: Placed, path: Path) -> Shape | None:
         if isinstance(spec, BoxObject):
             size = self._values.numbers((*path, "size"), spec.size, LENGTH, SPACE, self._scope)
-            return Box((size[0], size[1], size[2])) if size and min(size) > 0 else None
+            return Box((size[0], size[1], size[2])) if size else None
         if isinstance(spec, SphereObject):
             radius = self._length((*path, "radius"), spec.radius)
             return Sphere(radius) if radius else None
@@ -130,11 +133,7 @@ class WorldBuilder:
             return COLOURS["grey"]
         if given.startswith("#") and len(given) == 7:
             return (int(given[1:3], 16) / 255, int(given[3:5], 16) / 255, int(given[5:7], 16) / 255, 1.0)
-        if given not in COLOURS:
-            self._values.findings.add(
-                "DB108",
-                self._values.span((*path, "colour")),
-                f"the colour `{given}` is not supported yet",
-                help=f"use one of {', '.join(COLOURS)}",
-            )
+        if given not in COLOURS:  # the schema lets words of this table through, and draws
+            span = self._values.span((*path, "colour"))
+            self._values.findings.add("DB108", span, "a colour that is drawn anew is not supported yet", help="give one colour")
         return COLOURS.get(given, COLOURS["grey"])

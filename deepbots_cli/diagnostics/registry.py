@@ -45,7 +45,7 @@ _CATALOGUE = (
     Rule("DB302", "unknown-joint", "error", "a joint that the robot does not have"),
     Rule("DB303", "joint-not-actuatable", "error", "an actuator on a joint that cannot move"),
     Rule("DB304", "limit-beyond-urdf", "warning", "a limit wider than the robot file allows"),
-    Rule("DB305", "missing-inertial", "warning", "a link without inertia, for which an engine would invent 1 kg"),
+    Rule("DB305", "missing-inertial", "warning", "a link without inertia, which then weighs nothing"),
     Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
     Rule("DB307", "missing-joint-limits", "warning", "a revolute or prismatic joint without limits"),
     Rule("DB308", "rate-mismatch", "error", "a period that is no multiple of the timestep"),

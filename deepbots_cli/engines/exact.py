@@ -12,9 +12,10 @@ the end of its range is an error, since there are no stops.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from deepbots_cli.engines import frames, solids
+from deepbots_cli.engines.lookup import find
 from deepbots_cli.engines.lump import joined
 from deepbots_cli.engines.motion import CartPole, Drive, RigidBody
 from deepbots_cli.engines.servo import Servo
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
         VelocityReader,
         View,
     )
-
-Found = TypeVar("Found")
 
 
 class ExactEngine:
@@ -90,7 +89,7 @@ class ExactEngine:
     def require_finite(self) -> None:
         for name, motion in self._open().items():
             if not motion.finite:
-                raise EngineError(f"the pose of '{name}' is no longer finite")
+                raise EngineError(f"the pose of '{name}' left the range of numbers")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         motion, indices = self._joints(robot, joints)
@@ -152,7 +151,7 @@ class ExactEngine:
         return self._motions
 
     def _motion(self, body: str) -> RigidBody | CartPole:
-        return _find(self._open(), body, "the world has no body")
+        return find(self._open(), body, "the world has no body")
 
     def _link(self, body: str, link: str | None) -> tuple[RigidBody | CartPole, str]:
         motion = self._motion(body)
@@ -165,7 +164,7 @@ class ExactEngine:
         motion = self._motion(robot)
         if not isinstance(motion, CartPole):
             raise EngineError(f"'{robot}' has no joints")
-        return motion, [_find(motion.joints, name, f"'{robot}' has no joint") for name in names]
+        return motion, [find(motion.joints, name, f"'{robot}' has no joint") for name in names]
 
 
 def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
@@ -187,10 +186,3 @@ def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
         f"the exact engine has no equations for robot '{robot.name}': it knows single bodies, and on a fixed base "
         "a sliding link that carries a turning one"
     )
-
-
-def _find(table: dict[str, Found], name: str, lacking: str) -> Found:
-    try:
-        return table[name]
-    except KeyError:
-        raise EngineError(f"{lacking} '{name}'; there are {', '.join(table)}") from None

@@ -44,7 +44,7 @@ class Lump:
 
 def joined(model: RobotModel, first: str) -> Lump:
     """The link `first` and all that fixed joints hold to it."""
-    members = _members(model, first)
+    members = held_by(model, first)
     parts = []
     for name, place in members.items():
         known = model.link(name).inertial
@@ -64,7 +64,8 @@ def joined(model: RobotModel, first: str) -> Lump:
     return Lump(first, mass, centre, tensor, members)
 
 
-def _members(model: RobotModel, first: str) -> dict[str, Frame]:
+def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
+    """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
     members = {first: HERE}
     waiting = [first]
     while waiting:

@@ -12,12 +12,12 @@ from math import ceil, cos, isfinite, sin
 from deepbots_cli.engines import frames
 from deepbots_cli.engines.frames import HERE, Frame, add, cross, dot, inverse, multiply, rotate, scaled, subtract
 from deepbots_cli.engines.lump import Lump
+from deepbots_cli.engines.servo import SERVO_TIME
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import Quaternion, Triple
 from deepbots_cli.urdf.model import Joint
 
 FINE = 5e-4  # s; keeps the energy of a pendulum that goes round to 1e-10 over 10 s
-SERVO_TIME = 0.02  # s in which a servo without stiffness closes all but 1/e of its error
 SWEEPS = 30  # rounds in which motors on both joints settle what each has to exert
 State = tuple[float, float, float, float]
 

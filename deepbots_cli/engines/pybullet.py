@@ -4,7 +4,8 @@ What PyBullet leaves to its callers, and is settled here:
 
 - a joint starts with a braking motor: ours start free, but for the friction that their file states
 - a fresh world and a reset one differ by what contacts and motors left behind, unless every body was far
-  from every other for one step; both are made by the same `reset`
+  from every other for one step, and by how bodies are grouped for the solver, unless all are one group;
+  both worlds are made by the same `reset`
 - links without an inertial would weigh 1 kg: ours weigh nothing, which a link that moves may not
 - the friction of a pair is the product of the two; a link that states none has 1, so that the other decides
 - links of one robot do not touch each other
@@ -21,16 +22,19 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from math import copysign, degrees, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepbots_cli.engines import frames, loadable, solids
 from deepbots_cli.engines.backdrop import axes, backdrop, smoothed
+from deepbots_cli.engines.lookup import find
+from deepbots_cli.engines.lump import held_by
 from deepbots_cli.engines.quiet import hushed
-from deepbots_cli.engines.servo import Servo
+from deepbots_cli.engines.servo import SERVO_TIME, Servo
 from deepbots_cli.errors import EngineError
 from deepbots_cli.urdf.model import Mesh, RobotModel
 from deepbots_cli.urdf.writer import write
@@ -61,17 +65,13 @@ APART = 1000.0  # m between bodies that are parked to forget their contacts
 UNREACHABLE = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
 STRONGEST = 1e12  # N m or N; stands for an unlimited motor
 FAINT = 1e-200  # N m or N; stands for none, at which a motor would go on reporting what it last exerted
-SERVO_TIME = 0.02  # s in which a servo without stiffness closes all but 1/e of its error
 GAINS = (0.1, 1.0, -1.0)  # PyBullet's own position and velocity gain, and no cap; positional arguments cost half of named ones
 
 
-Found = TypeVar("Found")
-
-
 class Body:
-    """A robot or an object: its PyBullet number, links and joints by name, and where it starts."""
+    """A robot or an object: its PyBullet number, links and joints by name, a link that moves and touches, and where it starts."""
 
-    def __init__(self, name: str, number: int, model: RobotModel, client: int) -> None:
+    def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
         self.number = number
         self.links = {model.root: BASE}
@@ -81,6 +81,9 @@ class Body:
             self.joints[info[1].decode()] = index
             self.links[info[12].decode()] = index
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
+        still = held_by(model, model.root) if fixed else {}
+        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in still]
+        self.anchor = touching[0] if touching else None
         base = p.getDynamicsInfo(number, BASE, client)
         self.centre: Triple = base[3]
         self.principal: Quaternion = base[4]
@@ -104,7 +107,7 @@ class Body:
 
 
 class PyBulletEngine:
-    """One world in a client of its own (about 29 MB until it is closed)."""
+    """One world in a client of its own: about 29 MB until it is closed or dropped, and its readers and writers with it."""
 
     name = "pybullet"
     capabilities: frozenset[Capability] = frozenset({"contacts", "rendering"})
@@ -113,7 +116,6 @@ class PyBulletEngine:
         self._client: int = p.connect(p.DIRECT)
         if self._client < 0:
             raise EngineError("PyBullet holds no further world in this process; close some environments")
-        self._release = weakref.finalize(self, p.disconnect, self._client)
         self._has_floor = world.ground is not None
         self._moving: list[Body] = []
         self._bodies: dict[str, Body] = {}
@@ -121,6 +123,7 @@ class PyBulletEngine:
         self._each_substep: list[Callable[[], None]] = []
         self._backdrop: tuple[View, Image] | None = None
         self._timestep = world.timestep / world.substeps
+        self._release = weakref.finalize(self, _release, self._client, self._each_substep)
         self.step = _stepper(self._client, self._each_substep)
         try:
             self._build(world)
@@ -148,7 +151,20 @@ class PyBulletEngine:
             for robot in world.robots:
                 body = self._load(robot.name, loadable.movable(robot.name, robot.model, robot.fixed_base), robot.fixed_base, folder)
                 body.home = body.of_centre(robot.pose.xyz, frames.from_rpy(robot.pose.rpy))
+        self._join_islands()
         self.reset()
+
+    def _join_islands(self) -> None:
+        """Tie all that moves to one another with gears that exert nothing, so that the solver sees one group.
+
+        It solves bodies whose boxes overlap together, iterates until such a group is done, and forgets overlaps
+        at a moment that depends on the whole past. Of 150 episodes of three carts after a reset 34 differed from
+        a fresh world's; tied together, none. 20 idle balls then cost 50 us a step; a robot by itself nothing.
+        """
+        anchors = [(body.number, body.anchor) for body in self._moving if body.anchor is not None]
+        for (one, link), (other, other_link) in pairwise(anchors):
+            gear = p.createConstraint(one, link, other, other_link, p.JOINT_GEAR, (0, 1, 0), STILL, STILL, physicsClientId=self._client)
+            p.changeConstraint(gear, maxForce=0.0, physicsClientId=self._client)
 
     def _load(self, name: str, model: RobotModel, fixed: bool, folder: str, inertia_known: bool = True) -> Body:
         file = Path(folder, f"{len(self._bodies)}.urdf")
@@ -159,7 +175,7 @@ class PyBulletEngine:
                 number = p.loadURDF(str(file), useFixedBase=int(fixed), flags=flags, physicsClientId=self._client)
             except p.error as error:
                 raise EngineError(f"PyBullet cannot load '{name}': {said() or error}") from error
-        body = Body(name, number, model, self._client)
+        body = Body(name, number, model, fixed, self._client)
         self._bodies[name] = body
         if not fixed or body.joints:
             self._moving.append(body)
@@ -212,7 +228,7 @@ class PyBulletEngine:
 
     def require_finite(self) -> None:
         client = self._client
-        for body in self._open()._moving:
+        for body in reversed(self._open()._moving):  # robots before objects, to which they spread what is not a number
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for what, figures in (("pose", p.getBasePositionAndOrientation(body.number, client)), ("joints", (j[:2] for j in joints))):
                 if not isfinite(sum(map(sum, figures))):
@@ -307,9 +323,7 @@ class PyBulletEngine:
         return smoothed(np.where(is_body[..., None], bodies, self._backdrop[1]), view.samples)
 
     def close(self) -> None:
-        if self._release.alive:
-            self._release()
-            self._each_substep.append(_refuse)  # another world may get this client's number
+        self._release()
 
     def _photograph(self, view: View) -> tuple[Image, NDArray[np.bool_]]:
         """What the engine draws, and where it drew a body."""
@@ -336,15 +350,15 @@ class PyBulletEngine:
         return self
 
     def _body(self, name: str) -> Body:
-        return _find(self._open()._bodies, name, "the world has no body")
+        return find(self._open()._bodies, name, "the world has no body")
 
     def _link(self, body: str, link: str | None) -> tuple[Body, int]:
         owner = self._body(body)
-        return owner, BASE if link is None else _find(owner.links, link, f"'{body}' has no link")
+        return owner, BASE if link is None else find(owner.links, link, f"'{body}' has no link")
 
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, tuple[int, ...]]:
         body = self._body(robot)
-        return body.number, tuple(_find(body.joints, name, f"'{robot}' has no joint") for name in names)
+        return body.number, tuple(find(body.joints, name, f"'{robot}' has no joint") for name in names)
 
 
 def _stepper(client: int, each_substep: list[Callable[[], None]]) -> Callable[[int], None]:
@@ -376,11 +390,9 @@ def _link_velocity(read: Callable[[], Sequence[Triple]]) -> VelocityReader:
     return of_origin
 
 
-def _find(table: dict[str, Found], name: str, lacking: str) -> Found:
-    try:
-        return table[name]
-    except KeyError:
-        raise EngineError(f"{lacking} '{name}'; there are {', '.join(table)}") from None
+def _release(client: int, each_substep: list[Callable[[], None]]) -> None:
+    p.disconnect(client)
+    each_substep.insert(0, _refuse)  # another world may get this client's number
 
 
 def _refuse() -> None:

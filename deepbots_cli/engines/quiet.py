@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 
 @contextmanager
@@ -15,7 +15,10 @@ def hushed() -> Iterator[Callable[[], str]]:
     """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read it."""
     _flush()
     with tempfile.TemporaryFile() as caught:
-        kept = [(fd, os.dup(fd)) for fd in (1, 2)]
+        kept: list[tuple[int, int]] = []
+        for fd in (1, 2):
+            with suppress(OSError):  # a program may have closed its own
+                kept.append((fd, os.dup(fd)))
         try:
             for fd, _ in kept:
                 os.dup2(caught.fileno(), fd)

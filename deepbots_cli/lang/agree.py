@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, Dimension
-from deepbots_cli.lang.typed import Constant, Typed, bare, zero
+from deepbots_cli.lang.typed import Constant, Reference, Typed, TypedRange, bare, zero
 from deepbots_cli.lang.types import Components, Report, shown
 
 _EXAMPLE = {LENGTH: "0.5 m", MASS: "0.5 kg", ANGLE: "30 deg"}
@@ -43,13 +43,8 @@ def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) 
         if bare(value):
             missing_unit(value, first.type.dimension, report)
         else:
-            report(
-                "DB503",
-                start,
-                end,
-                f"{first.type.words} meets {value.type.words}",
-                "both sides must measure the same; divide by a unit where a plain number is meant",
-            )
+            help = "both sides must measure the same; divide by a unit where a plain number is meant"
+            report("DB503", start, end, f"{first.type.words} meets {value.type.words}", _without_unit((first, value)) or help)
         return None
     return first.type.dimension
 
@@ -66,12 +61,12 @@ def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report)
             value.start,
             value.end,
             f"{what} is {value.type.words}, not {dimension.words}",
-            _towards(value.type.dimension, dimension),
+            _without_unit([value]) or _towards(value.type.dimension, dimension),
         )
     return False
 
 
-def missing_unit(value: Typed, dimension: Dimension, report: Report) -> None:
+def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report) -> None:
     report(
         "DB502",
         value.start,
@@ -85,11 +80,22 @@ def example(dimension: Dimension) -> str:
     return _EXAMPLE.get(dimension) or f"0.5 {dimension}"
 
 
+def _without_unit(values: Sequence[Typed]) -> str | None:
+    """Where a plain number comes from a name that stands for one: its definition probably lacks a unit."""
+    for value in values:
+        if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
+            figures = " ".join(f"{figure:g}" for figure in value.symbol.value)
+            return f"`{value.symbol.name}` is {figures}, a plain number; if it has a unit, write it where it is defined"
+    return None
+
+
 def _towards(given: Dimension, needed: Dimension) -> str | None:
     """What would turn one into the other, where the difference is one plain unit."""
     if needed == NUMBER:
         divisor = str(given)
         return f"divide by the unit: `/ ({divisor})`" if "/" in divisor or "*" in divisor else f"divide by the unit: `/ {divisor}`"
+    if given == NUMBER:
+        return f"give one of its numbers a unit, as in `{example(needed)}`"
     excess = given / needed
     if excess == ANGLE:
         return "the angle cancels only on division: `/ rad`"

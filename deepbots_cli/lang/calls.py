@@ -52,7 +52,7 @@ def call(node: syntax.Call, scope: Scope, visit: Visit, report: Report, occurren
     if function is None:
         unknown("function", node.function, FUNCTIONS, node.start, node.name_end, report)
         return None
-    _availability(node, function, scope.context, report)
+    available = _availability(node, function, scope.context, report)
     paired = _pair(node, function, report)
     if paired is None:
         return None
@@ -70,14 +70,20 @@ def call(node: syntax.Call, scope: Scope, visit: Visit, report: Report, occurren
             bound += [Bound(param, value) for value in values or ()]
     if not sound:
         return None
-    return _typed(node, function, tuple(subjects), bound, occurrence, report)
+    typed = _typed(node, function, tuple(subjects), bound, occurrence, report)
+    return typed if available else None
 
 
-def _availability(node: syntax.Call, function: Function, context: Context, report: Report) -> None:
+def _availability(node: syntax.Call, function: Function, context: Context, report: Report) -> bool:
+    """Whether the function may be called in this place; one that is merely not delivered yet is typed all the same."""
     if function.family not in ALLOWED[context]:
-        report("DB407", node.start, node.name_end, f"`{function.name}` in {_PLACE_WORDS[context]}", _FAMILY_HELP.get(function.family))
-    elif not function.supported:
+        fixed = context is Context.FIXED and function.family is Family.DRAW
+        help = "it is the same in every episode; give one figure" if fixed else _FAMILY_HELP.get(function.family)
+        report("DB407", node.start, node.name_end, f"`{function.name}` in {_PLACE_WORDS[context]}", help)
+        return False
+    if not function.supported:
         report("DB108", node.start, node.name_end, f"`{function.name}` is not supported by this version yet")
+    return True
 
 
 def _pair(node: syntax.Call, function: Function, report: Report) -> list[tuple[Param, syntax.Node]] | None:
@@ -238,4 +244,4 @@ def _warn(function: Function, values: tuple[Typed, ...], report: Report) -> None
     elif function.family is Family.DRAW and function.name in ("uniform", "integer"):
         low_end, high_end = values[0].type.interval, values[1].type.interval
         if low_end.low > high_end.high:
-            report("DB105", values[0].start, values[1].end, "a range whose low end is above its high end")
+            report("DB105", values[0].start, values[1].end, "a range whose low end is above its high end", "give the low end first")

@@ -82,7 +82,7 @@ def check_range(tree: syntax.Node, scope: Scope, report: Report) -> TypedRange |
     if agree.components_of((low, high), tree.start, tree.end, report) is None:
         return None
     if low.type.interval.low > high.type.interval.high:
-        report("DB105", tree.start, tree.end, "a range whose low end is above its high end")
+        report("DB105", tree.start, tree.end, "a range whose low end is above its high end", "give the low end first")
         return None
     return TypedRange(low, high, tree.start, tree.end)
 

@@ -3,8 +3,20 @@
 from __future__ import annotations
 
 from deepbots_cli.lang import agree
-from deepbots_cli.lang.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, SPEED, TIME, TORQUE, Dimension
-from deepbots_cli.lang.typed import Typed, TypedRange, bare
+from deepbots_cli.lang.dimensions import (
+    ACCELERATION,
+    ANGLE,
+    ANGULAR_VELOCITY,
+    FORCE,
+    LENGTH,
+    MASS,
+    NUMBER,
+    SPEED,
+    TIME,
+    TORQUE,
+    Dimension,
+)
+from deepbots_cli.lang.typed import Typed, TypedRange, bare, zero
 from deepbots_cli.lang.types import Components, Report, Stage
 
 ANY_SHAPE: Components = ("*",)
@@ -63,8 +75,11 @@ def expect_range(
     stage: Stage = Stage.FIXED,
 ) -> TypedRange | None:
     """As `expect`, for both ends of a range."""
+    if dimension is not None and dimension not in (NUMBER, *_BARE_MEANS_SI) and bare(found.low) and bare(found.high) and not zero(found.high):
+        agree.missing_unit(found, dimension, report)  # one unit is missing, behind both ends
+        return None
     low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage)
-    high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
+    high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage) if low else None
     return None if low is None or high is None else found._replace(low=low, high=high)
 
 

@@ -10,6 +10,10 @@ from deepbots_cli.lang.typed import Pick, Reference, Typed
 from deepbots_cli.lang.types import Kind, Report, Scope, Subject, shown
 
 
+# What is asked most often of a part of the world that is no place.
+_ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age"}
+
+
 def reference(node: syntax.Name, scope: Scope, report: Report) -> Typed | None:
     """The symbol of the longest known part of a dotted name; the rest of it picks components."""
     for length in range(len(node.parts), 0, -1):
@@ -54,16 +58,19 @@ def subject_of(node: syntax.Node, kinds: frozenset[Kind], function: str, scope: 
             "name a part of the world, as in `position(cart.tip)`",
         )
         return None
-    subject = scope.subject(node.dotted)
+    subject = scope.subject(node.dotted, kinds)
+    if subject is not None and subject.kind is Kind.BROKEN:
+        return None
     if subject is not None and subject.kind in kinds:
         if subject.kind in (Kind.OBJECTS, Kind.ROBOTS):
             report("DB108", node.start, node.end, f"`{node.dotted}` is {subject.kind.words}, over which `{function}` is not supported yet")
         return subject
-    fitting = [name for name in scope.subjects() if (other := scope.subject(name)) is not None and other.kind in kinds]
+    fitting = [name for name in dict.fromkeys(scope.subjects()) if (other := scope.subject(name, kinds)) and other.kind in kinds]
     if subject is not None:
         report("DB203", node.start, node.end, f"`{node.dotted}` is {subject.kind.words}, but `{function}` needs {wanted}", _known(fitting))
-    elif scope.lookup(node.dotted) is not None:
-        report("DB203", node.start, node.end, f"`{node.dotted}` is a value, but `{function}` needs {wanted}", _known(fitting))
+    elif (symbol := scope.lookup(node.dotted)) is not None:
+        if symbol.type is not None or symbol.refused is not None:
+            report("DB203", node.start, node.end, f"`{node.dotted}` is a value, but `{function}` needs {wanted}", _known(fitting))
     else:
         unknown("name", node.dotted, fitting, node.start, node.end, report)
     return None
@@ -76,19 +83,15 @@ def unknown(what: str, name: str, known: Iterable[str], start: int, end: int, re
     names = sorted(known)
     close = get_close_matches(name, names, n=1)
     parts = ([f"did you mean `{close[0]}`?"] if close else []) + ([f"known here: {shown(names, 20)}"] if names else [])
-    report("DB402", start, end, f"unknown {what} `{name}`", "; ".join(parts) or None)
+    report("DB402", start, end, f"unknown {what} `{name}`", " ".join(parts) or None)
 
 
 def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:
     subject = scope.subject(node.dotted)
     if subject is not None:
-        report(
-            "DB203",
-            node.start,
-            node.end,
-            f"`{node.dotted}` is {subject.kind.words}, not a value",
-            "ask for one of its values, as in `position(cart).x`",
-        )
+        if subject.kind is not Kind.BROKEN:
+            help = f"ask for one of its values, as in `{_ASKED.get(subject.kind, 'position')}({node.dotted})`"
+            report("DB203", node.start, node.end, f"`{node.dotted}` is {subject.kind.words}, not a value", help)
     elif node.dotted in FUNCTIONS:
         report("DB402", node.start, node.end, f"`{node.dotted}` is a function", f"call it: `{FUNCTIONS[node.dotted].signature}`")
     else:

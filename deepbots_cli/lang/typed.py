@@ -77,6 +77,9 @@ class Invocation(NamedTuple):
 Typed = Constant | Reference | Pick | Operation | Vector | Invocation
 
 
+_DRAWS = ("uniform", "normal", "choice")
+
+
 def bare(value: Typed) -> bool:
     """Whether this is made of numbers without units alone."""
     match value:
@@ -84,6 +87,8 @@ def bare(value: Typed) -> bool:
             return unit is None and not value.type.boolean
         case Operation(args=parts) | Vector(items=parts):
             return not value.type.boolean and all(bare(part) for part in parts)
+        case Invocation(function=function, args=parts) if function in _DRAWS:
+            return all(bare(part) for part in parts)
         case _:
             return False
 

@@ -82,6 +82,7 @@ class Kind(StrEnum):
     LINE = "line"
     SENSOR = "sensor"
     GROUND = "ground"
+    BROKEN = "broken"
 
     @property
     def words(self) -> str:
@@ -93,7 +94,8 @@ class Subject(NamedTuple):
 
     `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the
     link whose pose stands for it: a robot's base link. For joints, `dimension` is that of their
-    position (angle or length) and `interval` its limits.
+    position (angle or length) and `interval` its limits. The kind `BROKEN` marks one whose own
+    definition had findings: using it is no further fault.
     """
 
     name: str
@@ -136,8 +138,11 @@ class Scope(Protocol):
     def lookup(self, name: str) -> Symbol | None:
         """The value of the dotted `name`."""
 
-    def subject(self, name: str) -> Subject | None:
-        """The part of the world that the dotted `name` means as an argument of a function."""
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
+        """The part of the world that the dotted `name` means as an argument of a function.
+
+        Where several parts share the name, as a joint and its link may, it means one of `kinds`.
+        """
 
     def names(self) -> Iterable[str]:
         """Every name that `lookup` knows, for suggestions."""
@@ -154,7 +159,7 @@ class NoNames(NamedTuple):
     def lookup(self, name: str) -> Symbol | None:
         return None
 
-    def subject(self, name: str) -> Subject | None:
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
         return None
 
     def names(self) -> Iterable[str]:

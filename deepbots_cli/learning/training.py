@@ -61,7 +61,7 @@ class TrainingResult:
 
 
 def train(
-    compiled: Compiled,
+    scenario: Compiled | str | Path,
     *,
     run: Path | None = None,
     runs: Path = Path("runs"),
@@ -73,12 +73,12 @@ def train(
     engine: str = "pybullet",
     build: BuildWorld | None = None,
 ) -> TrainingResult:
-    """Train the policy of a compiled scenario in a new run directory.
+    """Train the policy of a scenario in a new run directory.
 
     The first Ctrl-C or SIGTERM ends the training between two steps: the result says `interrupted`.
 
     Args:
-        compiled: What `deepbots_cli.compile` returned.
+        scenario: What `deepbots_cli.compile` returned, the path of a file, or the name of a shipped scenario.
         run: The directory to make; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
         runs: Where the default directory is made.
         seed: The root of every random stream, from 0. The same seed on the same machine gives the same weights.
@@ -95,6 +95,7 @@ def train(
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world failed; names step and cause.
     """
+    compiled = _compiled(scenario)
     training = _training_of(compiled.ir, total_timesteps)
     if seed < 0:
         raise UsageError(f"seed {seed} is negative; seeds count from 0")
@@ -171,6 +172,14 @@ def resume(
         stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
     )
     return _learn(known, training, Keeper(known, statistics, best), build, reporter(progress))
+
+
+def _compiled(scenario: Compiled | str | Path) -> Compiled:
+    if not isinstance(scenario, (str, Path)):
+        return scenario
+    from deepbots_cli.api import compile  # as for `default_build`
+
+    return compile(scenario)
 
 
 def default_build(engine: str) -> BuildWorld:

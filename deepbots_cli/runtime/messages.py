@@ -21,7 +21,7 @@ from deepbots_cli.ir import Field, MessageFormat, MessageLayout
 Message = bytes | str
 Value = float | bool
 
-MALFORMED = (ValueError, TypeError, struct.error, msgspec.MsgspecError)
+MALFORMED = (ValueError, TypeError, AttributeError, RecursionError, struct.error, msgspec.MsgspecError)
 """What decoding raises for a message that is not of the layout."""
 
 
@@ -109,18 +109,18 @@ def explain(layout: MessageLayout, format: MessageFormat, message: object, step:
     wanted = f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
     try:
         values = _loose(format, message, layout)
-    except (*MALFORMED, AttributeError, UnicodeDecodeError):
-        return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {_excerpt(message)}")
+    except MALFORMED:
+        return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}")
     if not values or values[0] != layout.stamp:
-        return MessageError(f"{place}: a foreign message (stamp {_excerpt(values[0] if values else None)}, not {layout.stamp}); {wanted}")
+        return MessageError(f"{place}: a foreign message (stamp {excerpt(values[0] if values else None)}, not {layout.stamp}); {wanted}")
     if len(values) - 1 != len(expected):
         missing = [name for name, _ in expected[len(values) - 1 :]]
         detail = f"the message is short, field '{missing[0]}' is missing" if missing else "the message has values too many"
         return MessageError(f"{place}: {detail}; {wanted}, got {len(values) - 1}")
     for (name, dtype), value in zip(expected, values[1:], strict=True):
         if not _fits(value, dtype):
-            return MessageError(f"{place}: field '{name}' should be a {dtype}, got {_excerpt(value)}")
-    return MessageError(f"{place}: the message does not fit its layout; {wanted}, got {_excerpt(message)}")
+            return MessageError(f"{place}: field '{name}' should be a {dtype}, got {excerpt(value)}")
+    return MessageError(f"{place}: the message does not fit its layout; {wanted}, got {excerpt(message)}")
 
 
 def _loose(format: MessageFormat, message: Any, layout: MessageLayout) -> list[object]:
@@ -154,6 +154,7 @@ def _fits(value: object, dtype: str) -> bool:
     return isinstance(value, bool) if dtype == "bool" else isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _excerpt(value: object) -> str:
-    text = repr(value)
+def excerpt(value: object) -> str:
+    """How a value is shown in an error: on one line, and not at length."""
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -15,7 +15,7 @@ from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.ir import CompiledScenario, MessageLayout
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.channel import Channel
-from deepbots_cli.runtime.messages import codec, explain
+from deepbots_cli.runtime.messages import codec, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.spaces import action_space, observation_space
 from deepbots_cli.runtime.streams import Streams
@@ -23,6 +23,9 @@ from deepbots_cli.runtime.view import overview
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
+
+
+_CLOSED = "the environment is closed; make a new one"
 
 
 class Supervisor(gym.Env[Observation, Any]):
@@ -42,6 +45,7 @@ class Supervisor(gym.Env[Observation, Any]):
     truncated: bool
     is_success: bool
     ended_by: str | None
+    endings: tuple[str, ...]
     step_count: int
 
     def __init__(self, scenario: CompiledScenario, engine: Engine, render_mode: str | None = None) -> None:
@@ -57,14 +61,18 @@ class Supervisor(gym.Env[Observation, Any]):
         self.scenario = scenario
         self.engine = engine
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / scenario.world.timestep))}
+        self.metadata = {
+            "render_modes": ["rgb_array"] if "rendering" in engine.capabilities else [],
+            "render_fps": max(1, round(1 / scenario.world.timestep)),
+        }
         self.observation_space = observation_space(scenario)
         self.action_space = action_space(scenario)
         self.streams = Streams(None)
         self.observed = np.zeros(len(scenario.observation), np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
-        self._ready = self._closed = False
+        self._closed = False
+        self._go_on: Callable[[Any], None] = self._refuse
         self._forget()
         self._connect()
         self.bind(engine)
@@ -93,9 +101,10 @@ class Supervisor(gym.Env[Observation, Any]):
         Raises:
             EvaluationError: The episode would end before its first step; names the ending.
         """
-        super().reset(seed=seed)
         if self._closed:
-            raise UsageError("the environment is closed; make a new one")
+            raise UsageError(_CLOSED)
+        super().reset(seed=seed)
+        self._go_on = self._refuse
         if seed is not None:
             self.streams = Streams(seed)
             self.action_space.seed(seed)
@@ -113,7 +122,7 @@ class Supervisor(gym.Env[Observation, Any]):
             raise EvaluationError(
                 f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); place the robots clear of it or widen it"
             )
-        self._ready = True
+        self._go_on = self._advance
         return self.get_observations(), self.get_info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
@@ -125,9 +134,9 @@ class Supervisor(gym.Env[Observation, Any]):
             MessageError: A message does not fit its layout.
         """
         try:
-            self._advance(action)
+            self._go_on(action)
         except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
-            raise self._step_failure(action, error) from error
+            self._try_again(action, error)
         terminated, truncated = self.is_done()
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
@@ -141,6 +150,7 @@ class Supervisor(gym.Env[Observation, Any]):
         """Release the engine; may be called twice."""
         if not self._closed:
             self._closed = True
+            self._go_on = self._refuse
             self.engine.close()
 
     # The paper's methods: they read, and change nothing
@@ -158,8 +168,8 @@ class Supervisor(gym.Env[Observation, Any]):
         return self.terminated, self.truncated
 
     def get_info(self) -> Info:
-        """`is_success`, `ended_by` (the first ending, or the limit) and `reward_terms` by name."""
-        return {"is_success": self.is_success, "ended_by": self.ended_by, "reward_terms": self.reward_terms()}
+        """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms` by name."""
+        return {"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings, "reward_terms": self.reward_terms()}
 
     # What the compiler prints
 
@@ -186,32 +196,45 @@ class Supervisor(gym.Env[Observation, Any]):
         self.reward = 0.0
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None
+        self.endings = ()
+
+    def _refuse(self, action: Any) -> None:
+        """Stands in for `_advance` while no episode runs."""
+        raise UsageError(_CLOSED if self._closed else "call reset() before step()")
 
     def _not_finite(self) -> None:
         """Called when the reward is not finite."""
-        raise FloatingPointError(f"the reward is {self.reward}")
+        self.engine.require_finite()
+        terms = [name for name, value in self.reward_terms().items() if not math.isfinite(value)]
+        culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
+        raise EvaluationError(f"step {self.step_count}: {culprit} is not finite")
 
     def _rejected(self, layout: MessageLayout, message: Any) -> MessageError:
+        self.engine.require_finite()  # not every format can carry what a world that blew up gives
         return explain(layout, self.scenario.format, message, self.step_count)
 
-    def _step_failure(self, action: Any, error: Exception) -> Exception:
-        if self._closed:
-            return UsageError("the environment is closed; make a new one")
-        if not self._ready:
-            return UsageError("call reset() before the first step()")
-        if not _acceptable(self.action_space, action):
-            return UsageError(f"action {action!r} does not fit {self.action_space}")
-        return self._no_value(error)
+    def _try_again(self, action: Any, error: Exception) -> None:
+        """Advance by an action in a form that the fast path does not take, or raise what was wrong.
+
+        A list, or the array without axes that SB3 predicts, fails there before anything has changed.
+        """
+        usual = _usual(self.action_space, action)
+        if usual is None:
+            raise UsageError(f"action {excerpt(action)} does not fit {self.action_space}") from None
+        if type(usual) is type(action) or isinstance(action, int | np.integer):
+            raise self._no_value(error) from error
+        try:
+            self._go_on(usual)
+        except (ArithmeticError, ValueError) as second:
+            raise self._no_value(second) from second
 
     def _no_value(self, error: Exception) -> Exception:
         """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of ours."""
-        frames = traceback.extract_tb(error.__traceback__)
-        generated = any(frame.filename.startswith("<deepbots") for frame in frames)
-        if not generated or not isinstance(error, (ArithmeticError, ValueError)):
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith("<deepbots")]
+        if not frames or not isinstance(error, (ArithmeticError, ValueError)):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
-        line = next(frame.line for frame in reversed(frames) if frame.filename.startswith("<deepbots"))
-        return EvaluationError(f"step {self.step_count}: no value for `{line}`: {error}")
+        return EvaluationError(f"step {self.step_count}: no value for `{frames[-1].line}`: {error}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.rebuild is None:
@@ -223,14 +246,17 @@ def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
     return rebuild()
 
 
-def _acceptable(space: gym.Space[Any], action: Any) -> bool:
+def _usual(space: gym.Space[Any], action: Any) -> Any:
+    """The action as generated code takes it (int or array), or None if it is none of this space."""
     try:
         array = np.asarray(action)
-        return bool(space.contains(array.item() if array.ndim == 0 else array)) or (
-            isinstance(space, gym.spaces.Box) and array.shape == space.shape and bool(np.isfinite(array).all())
-        )
-    except (TypeError, ValueError):
-        return False
+        if isinstance(space, gym.spaces.Box):
+            return array if array.shape == space.shape and np.isfinite(array.astype(float)).all() else None
+        if isinstance(space, gym.spaces.Discrete):
+            return array.item() if array.ndim == 0 and space.contains(array.item()) else None
+        return array if space.contains(array) else None
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def clipped(value: float) -> float:

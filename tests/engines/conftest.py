@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import pi
+from math import cos, pi, sin
 
 import pytest
 
@@ -22,6 +22,23 @@ def rod(name: str, mass: float = 0.1, length: float = 1.0) -> Link:
 
 def block(name: str, mass: float = 1.0) -> Link:
     return Link(name, Inertial(mass, ixx=0.01, iyy=0.01, izz=0.01))
+
+
+def cart() -> RobotModel:
+    """A hull of two boxes on four wheels, with a pole on a hinge."""
+    wheels = [(f"wheel_{i}", x, y) for i, (x, y) in enumerate(((0.06, 0.05), (0.06, -0.05), (-0.06, 0.05), (-0.06, -0.05)))]
+    tyre = (Geometry(Cylinder(0.04, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
+    hull = tuple(Geometry(Box((0.08, 0.05, 0.04)), Pose((x, 0, 0.02))) for x in (0.06, -0.06))
+    links = (
+        Link("body", Inertial(2.0, ixx=0.0015, iyy=0.0077, izz=0.0071), hull, hull),
+        *(Link(name, Inertial(0.1, ixx=4e-5, iyy=8e-5, izz=4e-5), tyre, tyre, Friction(1.0)) for name, _, _ in wheels),
+        rod("pole", 0.2),
+    )
+    joints = (
+        *(Joint(name, "continuous", "body", name, Pose((x, y, 0)), (0, 1, 0)) for name, x, y in wheels),
+        Joint("hinge", "revolute", "body", "pole", Pose((0, 0, 0.03)), (0, 1, 0), Limit(-1.3, 1.3)),
+    )
+    return RobotModel("cart", links, joints, root="body")
 
 
 @dataclass(frozen=True)
@@ -65,39 +82,22 @@ class Worlds:
         return WorldModel(0.02, 4, ground=None, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, height)), 0.5),))
 
     @staticmethod
-    def arena(timestep: float = 0.032, substeps: int = 4) -> WorldModel:
-        """Four driven wheels, a pole, a ball that rolls, a box and a drum, between walls."""
-        wheels = [(f"wheel_{i}", x, y) for i, (x, y) in enumerate(((0.06, 0.05), (0.06, -0.05), (-0.06, 0.05), (-0.06, -0.05)))]
-        tyre = Geometry(Cylinder(0.04, 0.02), Pose(rpy=(pi / 2, 0, 0)))
-        hull = Geometry(Box((0.2, 0.05, 0.04)), Pose((0, 0, 0.02)))
-        body = Link("body", Inertial(2.0, ixx=0.0015, iyy=0.0077, izz=0.0071), (hull,), (hull,))
-        model = RobotModel(
-            "cart",
-            (
-                body,
-                *(Link(name, Inertial(0.1, ixx=4e-5, iyy=8e-5, izz=4e-5), (tyre,), (tyre,), Friction(1.0)) for name, _, _ in wheels),
-                rod("pole", 0.2),
-            ),
-            (
-                *(Joint(name, "continuous", "body", name, Pose((x, y, 0)), (0, 1, 0)) for name, x, y in wheels),
-                Joint("hinge", "revolute", "body", "pole", Pose((0, 0, 0.03)), (0, 1, 0), Limit(-1.3, 1.3)),
-            ),
-            root="body",
-        )
+    def arena(timestep: float = 0.032, substeps: int = 4, carts: int = 1) -> WorldModel:
+        """Carts of four driven wheels and a pole, a ball that rolls, a box and a drum, between walls."""
+        places = ((0.0, 0.0), (0.0, 0.25), (0.0, -0.25))[:carts]
+        names = ("robot", "second", "third")
         things = (
             ObjectBody("ball", Sphere(0.05), Pose((0.3, 0.02, 0.05)), 0.1),
             ObjectBody("crate", Box((0.1, 0.1, 0.1)), Pose((-0.3, 0.03, 0.05)), 0.1),
             ObjectBody("drum", Cylinder(0.04, 0.1), Pose((0.2, -0.3, 0.05)), 0.1),
             ObjectBody("mark", Sphere(0.03), Pose((0.0, 0.3, 0.05)), solid=False),
         )
-        robot = RobotBody("robot", model, pose=Pose((0, 0, 0.04)))
-        return WorldModel(timestep, substeps, arena=Arena((1, 1), 0.1), robots=(robot,), objects=things)
+        robots = tuple(RobotBody(name, cart(), pose=Pose((x, y, 0.04))) for name, (x, y) in zip(names, places, strict=False))
+        return WorldModel(timestep, substeps, arena=Arena((1, 1), 0.1), robots=robots, objects=things)
 
     @staticmethod
     def slope(angle: float, friction: float) -> WorldModel:
         """A crate on the floor, with gravity tilted instead of the floor."""
-        from math import cos, sin
-
         down = (9.81 * sin(angle), 0.0, -9.81 * cos(angle))
         crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 1.0, friction=friction)
         return WorldModel(0.02, 4, down, Ground(1.0), objects=(crate,))

@@ -270,5 +270,5 @@ def test_a_pose_that_is_not_finite_is_found_out(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())
     engine.set_joint("robot", "hinge", float("nan"), 0.0)
     engine.step(4)
-    with pytest.raises(EngineError, match=r"'robot'.* is no longer finite"):
+    with pytest.raises(EngineError, match="'robot' left the range of numbers"):
         engine.require_finite()

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
@@ -27,16 +28,17 @@ def in_fresh_process(world: WorldModel, seed: int, ticks: int) -> bytes:
     return subprocess.run([sys.executable, str(EPISODE)], input=pickle.dumps((world, seed, ticks)), capture_output=True, check=True).stdout
 
 
-def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(worlds, build):
-    world = worlds.arena()
-    fresh = in_fresh_process(world, seed=5, ticks=60)
+@pytest.mark.parametrize("carts", [1, 3])
+def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(carts, worlds, build):
+    world = worlds.arena(carts=carts)
+    fresh = in_fresh_process(world, seed=5, ticks=100)
     engine = build("pybullet", world)
-    assert trajectory(engine, seed=5, ticks=60) == fresh
-    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
+    assert trajectory(engine, world, seed=5, ticks=100) == fresh
+    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233):
         engine.reset()
-        trajectory(engine, seed=ticks, ticks=ticks)
+        trajectory(engine, world, seed=ticks, ticks=ticks)
         engine.reset()
-        assert trajectory(engine, seed=5, ticks=60) == fresh
+        assert trajectory(engine, world, seed=5, ticks=100) == fresh
 
 
 def test_a_library_prints_nothing_and_leaves_stdout_to_the_program(worlds):
@@ -55,13 +57,10 @@ def test_a_closed_world_is_not_stepped_when_another_takes_its_place(worlds, buil
     assert second.pose("ball")()[0] == (0, 0, 5.0)
 
 
-def test_an_engine_that_is_dropped_gives_its_world_back(worlds, build):
-    def number() -> int:
-        from deepbots_cli.engines.pybullet import PyBulletEngine
-
-        return PyBulletEngine(worlds.ball())._client
-
-    assert number() == number()
+def test_an_engine_that_is_dropped_gives_its_world_back(worlds):
+    step = create("pybullet", worlds.ball()).step
+    with pytest.raises(EngineError, match="closed"):
+        step(1)
 
 
 def test_wheels_roll_without_slip_on_their_exact_radius(worlds, build):
@@ -234,7 +233,7 @@ def test_a_world_that_blew_up_says_so_and_is_not_reset(worlds, build):
     engine.set_joint("robot", "wheel_1", float("nan"), float("nan"))
     engine.step(1)
     for use in (engine.require_finite, engine.reset):
-        with pytest.raises(EngineError, match=r"'robot'.* is no longer finite"):
+        with pytest.raises(EngineError, match="'robot' left the range of numbers"):
             use()
 
 
@@ -261,7 +260,7 @@ def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
 def test_drawing_changes_nothing_that_follows(worlds, build):
     seen, unseen = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
     seen.render(View((1, 1, 1), (0, 0, 0), 32, 32))
-    assert trajectory(seen, 3, 20) == trajectory(unseen, 3, 20)
+    assert trajectory(seen, worlds.arena(), 3, 20) == trajectory(unseen, worlds.arena(), 3, 20)
 
 
 def test_the_pendulum_of_a_rotor_keeps_its_speed_without_gravity(worlds, build):

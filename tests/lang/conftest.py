@@ -69,7 +69,7 @@ class Words:
     def lookup(self, name: str) -> Symbol | None:
         return self.symbols.get(name)
 
-    def subject(self, name: str) -> Subject | None:
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
         return self.things.get(name)
 
     def names(self) -> Iterable[str]:

@@ -4,6 +4,7 @@ robot.py       a controller class per robot: use_message_data, create_message
 supervisor.py  the supervisor class: reset and one tick
 evaluation.py  signals, endings, reward and observation inside that tick
 reads.py       which engine readers are bound, and how each number is taken from them
+guard.py       what may be printed at all
 printer.py     statements and the memory of stateful functions; names.py identifiers; text.py layout
 
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
@@ -13,7 +14,8 @@ match `[a-z_][a-z0-9_]*` and quoted strings.
 from __future__ import annotations
 
 from deepbots_cli.canonical import digest
-from deepbots_cli.compile.emit.names import check_names, class_name
+from deepbots_cli.compile.emit.guard import check_printable
+from deepbots_cli.compile.emit.names import class_name
 from deepbots_cli.compile.emit.robot import RobotPrinter
 from deepbots_cli.compile.emit.supervisor import SupervisorPrinter
 from deepbots_cli.ir import CompiledScenario
@@ -27,7 +29,7 @@ def emit(scenario: CompiledScenario) -> str:
     Raises:
         CanonicalError: A name is no identifier of the language; such a scenario never came from the compiler.
     """
-    check_names(scenario)
+    check_printable(scenario)
     classes: list[str] = []
     for robot in scenario.robots:
         classes += ["", "", *RobotPrinter(scenario, robot).text()]

@@ -10,9 +10,10 @@ import math
 from collections.abc import Iterator
 
 from deepbots_cli.compile.emit.names import Names
-from deepbots_cli.compile.emit.printer import Printer
+from deepbots_cli.compile.emit.printer import Printer, outer_states
 from deepbots_cli.compile.emit.reads import Reads
-from deepbots_cli.ir import Choices, CompiledScenario, Observed
+from deepbots_cli.compile.emit.text import quoted
+from deepbots_cli.ir import Choices, CompiledScenario, Ending, Interval, Observed
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 
@@ -22,12 +23,13 @@ class EvaluationPrinter:
     def __init__(self, scenario: CompiledScenario) -> None:
         self._scenario = scenario
         self.names = Names()
-        expressions = [value for entry in scenario.signals for value in entry.values]
-        expressions += [ending.condition for ending in scenario.endings]
-        expressions += [term.value for term in scenario.reward]
-        expressions += [entry.value for entry in scenario.observation]
-        self.reads = Reads(expressions)
-        self._used = {leaf.name for expression in expressions for leaf in _name_leaves(expression)}
+        self._expressions = [value for entry in scenario.signals for value in entry.values]
+        self._expressions += [ending.condition for ending in scenario.endings]
+        self._expressions += [term.value for term in scenario.reward]
+        self._expressions += [entry.value for entry in scenario.observation]
+        sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
+        self.reads = Reads([*self._expressions, *sent], self.names)
+        self._used = {leaf.name for expression in self._expressions for leaf in name_leaves(expression)}
         self._parameters = {entry.name for entry in scenario.parameters}
 
     def uses(self, name: str) -> bool:
@@ -36,8 +38,14 @@ class EvaluationPrinter:
     def local(self, name: str, component: str | None = None) -> str:
         return self.names(name, component)
 
-    def action_variables(self) -> list[str]:
-        return [v for part in self._scenario.action for v in (part.variables if isinstance(part, Choices) else (part.name,))]
+    def action_variables(self) -> list[tuple[str, str | None]]:
+        """Name and component of every number that the action sets."""
+        return [
+            (name, component)
+            for part in self._scenario.action
+            for name in (part.variables if isinstance(part, Choices) else (part.name,))
+            for component in ((isinstance(part, Interval) and part.components) or (None,))
+        ]
 
     def printer(self, *, starting: bool) -> Printer:
         return Printer(self._resolve, self.names, self._scenario.world.timestep, starting=starting)
@@ -55,7 +63,7 @@ class EvaluationPrinter:
 
     def print_all(self, printer: Printer) -> None:
         starting = printer.starting
-        printer.lines += self.reads.call_lines()
+        printer.lines += self.reads.call_lines(self._expressions)
         for entry in self._scenario.signals:
             for component, value in zip(entry.components or (None,), entry.values, strict=True):
                 printer.assign(self.local(entry.name, component), value)
@@ -66,19 +74,20 @@ class EvaluationPrinter:
         self._observation(printer)
 
     def _endings(self, printer: Printer) -> None:
+        """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
         endings = self._scenario.endings
-        for ending in endings:
-            printer.assign(self.local(ending.name), ending.condition)
         if not endings:
             return
-        names = [self.local(ending.name) for ending in endings]
-        printer.line(f"if {' or '.join(names)}:")
-        printer.line("    self.terminated = True")
+        for ending in _after_what_they_use(endings):
+            printer.assign(self.local(ending.name), ending.condition)
         failures = [ending for ending in endings if ending.outcome == "failure"]
         successes = [ending for ending in endings if ending.outcome == "success"]
         order = [*failures, *successes]
-        chain = "".join(f"{ending.name!r} if {self.local(ending.name)} else " for ending in order[:-1]) + repr(order[-1].name)
-        printer.line(f"    self.ended_by = {chain}")
+        printer.line(f"if {' or '.join(self.local(ending.name) for ending in endings)}:")
+        printer.line("    self.terminated = True")
+        pairs = ", ".join(f"({quoted(ending.name)}, {self.local(ending.name)})" for ending in order)
+        printer.line(f"    self.endings = tuple([name for name, holds in ({pairs},) if holds])")
+        printer.line("    self.ended_by = self.endings[0]")
         if successes:
             refused = "".join(f" and not {self.local(ending.name)}" for ending in failures)
             reached = " or ".join(self.local(ending.name) for ending in successes)
@@ -98,14 +107,13 @@ class EvaluationPrinter:
         word = "elif" if self._scenario.endings else "if"
         printer.line(f"{word} self.step_count >= {count}:")
         printer.line("    self.truncated = True")
-        printer.line(f"    self.ended_by = {name!r}")
+        printer.line(f"    self.ended_by = {quoted(name)}")
+        printer.line("    self.endings = (self.ended_by,)")
 
     def _rewards(self, printer: Printer) -> None:
         terms = self._scenario.reward
         if printer.starting:
-            printer.remember([term.value for term in terms])
-            for term in terms:
-                printer.line(f"self.term_{term.name} = 0.0")
+            self._remember_rewards(printer)
             return
         for flag in ("terminated", "truncated"):
             if self.uses(flag):
@@ -118,6 +126,17 @@ class EvaluationPrinter:
         printer.line(f"self.reward = reward = {total}")
         printer.line("if not -1e300 < reward < 1e300:")
         printer.line("    self._not_finite()")
+
+    def _remember_rewards(self, printer: Printer) -> None:
+        """Before the first step there is no reward, but what its terms remember begins."""
+        terms = self._scenario.reward
+        remembered = {leaf.name for term in terms for state in outer_states(term.value) for leaf in name_leaves(state)}
+        for flag in ("terminated", "truncated", "ended"):
+            if flag in remembered:
+                printer.line(f"{self.local(flag)} = False")
+        printer.remember([term.value for term in terms])
+        for term in terms:
+            printer.line(f"self.term_{term.name} = 0.0")
 
     def _observation(self, printer: Printer) -> None:
         packed = []
@@ -133,6 +152,23 @@ class EvaluationPrinter:
         printer.line(f"self.pack({', '.join(['self.observed', '0', *packed])})")
 
 
+def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
+    """Endings may name each other; the compiler has refused circles."""
+    by_name = {ending.name: ending for ending in endings}
+    order: dict[str, Ending] = {}
+
+    def add(ending: Ending) -> None:
+        for leaf in name_leaves(ending.condition):
+            if leaf.name in by_name and leaf.name not in order:
+                add(by_name[leaf.name])
+        order[ending.name] = ending
+
+    for ending in endings:
+        if ending.name not in order:
+            add(ending)
+    return list(order.values())
+
+
 def _normalised(code: str, entry: Observed) -> str:
     """Code that maps [low, high] to [-1, 1]."""
     half, middle = (entry.high - entry.low) / 2, (entry.high + entry.low) / 2
@@ -145,12 +181,12 @@ def _group(code: str) -> str:
     return code if code.replace("_", "a").replace("[", "").replace("]", "").replace(".", "").isalnum() else f"({code})"
 
 
-def _name_leaves(expression: Scalar) -> Iterator[Name]:
+def name_leaves(expression: Scalar) -> Iterator[Name]:
     match expression:
         case Name():
             yield expression
         case Op(_, args) | State(_, args, _) | Draw(_, args, _):
             for argument in args:
-                yield from _name_leaves(argument)
+                yield from name_leaves(argument)
         case Const() | World():
             pass

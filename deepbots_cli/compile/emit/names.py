@@ -7,33 +7,11 @@ import keyword
 import math
 import re
 
-from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.ir import Choices, CompiledScenario
-
 _TAKEN = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "stamp", "reward", "terminated", "truncated", "ended", "Any", "Struct"}
     | {"clipped", "quaternion", "wrap", "Supervisor", "RobotController", "MALFORMED", "copysign"}
 )
-
-
-_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
-
-
-def check_names(scenario: CompiledScenario) -> None:
-    """Refuse names that would not be plain identifiers in the generated code.
-
-    The schema has checked what users write; this guards against a compiled scenario from elsewhere.
-    """
-    robots = [
-        entry for robot in scenario.robots for entry in (robot, *robot.sensors, *robot.actuators, *robot.receive, *robot.emit, *robot.apply)
-    ]
-    entries = [*robots, *scenario.parameters, *scenario.signals, *scenario.reward, *scenario.endings, *scenario.action]
-    names = [entry.name for entry in entries]
-    names += [name for part in scenario.action if isinstance(part, Choices) for name in (*part.variables, *(o.name for o in part.options))]
-    for name in names:
-        if not _NAME.fullmatch(name):
-            raise CanonicalError(f"{name[:40]!r} is no name that a scenario may define")
 
 
 class Names:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from deepbots_cli.compile.emit.names import Names
+from deepbots_cli.compile.emit.text import quoted
 from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
 from deepbots_cli.lang.state import advance_lines, reset_lines
@@ -48,7 +49,7 @@ class Printer:
             case State():
                 return self._state(leaf)
             case Draw():
-                arguments = ", ".join([repr(leaf.stream), *(self.value(argument) for argument in leaf.args)])
+                arguments = ", ".join([quoted(leaf.stream), *(self.value(argument) for argument in leaf.args)])
                 return f"self.streams.{leaf.distribution}({arguments})"
             case _:
                 return self._resolve(leaf)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from deepbots_cli.compile.emit.names import Names
+from deepbots_cli.compile.emit.text import quoted, quoted_tuple
 from deepbots_cli.lang.scalar import Draw, Op, Scalar, State, World
 
 _XYZ = {"x": 0, "y": 1, "z": 2, "w": 3}
@@ -18,10 +19,13 @@ _JOINT_PART = {"joint_position": 0, "joint_velocity": 1}
 
 
 class Reads:
-    """The readers that a set of expressions needs."""
+    """The readers that all expressions of one class need; one reader covers all joints of a robot.
 
-    def __init__(self, expressions: Iterable[Scalar]) -> None:
-        self._names = Names()
+    Each part of the class calls those that its own expressions need.
+    """
+
+    def __init__(self, expressions: Iterable[Scalar], names: Names) -> None:
+        self._names = names
         self._joints: dict[str, list[str]] = {}
         self._torques: dict[str, list[str]] = {}
         self._poses: dict[str, None] = {}
@@ -45,11 +49,11 @@ class Reads:
     def bind_lines(self) -> list[str]:
         """Statements that take the readers from `engine`."""
         lines = [
-            f"self.read_{self._local(robot, 'joints')} = engine.joint_states({robot!r}, {tuple(joints)!r})"
+            f"self.read_{self._local(robot, 'joints')} = engine.joint_states({quoted(robot)}, {quoted_tuple(joints)})"
             for robot, joints in self._joints.items()
         ]
         lines += [
-            f"self.read_{self._local(robot, 'torques')} = engine.joint_torques({robot!r}, {tuple(joints)!r})"
+            f"self.read_{self._local(robot, 'torques')} = engine.joint_torques({quoted(robot)}, {quoted_tuple(joints)})"
             for robot, joints in self._torques.items()
         ]
         lines += [f"self.read_{self._local(subject, 'pose')} = engine.pose({_body_and_link(subject)})" for subject in self._poses]
@@ -58,16 +62,15 @@ class Reads:
         ]
         return lines
 
-    def call_lines(self) -> list[str]:
-        """Statements that read once."""
-        locals_ = [self._local(robot, "joints") for robot in self._joints]
-        locals_ += [self._local(robot, "torques") for robot in self._torques]
-        locals_ += [self._local(subject, "pose") for subject in self._poses]
-        locals_ += [self._local(subject, "velocity") for subject in self._velocities]
+    def call_lines(self, expressions: Iterable[Scalar]) -> list[str]:
+        """Statements that read once what these expressions need."""
+        needed = {_reader(leaf) for expression in expressions for leaf in world_leaves(expression)}
+        tables = (("joints", self._joints), ("torques", self._torques), ("pose", self._poses), ("velocity", self._velocities))
+        locals_ = [self._local(subject, what) for what, table in tables for subject in table if (subject, what) in needed]
         return [f"{name} = self.read_{name}()" for name in locals_]
 
     def code(self, leaf: World) -> str:
-        """The code of one number, after `call_lines` ran."""
+        """The code of one number, after its reader was called."""
         subject = leaf.subjects[0]
         if leaf.function in _POSE_PART:
             return f"{self._local(subject, 'pose')}[{_POSE_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
@@ -79,7 +82,17 @@ class Reads:
         return f"{self._local(robot, 'joints')}[{self._joints[robot].index(joint)}][{_JOINT_PART[leaf.function]}]"
 
     def _local(self, subject: str, what: str) -> str:
-        return self._names(subject, what)
+        return self._names(f"{subject} {what}")  # the blank keeps it apart from every name of the scenario
+
+
+def _reader(leaf: World) -> tuple[str, str]:
+    """Whose reader gives this number, and which of its readers."""
+    subject = leaf.subjects[0]
+    if leaf.function in _POSE_PART:
+        return subject, "pose"
+    if leaf.function in _VELOCITY_PART:
+        return subject, "velocity"
+    return subject.split(".", 1)[0], "torques" if leaf.function == "joint_torque" else "joints"
 
 
 def world_leaves(expression: Scalar) -> Iterable[World]:
@@ -93,4 +106,4 @@ def world_leaves(expression: Scalar) -> Iterable[World]:
 
 def _body_and_link(subject: str) -> str:
     body, _, link = subject.partition(".")
-    return f"{body!r}, {link!r}" if link else f"{body!r}"
+    return f"{quoted(body)}, {quoted(link)}" if link else quoted(body)

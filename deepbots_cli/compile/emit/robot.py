@@ -5,7 +5,7 @@ from __future__ import annotations
 from deepbots_cli.compile.emit.names import Names, class_name
 from deepbots_cli.compile.emit.printer import Printer, outer_states
 from deepbots_cli.compile.emit.reads import Reads
-from deepbots_cli.compile.emit.text import block, flat, indent, sentence_list, tuple_code
+from deepbots_cli.compile.emit.text import block, flat, indent, quoted, quoted_tuple, sentence_list, tuple_code
 from deepbots_cli.compile.sensors import reading
 from deepbots_cli.ir import Actuator, CompiledScenario, Robot
 from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
@@ -22,8 +22,7 @@ class RobotPrinter:
         self._received = {entry.name for entry in robot.receive}
         self._emitted = [self._sensed(value) for entry in robot.emit for value in entry.values]
         self._applied = [self._sensed(value) for entry in robot.apply for value in entry.values]
-        self._emit_reads = Reads(self._emitted)
-        self._apply_reads = Reads(self._applied)
+        self._reads = Reads([*self._emitted, *self._applied], self._names)
         self._keeps_state = any(outer_states(value) for value in self._emitted)
 
     def text(self) -> list[str]:
@@ -44,9 +43,8 @@ class RobotPrinter:
         return lines
 
     def _bind(self) -> list[str]:
-        lines = dict.fromkeys([*self._emit_reads.bind_lines(), *self._apply_reads.bind_lines()])
         writers = [f"self.drive_{actuator.name} = engine.{_writer_code(self._robot, actuator)}" for actuator in self._used_actuators()]
-        return block("def bind(self, engine: Any) -> None:", [*lines, *writers] or ["pass"])
+        return block("def bind(self, engine: Any) -> None:", [*self._reads.bind_lines(), *writers] or ["pass"])
 
     def _used_actuators(self) -> list[Actuator]:
         used = {entry.name for entry in self._robot.apply}
@@ -54,9 +52,9 @@ class RobotPrinter:
 
     def _reset(self) -> list[str]:
         """Memory of stateful functions as it is right after a reset; messages have not yet come, so received values are 0."""
-        printer = self._printer(self._emit_reads, starting=True)
-        printer.lines += dict.fromkeys([*self._emit_reads.call_lines(), *self._apply_reads.call_lines()])
-        applied = self._printer(self._apply_reads, starting=True, received="0.0")
+        printer = self._printer(starting=True)
+        printer.lines += self._reads.call_lines([*self._emitted, *self._applied])
+        applied = self._printer(starting=True, received="0.0")
         applied.remember(self._applied)
         printer.lines += applied.lines
         if self._keeps_state:
@@ -66,8 +64,8 @@ class RobotPrinter:
         return block("def reset(self) -> None:", printer.lines)
 
     def _sense_once(self) -> list[str]:
-        printer = self._printer(self._emit_reads)
-        printer.lines += self._emit_reads.call_lines()
+        printer = self._printer()
+        printer.lines += self._reads.call_lines(self._emitted)
         self._store(printer)
         doc = '"""Read the sensors and advance what is computed on board; once per tick."""'
         return block("def observe(self) -> None:", [doc, *printer.lines])
@@ -77,7 +75,7 @@ class RobotPrinter:
             printer.assign(f"self.{self._stored(name, component)}", value)
 
     def _use_message_data(self) -> list[str]:
-        printer = self._printer(self._apply_reads)
+        printer = self._printer()
         received = [self._names(name, component) for name, component in flat(self._robot.receive)]
         if self._messages:
             head = "def use_message_data(self, message: Any) -> None:"
@@ -86,7 +84,7 @@ class RobotPrinter:
         else:
             head = f"def apply(self, {', '.join(received)}) -> None:".replace("(self, )", "(self)")
             doc = '"""Drive the actuators."""'
-        printer.lines += self._apply_reads.call_lines()
+        printer.lines += self._reads.call_lines(self._applied)
         applied = iter(self._applied)
         for entry in self._robot.apply:
             values = [printer.value(next(applied)) for _ in entry.values]
@@ -105,8 +103,8 @@ class RobotPrinter:
         if self._keeps_state:
             values = [f"self.{self._stored(name, component)}" for name, component in flat(self._robot.emit)]
         else:
-            printer = self._printer(self._emit_reads)
-            printer.lines += self._emit_reads.call_lines()
+            printer = self._printer()
+            printer.lines += self._reads.call_lines(self._emitted)
             values = [printer.value(value) for value in self._emitted]
             lines = printer.lines
         listed = sentence_list(labels) or "nothing"
@@ -120,10 +118,10 @@ class RobotPrinter:
     def _stored(self, name: str, component: str | None) -> str:
         return "emitted_" + self._names(name, component)
 
-    def _printer(self, reads: Reads, *, starting: bool = False, received: str | None = None) -> Printer:
+    def _printer(self, *, starting: bool = False, received: str | None = None) -> Printer:
         def resolve(leaf: Name | World) -> str:
             if isinstance(leaf, World):
-                return reads.code(leaf)
+                return self._reads.code(leaf)
             return received or self._names(leaf.name, leaf.component)
 
         return Printer(resolve, self._names, self._scenario.world.timestep, starting=starting)
@@ -167,7 +165,7 @@ def decode_lines(decode: str, targets: list[str], stamp: int, error: str) -> lis
 
 def _writer_code(robot: Robot, actuator: Actuator) -> str:
     limits = tuple_code([repr(limit) if limit is not None else "inf" for limit in actuator.max_torque])
-    arguments = f"{robot.name!r}, {actuator.joints!r}, {limits}"
+    arguments = f"{quoted(robot.name)}, {quoted_tuple(actuator.joints)}, {limits}"
     if actuator.kind == "position_motor":
         arguments += f", {actuator.stiffness!r}, {actuator.damping!r}"
     return f"{actuator.kind}({arguments})"

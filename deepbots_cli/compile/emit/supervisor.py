@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compile.emit.evaluation import EvaluationPrinter
+from deepbots_cli.compile.emit.evaluation import EvaluationPrinter, name_leaves
 from deepbots_cli.compile.emit.names import class_name
-from deepbots_cli.compile.emit.printer import Printer
+from deepbots_cli.compile.emit.printer import Printer, outer_states
 from deepbots_cli.compile.emit.robot import controller_name, decode_lines, keeps_state
-from deepbots_cli.compile.emit.text import block, flat, indent, tuple_code
+from deepbots_cli.compile.emit.text import block, flat, indent, quoted, tuple_code
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, Robot
 from deepbots_cli.lang.scalar import Const, Name, Scalar, World
 
@@ -20,12 +20,14 @@ class SupervisorPrinter:
         self._names = self._evaluation.names
         self._messages = scenario.format != "none"
         self._late = scenario.timing == "paper"
+        self._sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
+        self._told = self._told_locals()
 
     def text(self) -> list[str]:
         scenario = self._scenario
-        controllers = ", ".join(f"{robot.name!r}: {controller_name(robot)}" for robot in scenario.robots)
+        controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
         lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
-        lines += indent([repr(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *self._tables(), ""])
+        lines += indent([quoted(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *self._tables(), ""])
         for method in (self._bind(), self._begin(), self._start(), self._advance(), self._reward_terms()):
             lines += indent(method)
         return lines
@@ -50,6 +52,13 @@ class SupervisorPrinter:
         lines.append(f'self.pack = Struct("{len(self._scenario.observation)}f").pack_into')
         return block("def bind(self, engine: Any) -> None:", lines)
 
+    def _told_locals(self) -> list[str]:
+        """Local variables of one tick that the messages of the next one tell: signals, and fields that robots sent."""
+        scenario = self._scenario
+        kept = [*flat(scenario.signals), *((f"{r.name}.{name}", component) for r in scenario.robots for name, component in flat(r.emit))]
+        told = {(leaf.name, leaf.component) for value in self._sent for leaf in name_leaves(value)}
+        return [self._evaluation.local(name, component) for name, component in kept if (name, component) in told]
+
     # Reset
 
     def _begin(self) -> list[str]:
@@ -63,11 +72,10 @@ class SupervisorPrinter:
         for place in self._scenario.reset.places:
             xyz, rpy = (tuple_code([printer.value(value) for value in values]) for values in (place.xyz, place.rpy))
             turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
-            printer.line(f"self.engine.place({place.body!r}, {xyz}, {turn})")
+            printer.line(f"self.engine.place({quoted(place.body)}, {xyz}, {turn})")
         for joint in self._scenario.reset.joints:
-            printer.line(
-                f"self.engine.set_joint({joint.robot!r}, {joint.joint!r}, {printer.value(joint.position)}, {printer.value(joint.velocity)})"
-            )
+            where = f"{quoted(joint.robot)}, {quoted(joint.joint)}"
+            printer.line(f"self.engine.set_joint({where}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
         ticks = round(self._scenario.reset.settle / self._scenario.world.timestep)
         if ticks:
             printer.line(f"self.physics({ticks * self._scenario.world.substeps})")
@@ -81,13 +89,30 @@ class SupervisorPrinter:
     def _start(self) -> list[str]:
         printer = self._evaluation.printer(starting=True)
         printer.line('"""Receive the first messages and compute what the first observation needs."""')
-        zeros = [self._evaluation.local(name) for name in self._evaluation.action_variables() if self._evaluation.uses(name)]
+        variables = self._evaluation.action_variables()
+        zeros = [self._evaluation.local(*variable) for variable in variables if self._evaluation.uses(variable[0])]
         if zeros:
             printer.line(" = ".join([*zeros, "0.0"]))
         for robot in self._scenario.robots:
             self._receive(printer, robot, first=True)
         self._evaluation.print_all(printer)
+        self._remember_sent(printer)
         return block("def _start(self) -> None:", printer.lines)
+
+    def _remember_sent(self, printer: Printer) -> None:
+        """Begin what the values sent to robots remember; such a value begins with an action of 0."""
+        states = [state for value in self._sent for state in outer_states(value)]
+        if states:
+            used = {leaf.name for state in states for leaf in name_leaves(state)}
+            zeros = [v for v in self._evaluation.action_variables() if v[0] in used and not self._evaluation.uses(v[0])]
+            printer.lines += [f"{self._evaluation.local(*variable)} = 0.0" for variable in zeros]
+            printer.lines += [line for line in self._evaluation.reads.call_lines(states) if line not in printer.lines]
+            printer.remember(self._sent)
+        self._keep(printer)
+
+    def _keep(self, printer: Printer) -> None:
+        """Store what the next message to a robot tells of this tick."""
+        printer.lines += [f"self.told_{local} = {local}" for local in self._told]
 
     # One tick
 
@@ -97,29 +122,34 @@ class SupervisorPrinter:
         printer.line('"""One tick: act, let the world go on, receive, and compute all that is read afterwards."""')
         self._decode_action(printer)
         printer.line("self.step_count += 1")
+        printer.lines += [f"{local} = self.told_{local}" for local in self._told]
+        printer.lines += self._evaluation.reads.call_lines(self._sent)
         for robot in self._scenario.robots:
             self._send(printer, robot)
         printer.line(f"self.physics({world.substeps})")
         for robot in self._scenario.robots:
             self._receive(printer, robot, first=False)
         self._evaluation.print_all(printer)
+        self._keep(printer)
         return block("def _advance(self, action: Any) -> None:", printer.lines)
 
     def _decode_action(self, printer: Printer) -> None:
         choices = self._choices()
-        for index, part in enumerate(choices):
+        picks = ["action"] if len(choices) == 1 else [self._names(f"{part.name} pick") for part in choices]
+        if len(picks) > 1:
+            printer.line(f"{', '.join(picks)} = action")
+        for part, pick in zip(choices, picks, strict=True):
             targets = ", ".join(self._evaluation.local(variable) for variable in part.variables)
-            key = "action" if len(choices) == 1 else f"action[{index}]"
-            printer.line(f"{targets} = self.CHOICES_{part.name}[{key}]")
+            printer.line(f"{targets} = self.CHOICES_{part.name}[{pick}]")
         intervals = [part for part in self._scenario.action if isinstance(part, Interval)]
         targets_of = [(part, component) for part in intervals for component in (part.components or (None,))]
         if targets_of:
             locals_ = [self._evaluation.local(part.name, component) for part, component in targets_of]
             printer.line(f"{', '.join(locals_)}{',' if len(locals_) == 1 else ''} = action.tolist()")
-            for (part, _), name in zip(targets_of, locals_, strict=True):
+            for (interval, _), name in zip(targets_of, locals_, strict=True):
                 printer.line(f"if not -1.0 <= {name} <= 1.0:")
                 printer.line(f"    {name} = clipped({name})")
-                half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
+                half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
                 if (half, middle) != (1.0, 0.0):
                     printer.line(f"{name} = {middle!r} + {half!r} * {name}" if middle else f"{name} = {half!r} * {name}")
 
@@ -156,7 +186,7 @@ class SupervisorPrinter:
         printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.stamp, error)
 
     def _reward_terms(self) -> list[str]:
-        entries = ", ".join(f"{term.name!r}: self.term_{term.name}" for term in self._scenario.reward)
+        entries = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in self._scenario.reward)
         return block("def reward_terms(self) -> dict[str, float]:", [f"return {{{entries}}}"])
 
 

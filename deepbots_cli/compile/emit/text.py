@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 
 from deepbots_cli.ir import NamedValues
@@ -18,6 +19,15 @@ def block(head: str, body: Sequence[str]) -> list[str]:
 
 def tuple_code(items: Sequence[str]) -> str:
     return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+
+
+def quoted(text: str) -> str:
+    """A string literal in double quotes; the escapes of JSON are a subset of Python's."""
+    return json.dumps(text)
+
+
+def quoted_tuple(names: Sequence[str]) -> str:
+    return tuple_code([quoted(name) for name in names])
 
 
 def sentence_list(words: Sequence[str]) -> str:

@@ -1,0 +1,58 @@
+# What there is to do here; `make help` lists it. The first use of a target sets up .venv, which takes a few minutes.
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
+.DEFAULT_GOAL := help
+
+.PHONY: help
+help: ## this list
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1 \t\2/' | expand -t 18
+
+.PHONY: setup
+setup: $(VENV)/ready-to-train ## what training needs, in .venv
+
+.PHONY: dev
+dev: $(VENV)/ready-to-develop ## what tests and checks need too
+
+.PHONY: train
+train: setup ## train and evaluate the CartPole
+	$(BIN)/deepbots train cartpole
+
+.PHONY: test
+test: dev ## the tests, without those that take minutes
+	$(BIN)/pytest -n 2 -m "not slow"
+
+.PHONY: check
+check: dev ## everything that a change must pass
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -n 2 -m "not slow"
+
+.PHONY: results
+results: dev ## the trainings and benchmarks behind docs/results.md
+	$(BIN)/pytest -m slow
+
+.PHONY: clean
+clean: ## remove .venv and what tools leave behind; runs stay
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find deepbots_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/made:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
+		{ echo "Python 3.11 is needed, for which the simulator is built; name one with: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/ready-to-train: pyproject.toml | $(VENV)/made
+	@echo "installing what training needs; this takes a few minutes the first time"
+	@$(PIP) -e '.[train]'
+	@touch $@
+
+$(VENV)/ready-to-develop: pyproject.toml | $(VENV)/made
+	@echo "installing what tests and checks need; this takes a few minutes the first time"
+	@$(PIP) -e '.[dev]'
+	@touch $(VENV)/ready-to-train $@

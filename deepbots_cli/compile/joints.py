@@ -1,0 +1,32 @@
+"""What the figures of a joint measure: angles where it turns, lengths where it slides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TORQUE, Dimension
+from deepbots_cli.lang.intervals import EVERYTHING, Interval
+from deepbots_cli.urdf.model import Joint
+
+
+def joint_dimension(joint: Joint) -> Dimension:
+    """Of a joint's position: a length where it slides, else an angle."""
+    return LENGTH if joint.type == "prismatic" else ANGLE
+
+
+def effort_of(joint: Joint) -> Dimension:
+    """Of what drives it: a force where it slides, else a torque."""
+    return FORCE if joint.type == "prismatic" else TORQUE
+
+
+def joint_interval(joint: Joint) -> Interval:
+    """The positions that the limits of the joint leave."""
+    if joint.limit.lower is None or joint.limit.upper is None:
+        return EVERYTHING
+    return Interval(joint.limit.lower, joint.limit.upper)
+
+
+def hull(joints: Iterable[Joint]) -> Interval:
+    """The positions that the limits of any of the joints leave."""
+    intervals = [joint_interval(joint) for joint in joints]
+    return Interval(min(i.low for i in intervals), max(i.high for i in intervals))

@@ -1,0 +1,50 @@
+"""Names, patterns and groups of joints and links, and findings about those that match nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from deepbots_cli.compile.values import Values
+from deepbots_cli.diagnostics import Span
+from deepbots_cli.lang.types import Kind
+from deepbots_cli.schema.plain import choose_from
+from deepbots_cli.urdf.kinematics import match
+from deepbots_cli.urdf.model import Joint, RobotModel
+
+Group = tuple[Kind, tuple[str, ...]]
+"""Joints or links, and the short names of its members."""
+
+
+def expand(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, Group]) -> tuple[tuple[str, ...], list[str]]:
+    """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
+    found: dict[str, None] = {}
+    missing = []
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        matched = tuple(member for member in groups[pattern][1] if member in names) if pattern in groups else match(names, pattern)
+        if not matched:
+            missing.append(pattern)
+        found.update(dict.fromkeys(matched))
+    return tuple(found), missing
+
+
+def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
+    """DB206 for a pattern, DB302 or DB201 for a plain name, with what there is."""
+    if not set(pattern) & set("*?["):
+        values.unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
+    else:
+        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choose_from(pattern, names))
+
+
+def joint_missing(values: Values, span: Span, pattern: str, model: RobotModel) -> None:
+    """A joint where one is needed that moves: it does not exist, or it cannot move."""
+    joint = next((joint for joint in model.joints if joint.name == pattern), None)
+    if joint is not None:
+        motionless(values, span, joint, model)
+    else:
+        unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
+
+
+def motionless(values: Values, span: Span, joint: Joint, model: RobotModel) -> None:
+    names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
+    help = f"joints that move are {names}" if names else "no joint of this robot can move"
+    values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)

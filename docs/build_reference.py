@@ -1,0 +1,271 @@
+"""Writes docs/reference/ from the tables of the language, so that the reference cannot go stale.
+
+    python docs/build_reference.py
+
+keys.md      every key of a scenario, from the schema
+functions.md units, functions and built-in names, from the expression language
+rules.md     every finding, from the registry of rules
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from pydantic_core import PydanticUndefinedType
+
+from deepbots_cli.compile import support
+from deepbots_cli.compile.sensors import SENSOR_KINDS
+from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.lang.functions import ALLOWED, Family, Function
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.lang.types import Context
+from deepbots_cli.lang.units import UNITS
+from deepbots_cli.schema.fields import Expression, Leaf, Quantity
+from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.schema.task import PythonTerm
+
+FOLDER = Path(__file__).parent / "reference"
+_NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"
+_LATER = "*Not run yet.*"
+
+Route = tuple[str, ...]
+
+# What `support` refuses, and what the passes refuse where they come upon it.
+_KEYS_LATER: dict[Route, tuple[str, ...]] = {
+    **dict(support._LATER),
+    ("robots", "*", "joints", "*"): ("range", "max_torque", "max_velocity"),
+}
+TRAINED = frozenset({"PPO", "A2C", "DQN", "SAC", "TD3", "DDPG"})
+_KINDS_RUN: dict[Route, frozenset[str]] = {
+    ("train",): TRAINED,
+    ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),
+    ("robots", "*", "actuators", "*"): frozenset(support._MOTORS),
+}
+
+
+def pages() -> dict[str, str]:
+    """The text of each page by its file name."""
+    return {"keys.md": _Keys().text(), "functions.md": _functions(), "rules.md": _rules()}
+
+
+# Keys
+
+
+class _Keys:
+    """Walks the schema in the order of the file; a part is described where it is first met, and nothing below what is not run yet."""
+
+    def __init__(self) -> None:
+        self._met: set[type[Part]] = {PythonTerm}
+
+    def text(self) -> str:
+        head = [
+            "# Every key of a scenario",
+            "",
+            _NOTE,
+            "",
+            "`NAME` stands for a name of your choice. *Settled* says how late a figure may be: *fixed* figures are constants, *episode*"
+            " figures may be drawn anew at every reset, *step* figures are computed in every tick.",
+            f"{_LATER} marks what the language knows and this version refuses with [DB108](rules.md). How values are written, and where"
+            " draws already run, is said in [the language](../language.md).",
+        ]
+        return "\n".join([*head, *self._section("scenario", Scenario, ())]) + "\n"
+
+    def _section(self, title: str, part: type[Part], route: Route) -> Iterator[str]:
+        if part not in self._met:
+            self._met.add(part)
+            doc = " ".join((part.__doc__ or "").split("\n\n")[0].split())
+            rows = [(_Key(part, key), "") for key in fields(part)]
+            yield from self._table(title, doc, rows, route)
+
+    def _kinds(self, title: str, spec: Kinds, route: Route) -> Iterator[str]:
+        """One table for all kinds that run; a key that only some have says so."""
+        run = _KINDS_RUN.get(route, frozenset(spec.names))
+        models = {name: spec.model(name) for name in spec.names if name in run}
+        if self._met.issuperset(models.values()):
+            return
+        self._met.update(models.values())
+        owners: dict[_Key, list[str]] = {}
+        for name, model in models.items():
+            for key in fields(model):
+                owners.setdefault(_Key(model, key), []).append(name)
+        rows = [(key, "" if len(names) == len(models) else f"{_listed(names)}: ") for key, names in owners.items()]
+        missing = [name for name in spec.names if name not in run]
+        doc = f"`{spec.key}` is one of {_listed(models)}." + (f" Not run yet: {_listed(missing)}." if missing else "")
+        yield from self._table(title, doc, sorted(rows, key=lambda row: row[1] != ""), route)
+
+    def _table(self, title: str, doc: str, rows: list[tuple[_Key, str]], route: Route) -> Iterator[str]:
+        yield from ["", f"## {title}", "", doc, "", "| key | value | default | settled | meaning |", "|---|---|---|---|---|"]
+        later = _KEYS_LATER.get(route, ())
+        for key, owners in rows:
+            yield f"{key.cells} {owners}{key.meaning}{f' {_LATER}' if key.name in later else ''} |"
+        for key, _ in rows:
+            if key.name not in later:
+                yield from self._below(f"{title}.{key.name}" if route else key.name, key.spec, (*route, key.name))
+
+    def _below(self, title: str, spec: Spec, route: Route) -> Iterator[str]:
+        """The sections of the parts that are met inside the value of a key."""
+        match spec:
+            case type():
+                yield from self._section(title, spec, route)
+            case Mapped(value=inner) | Listed(item=inner):
+                yield from self._below(f"{title}.NAME", inner, (*route, "*"))
+            case Alternatives(options=options):
+                parts = [option for option in options if isinstance(option, type) and option is not PythonTerm]
+                for option in options:
+                    named = isinstance(option, type) and len(parts) > 1
+                    yield from self._below(f"{title} with {next(iter(fields(option)))}" if named else title, option, route)
+            case Kinds():
+                yield from self._kinds(title, spec, route)
+
+
+class _Key:
+    """One key of a part; equal to another that reads the same."""
+
+    def __init__(self, part: type[Part], name: str) -> None:
+        info = part.model_fields[name]
+        self.name = name
+        self.spec = fields(part)[name]
+        self.meaning = _cell(str(info.description))
+        default = "**required**" if info.is_required() else _default(info.default)
+        self.cells = f"| `{name}` | {_value(self.spec)} | {default} | {_settled(self.spec)} |"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and (self.cells, self.meaning) == (other.cells, other.meaning)
+
+    def __hash__(self) -> int:
+        return hash((self.cells, self.meaning))
+
+
+def _value(spec: Spec) -> str:
+    match spec:
+        case Quantity(words=words, relative=relative):
+            more = [f"`{word}`" for word in words] + ["`2 %`"] * relative
+            return " or ".join([f"{spec.noun}, as `{spec.example}`", *more])
+        case Leaf():
+            example = f", as `{spec.example}`" if spec.example and not isinstance(spec, Expression) else ""
+            return _cell(f"{spec.noun}{example}")
+        case Listed(item=item):
+            return f"list: {_value(item)}"
+        case Mapped(value=value):
+            return f"mapping, each: {_value(value)}"
+        case Alternatives(options=options):
+            return " **or** ".join(dict.fromkeys(_value(option) for option in options))
+        case Kinds(key=key):
+            return f"mapping, told by `{key}`"
+        case _:
+            return "mapping"
+
+
+def _settled(spec: Spec) -> str:
+    match spec:
+        case Quantity(stage=stage):
+            return stage
+        case Expression(context="parameter" | "require"):
+            return "episode"
+        case Expression():
+            return "step"
+        case Mapped(value=value):
+            return _settled(value)
+        case Alternatives(options=options):
+            return next((stage for stage in map(_settled, options) if stage), "")
+        case _:
+            return ""
+
+
+def _default(value: object) -> str:
+    if value is None or isinstance(value, (dict, Part, PydanticUndefinedType)) or value in ("", ()):
+        return ""
+    text = str(value).lower() if isinstance(value, bool) else str(list(value)) if isinstance(value, tuple) else str(value)
+    return f"`{text}`"
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+# Functions
+
+
+_FAMILIES = {
+    Family.PURE: "Arithmetic",
+    Family.WORLD: "The world",
+    Family.STATEFUL: "With a memory",
+    Family.DRAW: "Draws",
+}
+_PLACES = {
+    Context.FIXED: "figures that set spaces and sizes: timestep, arena, ranges",
+    Context.PARAMETER: "`parameters`",
+    Context.FIELD: "other figures of the world and its robots",
+    Context.RESET: "`reset`",
+    Context.EMIT: "`emit`",
+    Context.APPLY: "`apply`",
+    Context.RECEIVE: "`receive`",
+    Context.SIGNAL: "`augment`, `signals`",
+    Context.REWARD: "`reward`",
+    Context.ENDING: "`termination`",
+}
+
+
+def _functions() -> str:
+    lines = [
+        "# Units and functions",
+        "",
+        _NOTE,
+        "",
+        f"{_LATER} marks what is understood and refused with [DB108](rules.md). How they are used is said in"
+        " [the language](../language.md).",
+        "",
+        "## Units",
+        "",
+        "| unit | measures | in SI |",
+        "|---|---|---|",
+    ]
+    lines += [f"| `{unit.text}` | {unit.dimension.words} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
+    for family, title in _FAMILIES.items():
+        lines += ["", f"## {title}", "", "| function | gives |", "|---|---|"]
+        lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]
+    lines += ["", "## Where they may be called", "", f"| place | {' | '.join(_FAMILIES.values())} |", f"|---|{'---|' * len(_FAMILIES)}"]
+    for context, place in _PLACES.items():
+        cells = ["yes" if family in ALLOWED[context] else "" for family in _FAMILIES]
+        lines.append(f"| {place} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _function_row(function: Function) -> str:
+    return f"| `{_cell(function.signature)}` | {_cell(function.doc)}{'' if function.supported else f' {_LATER}'} |"
+
+
+# Rules
+
+
+def _rules() -> str:
+    lines = [
+        "# Every finding",
+        "",
+        _NOTE,
+        "",
+        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. How findings look and what the exit codes"
+        " mean is said in [diagnostics](../diagnostics.md).",
+        "",
+        "| code | name | severity | what it is about |",
+        "|---|---|---|---|",
+    ]
+    lines += [f"| {rule.code} | `{rule.name}` | {rule.severity} | {_cell(rule.summary)} |" for rule in RULES.values()]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Write the pages."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""How benchmarks repeat what they measure, and how they say what came out."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from statistics import median
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure against its bar. `met` says whether it is on the right side of it."""
+
+    what: str
+    measured: float
+    unit: str
+    bar: float
+    at_least: bool = False
+
+    @property
+    def met(self) -> bool:
+        return self.measured >= self.bar if self.at_least else self.measured <= self.bar
+
+
+def options(description: str | None, **counts: int) -> argparse.Namespace:
+    """`--json` and the counts, each with its default."""
+    parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print the rows as JSON")
+    for name, default in counts.items():
+        parser.add_argument(f"--{name}", type=int, default=default, help=f"by default {default}")
+    return parser.parse_args()
+
+
+def show(rows: Iterable[Row], *, as_json: bool) -> None:
+    rows = list(rows)
+    if as_json:
+        print(json.dumps([{**asdict(row), "met": row.met} for row in rows], indent=2))
+        return
+    width = max(len(row.what) for row in rows)
+    print(f"{'what':<{width}}  {'bar':>16}  {'measured':>16}  met")
+    for row in rows:
+        bar = f"{'at least' if row.at_least else 'at most'} {row.bar:g} {row.unit}"
+        print(f"{row.what:<{width}}  {bar:>16}  {row.measured:>11.3f} {row.unit:<4}  {'yes' if row.met else 'NO'}")
+
+
+def pairs(first: Callable[[], float], second: Callable[[], float], count: int) -> list[tuple[float, float]]:
+    """What both measure, `count` times in turn, with the garbage collector off; each begins every other pair.
+
+    A machine that is busy now and then slows both sides of a pair alike, so that their ratio says more than their times.
+    """
+    first(), second()  # caches and clocks warm up
+    gc.collect()
+    gc.disable()
+    try:
+        found = []
+        for index in range(count):
+            if index % 2:
+                b = second()
+                found.append((first(), b))
+            else:
+                a = first()
+                found.append((a, second()))
+        return found
+    finally:
+        gc.enable()
+
+
+def ratio(found: list[tuple[float, float]]) -> float:
+    """The median of the ratios of the pairs."""
+    return median(a / b for a, b in found)
+
+
+def difference(found: list[tuple[float, float]]) -> float:
+    """The median of the differences of the pairs."""
+    return median(a - b for a, b in found)

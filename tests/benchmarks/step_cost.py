@@ -1,0 +1,164 @@
+"""What a step of an environment costs beside the physics in it.
+
+    python -m tests.benchmarks.step_cost [--json] [--pairs 15] [--steps 4000]
+
+Both sides go through the same episodes, in the same kind of engine, with the same substeps, and make the same motion: each holds
+one action throughout, so that the bare side, which takes an untimed first step to set its motors, goes where the other goes. (In
+a world with contacts, a side that stands still or drives into a wall pays another price.) That both end in the same place is
+checked. The bare side calls what `Engine.step` is and nothing else. Resets and first steps are not timed; times are CPU times;
+the two sides take turns, and the median of the ratios of the pairs counts.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import repeat
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from deepbots_cli import api
+from deepbots_cli.runtime import Supervisor
+from tests.benchmarks.layered import LayeredCartPole
+from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
+
+RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One held action, for so many steps after the first."""
+
+    seed: int
+    action: int
+    steps: int
+
+
+@contextmanager
+def opened(source: str, *sets: str) -> Iterator[Supervisor]:
+    environment = api.make(source, sets=sets)
+    yield environment
+    environment.close()
+
+
+def plan(environment: Supervisor, steps: int) -> list[Episode]:
+    """Episodes of about so many steps altogether, none of which goes on beyond its end."""
+    episodes: list[Episode] = []
+    left = steps
+    while left > 0:
+        seed, action = len(episodes), len(episodes) % 2
+        environment.reset(seed=seed)
+        count = 0
+        while not any(environment.step(action)[2:4]):
+            count += 1
+        episodes.append(Episode(seed, action, min(count, left)))
+        left -= count
+    return episodes
+
+
+def timed(environment: Any, episodes: list[Episode], step: Callable[[Any], object]) -> float:
+    """CPU time of a step in us, first steps and resets left out."""
+    total = 0.0
+    for episode in episodes:
+        environment.reset(seed=episode.seed)
+        environment.step(episode.action)
+        held = repeat(episode.action, episode.steps)
+        start = time.process_time()
+        for action in held:
+            step(action)
+        total += time.process_time() - start
+    return 1e6 * total / sum(episode.steps for episode in episodes)
+
+
+def bare(environment: Supervisor, episodes: list[Episode]) -> Callable[[], float]:
+    physics, substeps = environment.engine.step, environment.scenario.world.substeps
+
+    def advance(_action: Any) -> None:
+        physics(substeps)
+
+    return lambda: timed(environment, episodes, advance)
+
+
+def bare_loop(environment: Supervisor, episodes: list[Episode]) -> Callable[[], float]:
+    """The same without a function around it: nothing but the loop and the engine's step."""
+    physics, substeps = environment.engine.step, environment.scenario.world.substeps
+
+    def measure() -> float:
+        total = 0.0
+        for episode in episodes:
+            environment.reset(seed=episode.seed)
+            environment.step(episode.action)
+            held = repeat(substeps, episode.steps)
+            start = time.process_time()
+            for count in held:
+                physics(count)
+            total += time.process_time() - start
+        return 1e6 * total / sum(episode.steps for episode in episodes)
+
+    return measure
+
+
+def whole(environment: Any, episodes: list[Episode]) -> Callable[[], float]:
+    return lambda: timed(environment, episodes, environment.step)
+
+
+def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) -> None:
+    """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every step."""
+    for environment in (one, other):
+        environment.reset(seed=episode.seed)
+        environment.step(episode.action)
+    for _ in range(episode.steps):
+        one.step(episode.action)
+        other.engine.step(other.scenario.world.substeps)
+    last, motionless = (environment.step(episode.action)[0] for environment in (one, other))
+    if last.tobytes() != motionless.tobytes():
+        raise RuntimeError(f"the two sides moved apart: {last} and {motionless}")
+
+
+def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int) -> Row:
+    with opened(source, *sets) as environment, opened(source, *sets) as other:
+        episodes = plan(environment, steps)
+        require_same_motion(environment, other, episodes[0])
+        found = pairs(whole(environment, episodes), bare_loop(other, episodes), count)
+    step, physics = (median(side) for side in zip(*found, strict=True))
+    return Row(f"{what} ({step:.2f} / {physics:.2f} us)", ratio(found), "x", bar)
+
+
+def csv_beside_struct(steps: int, count: int) -> Row:
+    with opened("cartpole", "messages.format=csv") as csv, opened("cartpole", "messages.format=struct") as struct:
+        episodes = plan(struct, steps)
+        found = pairs(whole(csv, episodes), whole(struct, episodes), count)
+    return Row("CartPole, csv minus struct", difference(found), "us", 4.0)
+
+
+def beside_layered(steps: int, count: int) -> list[Row]:
+    layered = LayeredCartPole()
+    with opened(RAIL) as environment, opened(RAIL) as other:
+        episodes = plan(environment, steps)
+        by_hand = pairs(whole(layered, episodes), whole(environment, episodes), count)
+        fair = pairs(whole(layered, episodes), bare_loop(other, episodes), count)
+    layered.close()
+    return [
+        Row(f"rail, 4 substeps: the layered one by hand ({median(a for a, _ in by_hand):.2f} us) / ours", ratio(by_hand), "x", 2.4, True),
+        Row("rail, 4 substeps: the layered one by hand / bare", ratio(fair), "x", 4.2),
+    ]
+
+
+def main() -> None:
+    given = options(__doc__, pairs=15, steps=4000)
+    rail = [
+        (f"rail, {substeps} substep{'s' * (substeps > 1)}, {format}", bar, (f"world.substeps={substeps}", f"messages.format={format}"))
+        for substeps, format, bar in ((4, "struct", 1.5), (1, "struct", 2.7), (4, "none", 1.4), (1, "none", 2.4))
+    ]
+    rows = [against_physics("CartPole, struct", 1.10, "cartpole", ("messages.format=struct",), given.steps, given.pairs)]
+    rows += [against_physics(what, bar, RAIL, sets, given.steps, given.pairs) for what, bar, sets in rail]
+    rows.append(csv_beside_struct(given.steps, given.pairs))
+    rows += beside_layered(given.steps, given.pairs)
+    show(rows, as_json=given.json)
+
+
+if __name__ == "__main__":
+    main()

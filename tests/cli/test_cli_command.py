@@ -1,0 +1,185 @@
+"""The command as a whole: help, versions, exit codes, what is imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.cli.group import Verbs
+from deepbots_cli.cli.verbs import VERBS
+
+HEAVY = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3", "rich")
+
+
+def in_process_of_its_own(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself_with_examples(deepbots, verb):
+    shown = deepbots(verb, "--help")
+    assert shown.code == 0
+    assert VERBS[verb] in shown.out
+    assert f"  deepbots {verb} " in shown.out or f"  deepbots {verb}\n" in shown.out
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb):
+    text = import_module(f"deepbots_cli.cli.verbs.{verb}").command.__doc__
+    command = Verbs().get_command(None, verb)
+    examples = [line.split("  ")[0].split(" && ")[0].split() for line in text.replace("      ", "").splitlines()]
+    for words in [words for words in examples if words[:2] == ["deepbots", verb]]:
+        command.make_context(verb, words[2:]).close()
+
+
+def test_the_overview_lists_every_verb(deepbots):
+    shown = deepbots("--help")
+    assert shown.code == 0
+    assert all(verb in shown.out and summary in shown.out for verb, summary in VERBS.items())
+
+
+def test_the_version_is_that_of_the_package(deepbots):
+    assert deepbots("--version").out == f"deepbots {deepbots_cli.__version__}\n"
+
+
+def test_a_misspelt_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbots):
+    ran = deepbots("trian")
+    assert (ran.code, ran.out) == (2, "")
+    assert "did you mean 'train'?" in ran.err
+
+
+@pytest.mark.parametrize(
+    "words", [["lint"], ["train", "--seed", "x", "cartpole"], ["run", "cartpole", "--engine", "nosuch"], ["eval"], ["--nosuch"]]
+)
+def test_wrong_usage_ends_with_2_and_no_traceback(deepbots, words):
+    ran = deepbots(*words)
+    assert ran.code == 2
+    assert "Traceback" not in ran.err
+    assert ran.err
+
+
+@pytest.mark.parametrize("verb", ["lint", "compile", "inspect", "run", "train", "bench"])
+def test_a_missing_scenario_is_one_line_that_lists_the_shipped_ones(deepbots, verb):
+    ran = deepbots(verb, "nowhere.yaml")
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.err.startswith("error: ")
+    assert "cartpole" in ran.err
+    assert ran.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", ["compile", "inspect", "run", "train", "bench"])
+def test_a_scenario_with_errors_is_shown_in_full_by_every_verb(deepbots, verb):
+    ran = deepbots(verb, "cartpole", "--set", "world.timestep=fast")
+    assert (ran.code, ran.out) == (1, "")
+    assert "world.timestep=fast" in ran.err
+    assert "1 error" in ran.err
+    assert "^^^^" in ran.err
+
+
+def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(api, "lint", lambda *_, **__: 1 // 0)
+    ran = deepbots("lint", "cartpole")
+    assert ran.code == 3
+    assert "ZeroDivisionError" in ran.err
+    assert "Traceback" not in ran.err
+    (kept,) = tmp_path.glob("deepbots-*.txt")
+    assert str(kept) in ran.err
+    assert "Traceback" in kept.read_text()
+    assert "1 // 0" in kept.read_text()
+
+
+def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
+    monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
+    monkeypatch.setattr(api, "lint", lambda *_, **__: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        deepbots("lint", "cartpole")
+
+
+def test_a_file_that_cannot_be_written_is_one_line(deepbots, tmp_path):
+    ran = deepbots("compile", "cartpole", "-o", tmp_path / "no" / "where.py")
+    assert ran.code == 2
+    assert ran.err.startswith("error: ")
+    assert "no such file" in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "deepbots_cli", "compile", "cartpole", "--ir"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    process.wait(20)
+
+
+def test_a_terminal_that_knows_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
+    (tmp_path / "a.yaml").write_text("deepbots: 1\nname: Pölé\n", encoding="utf-8")
+    command = [sys.executable, "-m", "deepbots_cli", "lint", "a.yaml"]
+    done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout.isascii()
+    assert b"Traceback" not in done.stderr
+
+
+def test_linting_imports_neither_simulator_nor_learner():
+    code = "import sys; from deepbots_cli.cli import main; assert main(['lint', 'cartpole']) == 0; print([*sys.modules])"
+    loaded = in_process_of_its_own(code)
+    assert not [name for name in HEAVY if f"'{name}'" in loaded]
+
+
+def test_the_overview_imports_no_verb_and_not_even_the_language():
+    code = "import sys; from deepbots_cli.cli import main; main(['--help']); print([*sys.modules])"
+    loaded = in_process_of_its_own(code)
+    assert "'deepbots_cli.schema'" not in loaded
+    assert "'deepbots_cli.cli.verbs.train'" not in loaded
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
+
+
+def test_the_list_shows_scenarios_and_runs_even_damaged_ones(deepbots, tmp_path):
+    (tmp_path / "runs" / "broken").mkdir(parents=True)
+    (tmp_path / "runs" / "broken" / "run.json").write_text("{")
+    (tmp_path / "runs" / "no_run").mkdir()
+    listed = json.loads(deepbots("list", "--json").out)
+    assert "cartpole" in [row["name"] for row in listed["scenarios"]]
+    assert [(row["run"], row["status"]) for row in listed["runs"]] == [("broken", "damaged")]
+    assert "broken" in deepbots("list").out
+
+
+def test_without_runs_the_list_says_how_to_make_one(deepbots):
+    ran = deepbots("list")
+    assert ran.code == 0
+    assert "deepbots train cartpole" in ran.err
+    assert "free pole" in ran.out
+
+
+def test_the_schema_is_the_committed_one(deepbots, tmp_path):
+    printed = deepbots("schema")
+    assert printed.code == 0
+    assert json.loads(printed.out)["title"] == "deepbots scenario"
+    assert deepbots("schema", "-o", "s.json").out == ""
+    assert Path("s.json").read_text(encoding="utf-8") == printed.out
+
+
+def test_the_doctor_finds_this_installation_in_order(deepbots):
+    ran = deepbots("doctor", "--json")
+    report = json.loads(ran.out)
+    assert ran.code == 0
+    assert report["ok"]
+    assert {"pybullet", "scenarios", "physics", "learning"} <= {look["what"] for look in report["looks"]}
+    assert {look["state"] for look in report["looks"]} == {"ok"}

@@ -1,0 +1,139 @@
+"""`deepbots lint`: what it prints, and how it ends, for good files and bad ones."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from deepbots_cli.cli import main
+from deepbots_cli.source import shipped
+
+CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8")
+
+BAD = {
+    "empty": b"",
+    "blank": b"\n  \n",
+    "tabs": b"deepbots: 1\nworld:\n\ttimestep: 1 s\n",
+    "binary": bytes(range(256)),
+    "zeros": b"\0" * 1000,
+    "utf16": "deepbots: 1".encode("utf-16"),
+    "latin1": "name: Pöl".encode("latin-1"),
+    "list": b"- 1\n- 2\n",
+    "scalar": b"hello\n",
+    "brackets": b"[" * 100_000,
+    "braces": b"{" * 100_000,
+    "dashes": b"- " * 100_000,
+    "aliases": b"a: &a [x,x,x,x,x,x,x,x,x]\n"
+    + b"".join(b"%c: &%c [%s]\n" % (98 + i, 98 + i, b",".join([b"*%c" % (97 + i)] * 9)) for i in range(9)),
+    "itself": b"a: &a [*a]\n",
+    "newer": b"deepbots: 99\n",
+    "escapes": b'deepbots: 1\nname: "\\e[2J"\n',
+}
+
+
+def test_a_clean_scenario_gets_a_friendly_line(deepbots):
+    ran = deepbots("lint", "cartpole")
+    assert (ran.code, ran.out, ran.err) == (0, "cartpole: no findings\n", "")
+
+
+def test_findings_are_shown_with_their_place_and_counted(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(CARTPOLE.replace("timestep:", "timestop:"))
+    ran = deepbots("lint", "a.yaml")
+    assert ran.code == 1
+    assert "a.yaml:" in ran.out
+    assert "timestop" in ran.out
+    assert "^^^^" in ran.out
+    assert "did you mean `timestep`" in ran.out
+    assert ran.out.splitlines()[-1].endswith(("error", "errors"))
+
+
+@pytest.mark.parametrize("content", BAD.values(), ids=BAD.keys())
+def test_no_file_whatever_gives_more_than_findings(deepbots, tmp_path, content):
+    (tmp_path / "bad.yaml").write_bytes(content)
+    ran = deepbots("lint", "bad.yaml")
+    assert ran.code == 1
+    assert "error DB" in ran.out
+    assert "Traceback" not in ran.err
+    assert "\x1b" not in ran.out
+
+
+def test_what_would_crash_a_parser_in_c_ends_in_findings():
+    for text in ("[" * 100_000, "? " * 100_000, "{a: " * 100_000):
+        done = subprocess.run(
+            [sys.executable, "-m", "deepbots_cli", "lint", "/dev/stdin"], input=text.encode(), capture_output=True, check=False
+        )
+        assert done.returncode in (1, 2)
+        assert b"Traceback" not in done.stderr
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(content=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace"))))
+def test_arbitrary_bytes_never_end_in_a_fault(tmp_path, content):
+    path = tmp_path / "any.yaml"
+    path.write_bytes(content)
+    assert main(["lint", str(path), "--format", "json"]) == 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(value=st.text(max_size=40), path=st.sampled_from(["world.timestep", "fall_angle", "reward.alive", "name", "", "action"]))
+def test_arbitrary_assignments_never_end_in_a_fault(value, path):
+    assert main(["lint", "cartpole", "--set", f"{path}={value}", "--format", "json"]) in (0, 1)
+
+
+def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
+    (tmp_path / "s").mkdir()
+    for name in ("b", "a"):
+        (tmp_path / "s" / f"{name}.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole") + "oops: 1\n")
+    (tmp_path / "s" / "other.yaml").write_text("jobs: []\n")
+    ran = deepbots("lint", "s", "--format", "concise")
+    assert ran.code == 1
+    assert [line.split(":")[0] for line in ran.out.splitlines()] == ["s/a.yaml", "s/b.yaml"]
+
+
+def test_a_folder_without_scenarios_is_wrong_usage(deepbots, tmp_path):
+    ran = deepbots("lint", tmp_path)
+    assert ran.code == 2
+    assert "no scenario" in ran.err
+
+
+def test_several_files_are_linted_at_once(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text("deepbots: 1\n")
+    ran = deepbots("lint", "cartpole", "a.yaml", "--json")
+    report = json.loads(ran.out)
+    assert ran.code == 1
+    assert report["version"] == 1
+    assert {finding["file"] for finding in report["findings"]} == {"a.yaml"}
+    assert report["counts"]["error"] == len(report["findings"])
+
+
+def test_one_missing_file_is_reported_before_any_other_is_read(deepbots):
+    ran = deepbots("lint", "cartpole", "nowhere.yaml")
+    assert (ran.code, ran.out) == (2, "")
+
+
+def test_what_fails_can_be_chosen(deepbots, tmp_path):
+    (tmp_path / "w.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("summary:", "summary: on #"))
+    warned = deepbots("lint", "w.yaml", "--format", "concise")
+    assert warned.code == 0
+    assert "warning DB003" in warned.out
+    assert deepbots("lint", "w.yaml", "--fail-on", "warning").code == 1
+    (tmp_path / "e.yaml").write_text("deepbots: 1\n")
+    assert deepbots("lint", "e.yaml", "--fail-on", "never").code == 0
+
+
+def test_colour_is_for_terminals_only(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text("deepbots: 1\n")
+    assert "\x1b[" not in deepbots("lint", "a.yaml").out
+
+
+def test_a_warning_does_not_stop_other_verbs_but_is_mentioned(deepbots, tmp_path):
+    (tmp_path / "w.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("summary:", "summary: on #"))
+    ran = deepbots("compile", "w.yaml")
+    assert ran.code == 0
+    assert "class CartPoleSupervisor" in ran.out
+    assert ran.err == "1 warning; see: deepbots lint w.yaml\n"

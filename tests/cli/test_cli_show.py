@@ -1,0 +1,161 @@
+"""`inspect`, `compile`, `run` and `bench`: what a scenario is, without training."""
+
+from __future__ import annotations
+
+import json
+import zlib
+
+import pytest
+
+from deepbots_cli import api
+
+
+def inspected(deepbots, *words):
+    ran = deepbots("inspect", "cartpole", "--json", *words)
+    assert ran.code == 0, ran.err
+    return json.loads(ran.out)
+
+
+def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
+    ran = deepbots("inspect", "cartpole")
+    assert ran.code == 0
+    for shown in ("cart.pole_angle", "-0.34907", "rad", "abs(cart.pole_angle) > fall_angle", "uniform(-1 .. 1 deg)", "Discrete(2)", "PPO"):
+        assert shown in ran.out
+
+
+def test_programs_get_every_table(deepbots):
+    tables = inspected(deepbots)
+    assert tables["scenario"]["digest"] == api.compile("cartpole").digest
+    assert [row["name"] for row in tables["observation"]] == ["x", "speed", "cart.pole_angle", "tip_speed"]
+    assert tables["observation"][1] | {"index": 1} == {
+        "index": 1,
+        "name": "speed",
+        "low": -0.8,
+        "high": 0.8,
+        "unit": "m/s",
+        "seen_as": "-1 .. 1",
+    }
+    assert [row["joint"] for row in tables["joints"]][-1] == "tip_mount"
+    assert tables["reward"] == [{"term": "alive", "is": "1"}]
+    assert {row["parameter"]: row["is"] for row in tables["parameters"]}["track"] == "0.39 m"
+
+
+@pytest.mark.parametrize(("format", "size"), [("struct", 12), ("msgpack", 15), ("csv", "varies"), ("json", "varies")])
+def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
+    tables = inspected(deepbots, "--set", f"messages.format={format}")
+    assert {row["bytes"] for row in tables["messages"]} == {size}
+    assert {row["format"] for row in tables["messages"]} == {format}
+
+
+@pytest.mark.parametrize("format", ["struct", "msgpack"])
+def test_the_size_of_a_message_is_what_its_codec_makes(format):
+    from deepbots_cli.cli.anatomy import message_size
+    from deepbots_cli.runtime.messages import codec
+
+    ir = api.compile("cartpole", sets=[f"messages.format={format}"]).ir
+    for layout in (ir.robots[0].to_robot, ir.robots[0].from_robot):
+        assert message_size(layout, format) == len(codec(layout, format).encode(*[0.5] * len(layout.fields)))
+
+
+def test_without_messages_there_is_no_table_of_messages(deepbots):
+    assert not {"messages", "message_fields"} & inspected(deepbots, "--set", "messages.format=none").keys()
+
+
+def test_immediate_actions_act_at_once_and_every_observation_is_fresh(deepbots):
+    timing = inspected(deepbots)["timing"]
+    assert {row["age_s"] for row in timing} == {0}
+    assert [row["physics_step"] for row in timing] == ["4n + 1"] + ["4n + 4"] * 4
+
+
+def test_paper_timing_ages_actions_and_messages_by_a_tick_but_not_what_the_supervisor_adds(deepbots):
+    timing = {row["name"]: row for row in inspected(deepbots, "--set", "messages.timing=paper")["timing"]}
+    assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 5", 0.032)
+    assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("4n", 0.032)
+    assert (timing["x"]["physics_step"], timing["x"]["age_s"]) == ("4n + 4", 0)
+
+
+def test_a_picture_of_the_world_is_a_png_with_something_in_it(deepbots, tmp_path):
+    ran = deepbots("inspect", "cartpole", "--picture", "world.png")
+    data = (tmp_path / "world.png").read_bytes()
+    assert ran.code == 0
+    assert "world.png" in ran.err
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
+    start = data.index(b"IDAT") + 4
+    pixels = zlib.decompress(data[start : start + int.from_bytes(data[start - 8 : start - 4])])
+    assert len(pixels) == height * (1 + 3 * width)
+    assert len(set(pixels)) > 20
+
+
+@pytest.mark.parametrize("name", ["world.jpg", "no/where.png"])
+def test_a_picture_that_could_not_be_written_is_refused_at_once(deepbots, name):
+    ran = deepbots("inspect", "cartpole", "--picture", name)
+    assert (ran.code, ran.out) == (2, "")
+    assert name in ran.err
+
+
+def test_compile_prints_what_runs(deepbots, tmp_path):
+    compiled = api.compile("cartpole")
+    assert deepbots("compile", "cartpole").out == compiled.code
+    assert deepbots("compile", "cartpole", "-o", "e.py").out == ""
+    assert (tmp_path / "e.py").read_text() == compiled.code
+    assert json.loads(deepbots("compile", "cartpole", "--ir").out)["name"] == "CartPole"
+    assert json.loads(deepbots("compile", "cartpole", "--json").out)["digest"] == compiled.digest
+    assert deepbots("compile", "cartpole", "--json", "--ir").code == 2
+
+
+def test_run_shows_returns_endings_and_terms(deepbots):
+    ran = deepbots("run", "cartpole", "--episodes", "2")
+    assert ran.code == 0
+    assert "fallen" in ran.out
+    assert "alive" in ran.out
+    assert "ended_by" in ran.out
+
+
+def test_the_same_seed_runs_the_same_episodes(deepbots):
+    first, again, other = (deepbots("run", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4))
+    assert first == again != other
+    episode = json.loads(first)["episodes"][0]
+    assert episode["return"] == episode["length"] == episode["reward_terms"]["alive"]
+
+
+def test_actions_go_by_name_or_number(deepbots):
+    named = deepbots("run", "cartpole", "--actions", "forward, backward", "--json").out
+    assert named == deepbots("run", "cartpole", "--actions", "0,1", "--json").out
+    assert named != deepbots("run", "cartpole", "--actions", "0", "--json").out
+
+
+@pytest.mark.parametrize("actions", ["left", "2", "-1", "", "forward:forward", "forward,,", "0.5"])
+def test_what_is_no_action_is_named_with_what_would_be(deepbots, actions):
+    ran = deepbots("run", "cartpole", f"--actions={actions}")
+    assert ran.code == 2
+    assert ran.err.startswith("error: ")
+
+
+def test_a_limit_of_steps_cuts_the_episode_and_says_so(deepbots):
+    episodes = json.loads(deepbots("run", "cartpole", "--steps", "5", "--json").out)["episodes"]
+    assert [(row["length"], row["ended_by"]) for row in episodes] == [(5, "--steps")]
+
+
+def test_two_policies_at_once_are_wrong_usage(deepbots):
+    assert deepbots("run", "cartpole", "--policy", "zero", "--actions", "forward").code == 2
+
+
+def test_ranges_are_acted_on_by_numbers_from_minus_one_to_one(deepbots):
+    continuous = ["--set", "action.drive=-1 .. 1", "--steps", "3"]
+    assert deepbots("run", "cartpole", "--actions=0.5,-1", *continuous).code == 0
+    assert deepbots("run", "cartpole", "--policy", "zero", *continuous).code == 0
+    ran = deepbots("run", "cartpole", "--actions", "1.5", *continuous)
+    assert ran.code == 2
+    assert "-1 to 1" in ran.err
+
+
+def test_bench_compares_a_step_with_bare_physics(deepbots):
+    ran = deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json")
+    figures = json.loads(ran.out)
+    assert ran.code == 0
+    assert figures["steps"] == 100
+    assert figures["step_us"] > 0
+    assert figures["bare_us"] > 0
+    assert figures["ratio"] > 0
+    assert "ratio" in deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out

@@ -1,0 +1,107 @@
+"""`deepbots train` and `deepbots eval`, on trainings of seconds."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+TINY = ("train", "cartpole", "--timesteps", "600", "--set", "evaluation={episodes: 4}")
+
+
+@pytest.fixture
+def trained(deepbots, tmp_path):
+    """A run of 600 steps, `mine`."""
+    ran = deepbots(*TINY, "--run", "mine")
+    assert ran.code == 0, ran.err
+    return ran
+
+
+def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
+    assert "mean return" in trained.out
+    assert "cannot be told from 4 episodes" in trained.out
+    assert "deepbots eval mine --video" in trained.err
+    assert "tensorboard --logdir mine" in trained.err
+    assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
+
+
+def test_a_run_is_never_overwritten(deepbots, trained):
+    ran = deepbots(*TINY, "--run", "mine")
+    assert ran.code == 2
+    assert "never overwritten" in ran.err
+
+
+def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots, trained, tmp_path):
+    shown = json.loads(deepbots("eval", "mine", "--episodes", "2", "--json").out)
+    assert shown["episodes"] == 2
+    assert shown["solved"] is None
+    assert deepbots("eval", "mine", "--episodes", "1", "--last", "--video", "out.mp4").code == 0
+    assert (tmp_path / "out.mp4").stat().st_size > 1000
+    resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "1200", "--quiet", "--json").out)
+    assert resumed["training"]["steps"] >= 1200
+    assert resumed["evaluation"]["episodes"] == 4
+    (row,) = json.loads(deepbots("list", "--runs", ".", "--json").out)["runs"]
+    assert (row["run"], row["status"], row["solved"]) == ("mine", "finished", "not yet")
+
+
+def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
+    ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-success", "0.9")
+    assert ran.code == 1
+    assert "not solved" in ran.err
+    assert "the success rate is 0, not 0.9" in ran.err
+    assert deepbots("eval", "mine", "--episodes", "2", "--min-success", "0").code == 0
+
+
+def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):
+    deepbots("copy", "cartpole")
+    fitting = (tmp_path / "cartpole.yaml").read_text()
+    assert deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").code == 0
+    (tmp_path / "cartpole.yaml").write_text(fitting.replace("-0.8 .. 0.8 m/s", "-0.9 .. 0.9 m/s"))
+    ran = deepbots("eval", "mine", "--scenario", "cartpole.yaml")
+    assert ran.code == 2
+    assert "observation.speed" in ran.err
+    assert "0.9" in ran.err
+
+
+@pytest.mark.parametrize("verb", [["eval"], ["train", "--resume"]])
+def test_what_is_no_run_is_said_so_in_one_line(deepbots, tmp_path, verb):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    for name in ("file", "folder", "nowhere"):
+        ran = deepbots(*verb, name)
+        assert (ran.code, ran.out) == (2, "")
+        assert ran.err.startswith("error: ")
+        assert "not a run" in ran.err
+        assert ran.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["cartpole"], ["--seed", "1"], ["--set", "a=1"], ["--run", "x"], ["--engine", "exact"]])
+def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
+    ran = deepbots("train", "--resume", "mine", *words)
+    assert ran.code == 2
+    assert "keeps what it was made with" in ran.err
+
+
+def test_there_must_be_something_to_train(deepbots):
+    ran = deepbots("train")
+    assert ran.code == 2
+    assert "deepbots train cartpole" in ran.err
+
+
+def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(tmp_path):
+    command = [sys.executable, "-m", "deepbots_cli", "train", "cartpole", "--full", "--timesteps", "10000000", "--run", "mine"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "mine" / "checkpoint.npz").exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "deepbots train --resume mine" in out
+    assert "Traceback" not in err
+    assert (tmp_path / "mine" / "models" / "last.npz").exists()
+    assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "interrupted"

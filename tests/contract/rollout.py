@@ -1,0 +1,68 @@
+"""Random episodes as bytes; run as a program, it prints their digests for the cases that it reads from stdin."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli import api
+from deepbots_cli.runtime import Supervisor
+
+Transition = tuple[Any, float, bool, bool, dict[str, Any]]
+
+
+def actions(environment: Supervisor, seed: int) -> Iterator[Any]:
+    """An endless row of random actions, the same for the same seed whatever the environment went through."""
+    environment.action_space.seed(seed)
+    while True:
+        yield environment.action_space.sample()
+
+
+def episode(environment: Supervisor, seed: int, steps: int) -> Iterator[Transition]:
+    """What `reset` and up to `steps` steps return, until the episode ends."""
+    observation, info = environment.reset(seed=seed)
+    yield observation, 0.0, False, False, info
+    for _, action in zip(range(steps), actions(environment, seed), strict=False):
+        transition = environment.step(action)
+        yield transition
+        if transition[2] or transition[3]:
+            return
+
+
+def as_bytes(transition: Transition) -> bytes:
+    observation, reward, terminated, truncated, info = transition
+    terms = struct.pack(f"<{len(info['reward_terms'])}d", *info["reward_terms"].values())
+    said = json.dumps([terminated, truncated, info["is_success"], info["ended_by"], info["endings"], list(info["reward_terms"])])
+    return np.asarray(observation).tobytes() + struct.pack("<d", reward) + terms + said.encode()
+
+
+def record(environment: Supervisor, seed: int, steps: int = 60) -> list[bytes]:
+    return [as_bytes(transition) for transition in episode(environment, seed, steps)]
+
+
+def digest(environment: Supervisor, seed: int) -> str:
+    """Of an episode and of the one after it, which takes no seed of its own."""
+    first = record(environment, seed)
+    environment.reset()
+    second = [as_bytes(environment.step(action)) for _, action in zip(range(20), actions(environment, 5), strict=False)]
+    return hashlib.sha256(b"".join([*first, *second])).hexdigest()
+
+
+def main() -> None:
+    """Cases on stdin: [[source, sets, engine], ...]; digests on stdout, in that order."""
+    found = []
+    for source, sets, engine in json.load(sys.stdin):
+        environment = api.make(source, sets=sets, engine=engine)
+        found.append([digest(environment, seed) for seed in (0, 9)])
+        environment.close()
+    json.dump(found, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+"""What every environment promises, whatever its scenario and its engine."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as gymnasium_check
+from rollout import actions, digest, episode, record
+from stable_baselines3.common.env_checker import check_env as sb3_check
+
+from deepbots_cli import api
+from deepbots_cli.errors import UsageError
+from deepbots_cli.runtime import Supervisor
+
+Make = Callable[..., Supervisor]
+EXACT_FORMATS = ("struct", "json", "msgpack", "csv", "none")
+
+
+def rollouts(environment: Supervisor, episodes: int = 6, steps: int = 120) -> list[list[Any]]:
+    return [list(episode(environment, seed, steps)) for seed in range(episodes)]
+
+
+# The same seed gives the same bytes
+
+
+def test_the_same_seed_gives_the_same_bytes_in_two_environments(environment: Supervisor, make: Make) -> None:
+    other = make()
+    for seed in (0, 1, 2**31):
+        assert record(environment, seed) == record(other, seed)
+
+
+def test_a_reset_world_equals_a_fresh_one_whatever_came_before(environment: Supervisor, make: Make) -> None:
+    expected = record(make(), 4)
+    for length in (0, 1, 2, 3, 7, 19, 53):
+        environment.reset(seed=length)
+        for _, action in zip(range(length), actions(environment, length), strict=False):
+            environment.step(action)
+        assert record(environment, 4) == expected, f"after an episode of {length} steps"
+
+
+def test_episodes_without_a_seed_follow_from_the_last_seed(environment: Supervisor, make: Make) -> None:
+    assert digest(environment, 11) == digest(make(), 11)
+
+
+def test_zero_is_a_seed_and_differs_from_others(environment: Supervisor) -> None:
+    assert record(environment, 0) == record(environment, 0)
+    assert record(environment, 0) != record(environment, 1)
+
+
+def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
+    """One process for all cases, since a start costs half a second."""
+    asked = json.dumps([[case.source, case.sets, case.engine] for case in cases])
+    program = [sys.executable, str(Path(__file__).with_name("rollout.py"))]
+    answer = subprocess.run(program, input=asked, capture_output=True, text=True, check=True, timeout=120)
+    for case, elsewhere in zip(cases, json.loads(answer.stdout), strict=True):
+        here = case.make()
+        assert [digest(here, seed) for seed in (0, 9)] == elsewhere, str(case)
+        here.close()
+
+
+@pytest.mark.parametrize("timing", ["immediate", "paper"])
+@pytest.mark.parametrize("name", ["cartpole", "rail", "drawn", "pair"])
+def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> None:
+    """`none` knows no delay, so it takes part in immediate timing only."""
+    data = Path(__file__).parents[1] / "data" / "scenarios" / f"{name}.yaml"
+    engine, source = ("exact", str(data)) if data.exists() else ("pybullet", name)
+    found = {}
+    for format in EXACT_FORMATS if timing == "immediate" else EXACT_FORMATS[:-1]:
+        environment = api.make(source, sets=[f"messages.format={format}", f"messages.timing={timing}"], engine=engine)
+        found[format] = digest(environment, 3)
+        environment.close()
+    assert len(set(found.values())) == 1, found
+
+
+# Observations
+
+
+def test_observations_stay_in_their_space(environment: Supervisor) -> None:
+    for observation, *_ in (transition for one in rollouts(environment) for transition in one):
+        assert observation.dtype == np.float32
+        assert environment.observation_space.contains(observation)
+
+
+def test_observations_share_no_memory(environment: Supervisor) -> None:
+    kept = [observation for observation, *_ in episode(environment, 1, 10)]
+    copies = [observation.copy() for observation in kept]
+    assert not any(np.shares_memory(a, b) for index, a in enumerate(kept) for b in kept[:index])
+    kept[-1][:] = 99.0
+    assert (environment.get_observations() != 99.0).all()
+    for index in range(len(kept) - 1):
+        np.testing.assert_array_equal(kept[index], copies[index])
+
+
+def test_no_observation_is_constant(environment: Supervisor) -> None:
+    seen = np.array([observation for one in rollouts(environment) for observation, *_ in one])
+    names = [entry.name for entry in environment.scenario.observation]
+    assert {name for name, spread in zip(names, np.ptp(seen, axis=0), strict=True) if spread == 0.0} == set()
+
+
+def test_episodes_begin_differently(environment: Supervisor) -> None:
+    starts = {environment.reset(seed=seed)[0].tobytes() for seed in range(8)}
+    starts |= {environment.reset()[0].tobytes() for _ in range(8)}
+    assert len(starts) == 16
+
+
+# Steps
+
+
+def test_an_episode_ends_for_one_reason(environment: Supervisor) -> None:
+    known = {ending.name for ending in environment.scenario.endings} | {"max_steps", "max_time"}
+    for _, reward, terminated, truncated, info in (transition for one in rollouts(environment, steps=400) for transition in one):
+        assert type(reward) is float
+        assert type(terminated) is bool
+        assert type(truncated) is bool
+        assert not (terminated and truncated)
+        assert set(info) == {"is_success", "ended_by", "endings", "reward_terms"}
+        assert (info["ended_by"] in known) if terminated or truncated else (info["ended_by"] is None)
+        assert not info["is_success"] or terminated
+        assert list(info["reward_terms"]) == [term.name for term in environment.scenario.reward]
+
+
+def test_the_reward_is_the_sum_of_its_terms(environment: Supervisor) -> None:
+    for _, reward, _, _, info in rollouts(environment, episodes=1)[0]:
+        assert reward == pytest.approx(sum(info["reward_terms"].values()), abs=1e-12)
+
+
+def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> None:
+    expected = record(make(), 6, steps=20)
+    found = []
+    for transition in episode(environment, 6, 20):
+        for _ in range(2):
+            for robot in environment.scenario.robots:
+                controller = getattr(environment, f"robot_{robot.name}")
+                (controller.create_message if environment.scenario.format != "none" else controller.sense)()
+            again = (environment.get_observations(), environment.get_reward(), *environment.is_done(), environment.get_info())
+            assert str(again) == str(transition)
+        found.append(transition)
+    assert len(found) == len(expected)
+    assert record(environment, 6, steps=20) == expected
+
+
+def test_queues_are_empty_after_every_reset(environment: Supervisor) -> None:
+    """In paper timing one message is under way: the one that the robot sent at the start."""
+    waiting = 1 if environment.scenario.timing == "paper" and environment.scenario.format != "none" else 0
+    for steps in (0, 1, 5, 30):
+        list(episode(environment, steps, steps))
+        environment.reset()
+        for robot in environment.scenario.robots:
+            assert len(getattr(environment, f"to_{robot.name}")) == 0
+            assert len(getattr(environment, f"from_{robot.name}")) == waiting
+
+
+def test_channels_never_fill_up(environment: Supervisor) -> None:
+    list(episode(environment, 2, 60))
+    for robot in environment.scenario.robots:
+        assert len(getattr(environment, f"to_{robot.name}")) <= 1
+        assert len(getattr(environment, f"from_{robot.name}")) <= 1
+
+
+# Wrong use
+
+
+def test_a_step_before_the_first_reset_is_refused(make: Make) -> None:
+    environment = make()
+    with pytest.raises(UsageError, match=r"call reset\(\)"):
+        environment.step(environment.action_space.sample())
+
+
+def test_a_closed_environment_refuses_to_go_on(make: Make) -> None:
+    environment = make()
+    environment.reset(seed=0)
+    environment.close()
+    environment.close()
+    for use in (lambda: environment.step(environment.action_space.sample()), environment.reset):
+        with pytest.raises(UsageError, match="closed"):
+            use()
+
+
+BAD_ACTIONS = [None, float("nan"), "forward", [], {}, np.zeros((2, 2, 2)), np.full(9, 0), object(), [[1], [1, 2]], 1 + 2j]
+NO_CHOICE = [-1, 2, 99, 1.5, np.int64(-1), np.array(2), np.array([0])]
+NO_INTERVAL = [np.array([np.nan], np.float32), np.array([[0.5]]), np.array([0.5, 0.5]), 0.5, np.array(0.5), [float("inf")]]
+NO_CHOICES = [np.array([0]), np.array([0, 0, 0]), [0, 2], [-1, 0], [0.5, 0], np.array(0), 0, [0, [1]]]
+
+
+def test_a_bad_action_is_refused_in_words_and_changes_nothing(environment: Supervisor) -> None:
+    extra = {"Discrete": NO_CHOICE, "Box": NO_INTERVAL, "MultiDiscrete": NO_CHOICES}[type(environment.action_space).__name__]
+    expected = record(environment, 8, steps=10)
+    environment.reset(seed=8)
+    for bad in (*BAD_ACTIONS, *extra):
+        with pytest.raises(UsageError, match=r"^action .* does not fit "):
+            environment.step(bad)
+    environment.action_space.seed(8)
+    found = [environment.step(environment.action_space.sample()) for _ in range(len(expected) - 1)]
+    assert [transition[0].tobytes() for transition in found] == [
+        transition[0].tobytes() for transition in list(episode(environment, 8, 10))[1:]
+    ]
+
+
+def test_an_action_may_come_in_every_usual_form(environment: Supervisor) -> None:
+    environment.reset(seed=3)
+    environment.action_space.seed(3)
+    action = environment.action_space.sample()
+    forms = [action, np.asarray(action), np.asarray(action).tolist()]
+    found = set()
+    for form in forms:
+        environment.reset(seed=3)
+        found.add(environment.step(form)[0].tobytes())
+    assert len(found) == 1
+
+
+# Gymnasium and Stable-Baselines3
+
+
+def test_gymnasiums_checker_has_nothing_to_say(make: Make, case: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gymnasium_check(make("rgb_array" if case.engine == "pybullet" else None))
+
+
+def test_stable_baselines_checker_has_nothing_to_say(make: Make) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sb3_check(make(), warn=True)
+
+
+def test_an_environment_can_be_pickled(environment: Supervisor) -> None:
+    copy = pickle.loads(pickle.dumps(environment))
+    assert copy.metadata == environment.metadata
+    assert digest(copy, 1) == digest(environment, 1)
+    copy.close()
+
+
+def test_a_picture_is_taken_where_the_engine_can_draw(make: Make, case: Any) -> None:
+    if case.engine != "pybullet":
+        with pytest.raises(UsageError, match="cannot draw"):
+            make("rgb_array")
+        return
+    environment = make("rgb_array")
+    first = record(environment, 1, steps=3)
+    picture = environment.render()
+    assert picture.dtype == np.uint8
+    assert picture.ndim == 3
+    assert picture.shape[2] == 3
+    assert picture.std() > 1.0
+    assert record(environment, 1, steps=3) == first
+
+
+def test_an_unknown_render_mode_is_refused(case: Any) -> None:
+    with pytest.raises(UsageError, match="render mode"):
+        case.make("human")
+
+
+@pytest.mark.parametrize("name", ["CartPole"])
+def test_shipped_scenarios_are_registered_with_gymnasium(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        environment = gymnasium.make(f"deepbots_cli.envs:deepbots/{name}-v1")
+        environment.reset(seed=0)
+        environment.step(environment.action_space.sample())
+        environment.close()

@@ -1,0 +1,85 @@
+"""The wheel holds what a user needs: it is built, unpacked elsewhere, and used from an empty folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel's files in a folder of their own; its dependencies come from the environment of the tests."""
+    folder = tmp_path_factory.mktemp("site")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def deepbots(installed: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    command = [sys.executable, "-m", "deepbots_cli", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_the_wheel_holds_scenarios_robots_and_the_schema(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for wanted in ("data/scenarios/cartpole.yaml", "data/robots/urdf/cartpole.urdf", "data/schemas/deepbots-1.schema.json"):
+        assert f"deepbots_cli/{wanted}" in names
+    assert not [name for name in names if name.startswith(("tests/", "docs/"))]
+
+
+def test_the_wheel_names_its_extras_and_command(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (metadata,) = [name for name in archive.namelist() if name.endswith("METADATA")]
+        text = archive.read(metadata).decode()
+        (entry_points,) = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
+        commands = archive.read(entry_points).decode()
+    assert "Requires-Python: >=3.11" in text
+    assert {"sim", "train", "dev"} <= {line.split()[1] for line in text.splitlines() if line.startswith("Provides-Extra")}
+    assert "pybullet" in text
+    assert "python_version < '3.12'" in text
+    assert "deepbots = deepbots_cli.cli:main" in commands
+
+
+def test_an_installed_wheel_uses_its_own_data_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+    listed = deepbots(installed, tmp_path, "list", "--json")
+    assert listed.returncode == 0, listed.stderr
+    assert "cartpole" in listed.stdout
+    linted = deepbots(installed, tmp_path, "lint", "cartpole")
+    assert (linted.returncode, linted.stderr) == (0, "")
+    script = "from deepbots_cli.source import shipped; print(shipped.data_dir())"
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    where = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert Path(where.stdout.strip()).is_relative_to(installed)
+
+
+def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path, tmp_path: Path) -> None:
+    assert deepbots(installed, tmp_path, "copy", "cartpole", "mine").returncode == 0
+    (scenario,) = (tmp_path / "mine").glob("*.yaml")
+    ran = deepbots(installed, tmp_path, "run", str(scenario), "--steps", "20", "--json")
+    assert ran.returncode == 0, ran.stderr
+    json.loads(ran.stdout)
+
+
+def test_importing_the_package_loads_nothing_heavy(installed: Path, tmp_path: Path) -> None:
+    script = "import sys, deepbots_cli; print(sorted({'numpy', 'pydantic', 'yaml', 'torch', 'gymnasium', 'pybullet'} & set(sys.modules)))"
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

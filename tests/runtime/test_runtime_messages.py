@@ -1,0 +1,164 @@
+"""Messages: exact in every format, and never taken for what they are not."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepbots_cli.errors import MessageError
+from deepbots_cli.ir import Field, MessageFormat, MessageLayout
+from deepbots_cli.runtime.messages import MALFORMED, Codec, codec, explain
+
+FORMATS: tuple[MessageFormat, ...] = tuple(name for name in get_args(MessageFormat) if name != "none")
+LAYOUT = MessageLayout(
+    "cart", "from_robot", (Field("angle", "rad"), Field("gyro", "rad/s", ("x", "y", "z")), Field("touch", "", dtype="bool")), 0xFFFFFFFE
+)
+FLOATS_ONLY = MessageLayout("cart", "from_robot", (Field("angle", "rad"), Field("gyro", "rad/s", ("x", "y", "z"))), 7)
+EMPTY = MessageLayout("cart", "to_robot", (), 12345)
+OTHER = MessageLayout("drone", "from_robot", LAYOUT.fields, 0xFFFFFFFD)
+VALUES = (0.125, -0.0, 1e308, 5e-324, True)
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+every_format = pytest.mark.parametrize("format", FORMATS)
+
+
+def bits(values: Any) -> list[object]:
+    return [value if isinstance(value, bool) else struct.pack("<d", value) for value in values]
+
+
+def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, ...] | None:
+    """What a receiver makes of a message, as generated code does it: the values, or None where it is refused."""
+    count = sum(len(field.components) or 1 for field in layout.fields)
+    try:
+        stamp, *values = made.decode(message)
+        if stamp != layout.stamp or len(values) != count:
+            raise ValueError(stamp)
+    except MALFORMED:
+        return None
+    return tuple(values)
+
+
+@every_format
+@settings(max_examples=100)
+@given(angle=finite, gyro=st.tuples(finite, finite, finite), touch=st.booleans())
+def test_every_format_carries_every_finite_number_to_the_last_bit(
+    format: MessageFormat, angle: float, gyro: tuple[float, float, float], touch: bool
+) -> None:
+    made = codec(LAYOUT, format)
+    stamp, *values = made.decode(made.encode(angle, *gyro, touch))
+    assert stamp == LAYOUT.stamp
+    assert bits(values) == bits((angle, *gyro, touch))
+
+
+@every_format
+@pytest.mark.parametrize("value", [-0.0, 5e-324, 2.2250738585072014e-308, 1e308, -1.7976931348623157e308, 0.1, math.pi, 2.0**53 + 2])
+def test_the_ends_of_the_range_of_numbers_survive_a_message(format: MessageFormat, value: float) -> None:
+    made = codec(FLOATS_ONLY, format)
+    assert bits(made.decode(made.encode(value, value, value, value))[1:]) == bits((value,) * 4)
+
+
+@every_format
+def test_a_message_without_fields_still_says_whose_it_is(format: MessageFormat) -> None:
+    made = codec(EMPTY, format)
+    assert list(made.decode(made.encode())) == [12345]
+
+
+@every_format
+def test_a_message_of_another_robot_is_recognised(format: MessageFormat) -> None:
+    foreign = codec(OTHER, format).encode(*VALUES)
+    assert reading(codec(LAYOUT, format), LAYOUT, foreign) is None
+    assert "a foreign message" in str(explain(LAYOUT, format, foreign, 3))
+
+
+@every_format
+def test_an_error_names_the_robot_its_direction_and_the_step(format: MessageFormat) -> None:
+    said = str(explain(LAYOUT, format, codec(OTHER, format).encode(*VALUES), 41))
+    assert "robot 'cart'" in said
+    assert "from the robot" in said
+    assert "step 41" in said
+
+
+@every_format
+def test_a_short_message_is_told_by_its_first_missing_field(format: MessageFormat) -> None:
+    partial = MessageLayout("cart", "from_robot", LAYOUT.fields[:1], LAYOUT.stamp)
+    message = codec(partial, format).encode(0.5)
+    assert reading(codec(LAYOUT, format), LAYOUT, message) is None
+    assert "field 'gyro.x' is missing" in str(explain(LAYOUT, format, message, 1))
+
+
+@every_format
+def test_a_message_with_values_too_many_is_refused(format: MessageFormat) -> None:
+    longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, Field("more", "m")), LAYOUT.stamp)
+    message = codec(longer, format).encode(*VALUES, 1.0)
+    assert reading(codec(LAYOUT, format), LAYOUT, message) is None
+    assert "values too many" in str(explain(LAYOUT, format, message, 1))
+
+
+@pytest.mark.parametrize(
+    ("format", "message", "field"),
+    [
+        ("csv", "4294967294,0.5,here,0.0,0.0,True", "gyro.x"),
+        ("csv", "4294967294,0.5,0.0,0.0,0.0,1.0", "touch"),
+        ("json", b"[4294967294,0.5,0.0,null,0.0,true]", "gyro.y"),
+        ("json", b"[4294967294,0.5,0.0,0.0,0.0,1]", "touch"),
+        ("json", b"[4294967294,true,0.0,0.0,0.0,true]", "angle"),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_told_by_its_field(format: MessageFormat, message: object, field: str) -> None:
+    assert reading(codec(LAYOUT, format), LAYOUT, message) is None
+    assert f"field '{field}'" in str(explain(LAYOUT, format, message, 1))
+
+
+@every_format
+@pytest.mark.parametrize(
+    "message", [None, 7, 1.5, [], {}, object(), b"", "", b"\xff\xfe", "\ud800", b"[" * 100_000, b"\x91" * 100_000, "," * 1000]
+)
+def test_what_is_no_message_at_all_is_refused_in_words(format: MessageFormat, message: object) -> None:
+    assert reading(codec(LAYOUT, format), LAYOUT, message) is None
+    assert isinstance(explain(LAYOUT, format, message, 1), MessageError)
+    assert len(str(explain(LAYOUT, format, message, 1))) < 400
+
+
+def damage(message: bytes | str, data: st.DataObject) -> bytes | str:
+    """The message with some of it cut out, overwritten, or more put in."""
+    start = data.draw(st.integers(0, len(message)))
+    end = data.draw(st.integers(start, len(message)))
+    if isinstance(message, str):
+        return message[:start] + data.draw(st.text("0123456789.,-eTrue \n\0", max_size=8)) + message[end:]
+    return message[:start] + data.draw(st.binary(max_size=8)) + message[end:]
+
+
+@every_format
+@settings(max_examples=100)
+@given(data=st.data())
+def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format: MessageFormat, data: st.DataObject) -> None:
+    for layout, values in ((LAYOUT, VALUES), (FLOATS_ONLY, VALUES[:4]), (EMPTY, ())):
+        made = codec(layout, format)
+        message = damage(made.encode(*values), data)
+        if reading(made, layout, message) is None:
+            assert "robot 'cart'" in str(explain(layout, format, message, 5))
+
+
+@every_format
+@settings(max_examples=100)
+@given(message=st.one_of(st.binary(max_size=60), st.text(max_size=30), st.none(), st.integers(), st.lists(st.floats(), max_size=3)))
+def test_garbage_is_refused_but_never_breaks_the_reader(format: MessageFormat, message: object) -> None:
+    if reading(codec(LAYOUT, format), LAYOUT, message) is None:
+        assert isinstance(explain(LAYOUT, format, message, 5), MessageError)
+
+
+@pytest.mark.parametrize("format", ["json", "msgpack", "csv", "struct"])
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_what_is_not_finite_arrives_as_it_was_or_is_refused(format: MessageFormat, value: float) -> None:
+    made = codec(FLOATS_ONLY, format)
+    message = made.encode(value, 0.0, 0.0, 0.0)
+    values = reading(made, FLOATS_ONLY, message)
+    if values is None:
+        assert "field 'angle'" in str(explain(FLOATS_ONLY, format, message, 1))
+    else:
+        assert values[0] == value or math.isnan(value)
