@@ -40,7 +40,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class TaskRobot:
-    """A robot controller with typed expressions."""
+    """A robot controller with typed expressions; besides `receive`, it is sent the action variables that `commands` use."""
 
     name: str
     sensors: tuple[ir.Sensor, ...]
@@ -48,8 +48,6 @@ class TaskRobot:
     receive: tuple[Valued, ...]
     emit: tuple[Valued, ...]
     commands: tuple[Command, ...]
-    listens: bool
-    """Whether `receive` stands in the file; otherwise the robot receives the action variables that `apply` uses."""
 
 
 @dataclass(frozen=True, eq=False)

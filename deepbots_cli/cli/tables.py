@@ -10,7 +10,7 @@ from deepbots_cli.cli.terminal import printable
 Row = Mapping[str, object]
 
 _NUMBERS = (int, float, type(None))
-_NOTHING = (None, "", [], ())
+_NOTHING: tuple[object, ...] = (None, "", [], ())
 
 
 def table(rows: Sequence[Row], indent: str = "  ") -> str:

@@ -153,7 +153,7 @@ class _Pass:
             signals.endings(),
             truncation(spec, namespace),
             placements(spec, namespace),
-            joint_starts(spec, namespace),
+            joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
             self._settle(world.timestep),
             solved(spec, values),
             training(spec, values, action),

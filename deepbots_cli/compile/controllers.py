@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from deepbots_cli import ir
 from deepbots_cli.compile.joints import effort_of, hull, joint_dimension
-from deepbots_cli.compile.matching import expand, joint_missing, unmatched
+from deepbots_cli.compile.matching import expand, joint_missing
 from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.compile.poses import poses
 from deepbots_cli.compile.robots import RobotScene
 from deepbots_cli.compile.scopes import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.compile.sensors import SENSOR_KINDS
 from deepbots_cli.compile.values import Values
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, SPEED, TIME, Dimension
+from deepbots_cli.lang.dimensions import LENGTH, SPEED, TIME, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type
 from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
@@ -33,11 +35,12 @@ class Controller:
         self.values: Values = self.namespace.values
         self.path: Path = ("robots", self.scene.name)
         self.sensors: dict[str, ir.Sensor] = {}
-        self.own: dict[str, Symbol] = {}
+        self.poses = poses(self.scene, self.namespace)
+        self.own: dict[str, Symbol] = dict(self.poses)
         self.fields: dict[str, Valued] = {}
         self.received: dict[str, Valued] = {}
         self._add_sensors()
-        self._add_poses()
+        self._check_names()
         self._define_fields()
 
     # What it knows
@@ -62,32 +65,25 @@ class Controller:
                 self.sensors[name] = ir.Sensor(name, spec.type, (link,), SPACE, str(dimension))
                 self.own[name] = Symbol(name, Type(dimension, SPACE, stage=Stage.STEP))
 
+    def _check_names(self) -> None:
+        """No name on board may mean two things, also not one here and another in the scenario."""
+        spec = self.scene.spec
+        for section, names in (("poses", spec.poses), ("sensors", spec.sensors), ("receive", spec.receive or {})):
+            for name in names:
+                origin = self.namespace.origin(name)
+                taken = origin.value if origin in (Origin.PARAMETER, Origin.ACTION) and section != "receive" else None
+                taken = taken or ("a pose" if section != "poses" and name in spec.poses else None)
+                taken = taken or ("a sensor" if section == "receive" and name in spec.sensors else None)
+                if taken:
+                    span = self.values.key_span((*self.path, section, name))
+                    self.values.findings.add("DB202", span, f"`{name}` is already {taken}", help="choose another name")
+
     def _joint_sensor(self, name: str, kind: str, joints: tuple[Joint, ...], *, many: bool) -> Symbol:
         dimension = _fact_dimension(kind, joints[0])
         components = tuple(joint.name for joint in joints) if many else ()
         interval = _interval(kind, joints)
         self.sensors[name] = ir.Sensor(name, kind, tuple(joint.name for joint in joints), components, str(dimension))
         return Symbol(name, Type(dimension, components or None, interval=interval, stage=Stage.STEP))
-
-    def _add_poses(self) -> None:
-        names = self.scene.joint_names
-        for name, positions in self.scene.spec.poses.items():
-            chosen: dict[str, float] = {}
-            dimension = ANGLE
-            for pattern, given in positions.items():
-                place = (*self.path, "poses", name, pattern)
-                joints, missing = expand(names, pattern, self.scene.groups)
-                if missing:
-                    unmatched(self.values, self.values.key_span(place), pattern, "joint", names)
-                    continue
-                dimension = joint_dimension(self.scene.model.joint(joints[0]))
-                position = self.values.number(place, given, dimension, ParameterScope(self.namespace, Context.FIXED))
-                chosen |= dict.fromkeys(joints, position or 0.0)
-            ordered = {joint: chosen[joint] for joint in names if joint in chosen}
-            interval = Interval(min(ordered.values(), default=0.0), max(ordered.values(), default=0.0))
-            self.own[name] = (
-                Symbol(name, Type(dimension, tuple(ordered), interval=interval), tuple(ordered.values())) if ordered else Symbol(name, None)
-            )
 
     def joints_of(self, spec: object, place: Path) -> tuple[Joint, ...]:
         """The joints that `joint` or `joints` of a sensor or actuator names; empty after a finding."""
@@ -119,7 +115,7 @@ class Controller:
             else [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
         )
         for name, place in entries:
-            self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, lambda name=name, place=place: self._field(name, place))  # type: ignore[misc]  # defaults bind the loop's values
+            self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, partial(self._field, name, place))
 
     def _field(self, name: str, place: Path) -> Symbol:
         full = f"{self.scene.name}.{name}"
@@ -135,28 +131,22 @@ class Controller:
         if typed is None:
             return Symbol(full, None)
         self.fields[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.emit.{name}")
-        known = typed.type
-        return Symbol(full, Type(known.dimension, known.components, known.boolean, known.interval, Stage.STEP))
+        return Symbol(full, typed.type._replace(stage=Stage.STEP))
 
     # What it receives and does
 
     def _receive(self) -> dict[str, Symbol]:
+        """Action variables, and what `receive` adds to them."""
         spec = self.scene.spec
-        symbols: dict[str, Symbol] = {}
-        if spec.receive is None:
-            for name in self.namespace.named(Origin.ACTION):
-                symbols[name] = self.namespace.settle(name) or Symbol(name, None)
-            return symbols
-        for name, given in spec.receive.items():
+        symbols = {name: self.namespace.settle(name) or Symbol(name, None) for name in self.namespace.named(Origin.ACTION)}
+        for name, given in (spec.receive or {}).items():
             place = (*self.path, "receive", name)
             text = self.values.text(place, given)
             typed = self.values.expression(text, SupervisorScope(self.namespace, Context.RECEIVE))
             symbols[name] = Symbol(name, None)
             if typed is not None:
                 self.received[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.receive.{name}")
-                symbols[name] = Symbol(
-                    name, Type(typed.type.dimension, typed.type.components, typed.type.boolean, typed.type.interval, Stage.STEP)
-                )
+                symbols[name] = Symbol(name, typed.type._replace(stage=Stage.STEP))
         return symbols
 
     def finish(self) -> TaskRobot:
@@ -180,7 +170,6 @@ class Controller:
             tuple(self.received.values()),
             tuple(self.fields.values()),
             tuple(commands),
-            self.scene.spec.receive is not None,
         )
 
     def _command(self, name: str, given: object, place: Path, actuator: ir.Actuator | None, scope: RobotScope) -> Command | None:
@@ -224,7 +213,7 @@ class Controller:
         if over:
             headline = f"a limit of {figure:g} {dimension}, where the robot file allows {min(over):g}"
             self.values.findings.add(
-                "DB304", self.values.span(place), headline, help="lower it, or raise the limit in the robot file if the motor can do more"
+                "DB304", self.values.span(place), headline, help=f"lower it, or raise `{place[-1]}` under `joints` if the motor can do more"
             )
         return (figure,) * len(from_urdf)
 

@@ -64,15 +64,16 @@ def _observed(observed: ObservedValue) -> list[ir.Observed]:
 def _robot(robot: TaskRobot, task: Task) -> ir.Robot:
     emit = tuple(_named(value) for value in robot.emit)
     apply = tuple(_command(command) for command in robot.commands)
-    receive = tuple(_named(value) for value in robot.receive) if robot.listens else _action_variables(apply, robot, task)
+    added = tuple(_named(value) for value in robot.receive)
+    action = tuple(entry for entry in _action_variables(apply, task) if entry.name not in {value.name for value in robot.receive})
     return ir.Robot(
         robot.name,
         robot.sensors,
         robot.actuators,
-        receive,
+        (*action, *added),
         emit,
         apply,
-        _layout(robot.name, "to_robot", _received_fields(receive, robot, task)),
+        _layout(robot.name, "to_robot", (*_action_fields(action, task), *map(_field, robot.receive))),
         _layout(robot.name, "from_robot", tuple(_field(value) for value in robot.emit)),
     )
 
@@ -95,8 +96,8 @@ def _limited(value: Scalar, limit: float | None, low: float, high: float) -> Sca
     return op("clamp", value, Const(-limit), Const(limit))
 
 
-def _action_variables(apply: tuple[ir.NamedValues, ...], robot: TaskRobot, task: Task) -> tuple[ir.NamedValues, ...]:
-    """The action variables that `apply` uses, in the order of the action: what is sent where `receive` is not given."""
+def _action_variables(apply: tuple[ir.NamedValues, ...], task: Task) -> tuple[ir.NamedValues, ...]:
+    """The action variables that `apply` uses, in the order of the action: they are sent unasked."""
     used = {node.name for entry in apply for value in entry.values for node in walk(value) if isinstance(node, Name)}
     found = []
     for part in task.action:
@@ -107,11 +108,9 @@ def _action_variables(apply: tuple[ir.NamedValues, ...], robot: TaskRobot, task:
     return tuple(found)
 
 
-def _received_fields(receive: tuple[ir.NamedValues, ...], robot: TaskRobot, task: Task) -> tuple[ir.Field, ...]:
-    if robot.listens:
-        return tuple(_field(value) for value in robot.receive)
+def _action_fields(action: tuple[ir.NamedValues, ...], task: Task) -> tuple[ir.Field, ...]:
     units = {part.name: part.unit for part in task.action if isinstance(part, ir.Interval)}
-    return tuple(ir.Field(entry.name, units.get(entry.name, "1"), entry.components) for entry in receive)
+    return tuple(ir.Field(entry.name, units.get(entry.name, "1"), entry.components) for entry in action)
 
 
 def _field(value: Valued) -> ir.Field:

@@ -34,6 +34,9 @@ class Origin(Enum):
     LINE = "a line"
 
 
+_WHOLE = {Origin.OBJECT: Kind.OBJECT, Origin.LINE: Kind.LINE}
+
+
 @dataclass(eq=False)
 class Definition:
     """One name: where it is defined, and how to type it."""
@@ -135,14 +138,14 @@ class Namespace:
             robot = self.robots.get(head)
             if robot is not None:
                 found = robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
-        elif definition is not None and definition.origin is Origin.OBJECT and not rest:
-            found = Subject(head, Kind.OBJECT, link=head)
+        elif definition is not None and definition.origin in _WHOLE and not rest:
+            found = Subject(head, _WHOLE[definition.origin], link=head)
         return found or (Subject(name, Kind.BROKEN) if self.is_broken(name) else None)
 
     def subjects(self) -> Iterable[str]:
         for name, definition in self.definitions.items():
             robot = self.robots.get(name)
-            if definition.origin in (Origin.ROBOT, Origin.OBJECT):
+            if definition.origin in (Origin.ROBOT, *_WHOLE):
                 yield name
             if robot is not None:
                 yield from (f"{name}.{part}" for part in robot.parts)

@@ -130,7 +130,7 @@ class Overrides:
     def _range(self, joint: Joint, limit: Limit, given: str, place: Path) -> Limit:
         """`limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
-            headline = f"a range for the joint `{joint.name}`, which the robot file calls continuous"
+            headline = "a range for a joint that the robot file calls continuous"
             self.values.findings.add("DB203", self.values.span(place), headline, help="make it revolute in the robot file")
             return limit
         ends = self.values.ends(self.values.text(place, given), "the range of a joint", self.scope, dimension=joint_dimension(joint))

@@ -58,6 +58,7 @@ class Actions:
             if named:
                 help = f"write what it sets, as in `{{{variables[0]}: 1}}`"
                 self._values.findings.add("DB103", self._values.span(place), "a number, where other choices set variables", help=help)
+                self._values.lose(str(place[1]))
                 return (0.0,) * len(variables)
             return (self._values.number(place, given, NUMBER, scope) or 0.0,)
         missing = [variable for variable in variables if variable not in given]
@@ -145,18 +146,7 @@ class Observations:
                 help="name the expression under `augment`, and observe that name",
             )
             return None
-        typed = self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
-        head = next((name for name in (tree.dotted, tree.parts[0]) if name in self._namespace.definitions), None)
-        origin = self._namespace.origin(head) if head else None
-        granted = self._spec.augment if isinstance(self._spec.augment, tuple) else ()
-        if origin is Origin.SIGNAL or (origin is Origin.PARAMETER and head not in granted):
-            self._not_granted(tree.dotted, text, origin)
-            return None
-        return typed
-
-    def _not_granted(self, name: str, text: Text, origin: Origin) -> None:
-        helps = "move it from `signals` to `augment`" if origin is Origin.SIGNAL else f"grant it: `augment: [{name}]`"
-        self._values.findings.add("DB407", text.span, f"`{name}` is {origin.value}, which the policy is not granted", help=helps)
+        return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
 
     def _bounds(self, typed: Typed, text: Text) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         count = len(typed.type.components or ("",))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from deepbots_cli.compile.joints import joint_dimension
 from deepbots_cli.compile.matching import joint_missing
 from deepbots_cli.compile.namespace import Namespace, Origin
 from deepbots_cli.compile.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
-from deepbots_cli.lang.types import SPACE, Context, Kind, Stage
+from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.types import SPACE, Context, Kind, Stage, Subject, Symbol
 from deepbots_cli.schema.pose import Pose
 from deepbots_cli.schema.reset import JointState
 from deepbots_cli.schema.scenario import Scenario
@@ -72,12 +75,13 @@ def _vector(given: object, path: Path, parts: tuple[str, ...], dimension: Dimens
     return {part: Coordinate(f"{_owner(path)}[{index}]", typed) for index, part in enumerate(parts)}
 
 
-def joint_starts(spec: Scenario, namespace: Namespace) -> tuple[JointStart, ...]:
-    """The entries of `reset.set`: joints and groups of joints of robots."""
-    return tuple(start for key, given in spec.reset.set.items() if (start := _joint_start(key, given, namespace)) is not None)
+def joint_starts(spec: Scenario, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
+    """The entries of `reset.set`: joints and groups of joints of robots; `poses` are those of each robot."""
+    starts = [_joint_start(key, given, namespace, poses) for key, given in spec.reset.set.items()]
+    return tuple(start for start in starts if start is not None)
 
 
-def _joint_start(key: str, given: object, namespace: Namespace) -> JointStart | None:
+def _joint_start(key: str, given: object, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
     path: Path = ("reset", "set", key)
     robot_name, dot, part = key.partition(".")
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text(path)
@@ -91,21 +95,28 @@ def _joint_start(key: str, given: object, namespace: Namespace) -> JointStart | 
         joint_missing(namespace.values, span, part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    dimension = joint_dimension(robot.model.joint(joints[0]))
-    components = subject.components
+    scope = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {}))
+    angle = joint_dimension(robot.model.joint(joints[0]))
     if not isinstance(given, JointState):
-        position = _start_value(given, path, dimension, components, namespace)
+        position = _start_value(given, path, angle, subject, scope)
         return JointStart(robot_name, joints, position, None) if position else None
-    position = _start_value(given.position, (*path, "position"), dimension, components, namespace)
-    velocity = _start_value(given.velocity, (*path, "velocity"), dimension / TIME, components, namespace)
+    position = _start_value(given.position, (*path, "position"), angle, subject, scope)
+    velocity = _start_value(given.velocity, (*path, "velocity"), angle / TIME, subject, scope)
     return JointStart(robot_name, joints, position, velocity) if position and velocity else None
 
 
-def _start_value(
-    given: object, path: Path, dimension: Dimension, components: tuple[str, ...] | None, namespace: Namespace
-) -> Valued | None:
-    values = namespace.values
+def _start_value(given: object, path: Path, dimension: Dimension, subject: Subject, scope: ParameterScope) -> Valued | None:
+    values = scope.namespace.values
     text = values.text(path, given)
-    scope = ParameterScope(namespace, Context.RESET)
-    typed = values.quantity(text, "the start of a joint", scope, dimension, components, Stage.EPISODE)
-    return Valued(str(path[2]), text.span, text.text, typed, _owner(path)) if typed else None
+    typed = values.quantity(text, "the start of a joint", scope, dimension, subject.components, Stage.EPISODE)
+    if typed is None:
+        return None
+    reach, limits = typed.type.interval, subject.interval
+    if dimension == subject.dimension and reach.finite and not reach.inside(limits):
+        headline = f"a start at {_span(reach)} {dimension}, where the robot file allows {_span(limits)}"
+        values.findings.add("DB304", text.span, headline, help="an engine pushes the joint back at once; keep to its limits")
+    return Valued(str(path[2]), text.span, text.text, typed, _owner(path))
+
+
+def _span(interval: Interval) -> str:
+    return f"{interval.low:.4g}" if interval.single else f"{interval.low:.4g} .. {interval.high:.4g}"

@@ -6,8 +6,8 @@ sensors, what it received, its poses, and parameters that never change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 from deepbots_cli.compile.namespace import Namespace, Origin
 from deepbots_cli.lang.dimensions import NUMBER, TIME
@@ -21,12 +21,15 @@ _LATER = ("episode_return", "previous_action", "previous_reward", "goal_reached"
 
 @dataclass(frozen=True)
 class ParameterScope:
-    """Parameters only: for figures of the world, resets, ranges."""
+    """Parameters only: for figures of the world, resets, ranges. `poses` are those of the robot whose joints are set."""
 
     namespace: Namespace
     context: Context
+    poses: Mapping[str, Symbol] = field(default_factory=dict)
 
     def lookup(self, name: str) -> Symbol | None:
+        if name in self.poses:
+            return self.poses[name]
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.LINE):
             return self.namespace.symbol(name)
@@ -36,7 +39,7 @@ class ParameterScope:
         return self.namespace.subject(name, kinds)
 
     def names(self) -> Iterable[str]:
-        return self.namespace.named(Origin.PARAMETER)
+        return [*self.poses, *self.namespace.named(Origin.PARAMETER)]
 
     def subjects(self) -> Iterable[str]:
         return self.namespace.subjects()
@@ -70,7 +73,7 @@ class SupervisorScope:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
             return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
         if name in _LATER:
-            return Symbol(name, None, refused="it is not supported yet")
+            return Symbol(name, None, later=True)
         return None
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:

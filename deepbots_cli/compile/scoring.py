@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 from deepbots_cli import ir
@@ -33,6 +34,8 @@ class Signals:
                 self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
         for name, given in spec.signals.items():
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
+        if not isinstance(spec.augment, dict):
+            self._check_granted(spec.augment)
         self._outcomes: dict[str, ir.Outcome] = {}
         outcomes: tuple[tuple[ir.Outcome, dict[str, str | PythonTerm]], ...] = (
             ("success", spec.termination.success),
@@ -42,6 +45,14 @@ class Signals:
             for name, condition in conditions.items():
                 self._outcomes[name] = outcome
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
+
+    def _check_granted(self, granted: Sequence[str]) -> None:
+        """A list under `augment` names values that exist, which the policy may see."""
+        known = self._namespace.named(Origin.PARAMETER, Origin.SIGNAL)
+        for index, name in enumerate(granted):
+            self._namespace.touch(name)
+            if name not in known:
+                self._values.unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
 
     def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
         self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))

@@ -40,15 +40,17 @@ _LATER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 def check_support(spec: Scenario, values: Values) -> None:
     """DB108 for everything in the file that is not delivered yet."""
     for path, part in _parts(spec, ()):
+        kind = getattr(part, "type", None)
+        if _fits(path, ("robots", "*", "sensors", "*")) and kind not in SENSOR_KINDS:
+            _report(values, (*path, "type"), f"the sensor kind `{kind}`")
+            continue
+        if _fits(path, ("robots", "*", "actuators", "*")) and kind not in _MOTORS:
+            _report(values, (*path, "type"), f"the actuator kind `{kind}`")
+            continue
         for pattern, keys in _LATER:
             if _fits(path, pattern):
                 for key in sorted(part.model_fields_set.intersection(keys)):
                     _report(values, (*path, key), f"`{key}`")
-        kind = getattr(part, "type", None)
-        if _fits(path, ("robots", "*", "sensors", "*")) and kind not in SENSOR_KINDS:
-            _report(values, (*path, "type"), f"the sensor kind `{kind}`")
-        if _fits(path, ("robots", "*", "actuators", "*")) and kind not in _MOTORS:
-            _report(values, (*path, "type"), f"the actuator kind `{kind}`")
         if "python" in part.model_fields_set:
             _report(values, (*path, "python"), "a Python term")
     mixed = {hasattr(part, "choices") for part in spec.action.values()}

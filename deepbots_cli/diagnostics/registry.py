@@ -62,6 +62,7 @@ _CATALOGUE = (
     Rule("DB503", "dimension-mismatch", "error", "quantities of different dimension are combined"),
     Rule("DB504", "degrees-as-radians", "warning", "a value in radians that was probably meant in degrees"),
     Rule("DB505", "implausible-magnitude", "warning", "a figure far outside what its field usually holds"),
+    Rule("DB609", "privileged-observation", "warning", "the policy sees what no robot measures, and what `augment` does not grant"),
     Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm that cannot act in the declared action space"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, Dimension
+from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, TIME, Dimension
 from deepbots_cli.lang.typed import Constant, Reference, Typed, TypedRange, bare, zero
 from deepbots_cli.lang.types import Components, Report, shown
 
-_EXAMPLE = {LENGTH: "0.5 m", MASS: "0.5 kg", ANGLE: "30 deg"}
+_EXAMPLE = {LENGTH: "0.5 m", MASS: "0.5 kg", TIME: "20 ms", ANGLE: "30 deg"}
 
 
 def numbers(values: Sequence[Typed], report: Report) -> bool:

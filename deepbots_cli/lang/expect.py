@@ -21,6 +21,7 @@ from deepbots_cli.lang.types import Components, Report, Stage
 
 ANY_SHAPE: Components = ("*",)
 _BARE_MEANS_SI = frozenset({LENGTH, MASS})
+_NEEDS_NO_UNIT = _BARE_MEANS_SI | {NUMBER}
 # Far beyond any robot; only a wrong unit or a slipped exponent gets there.
 _PLAUSIBLE = {
     LENGTH: 1e5,
@@ -75,7 +76,7 @@ def expect_range(
     stage: Stage = Stage.FIXED,
 ) -> TypedRange | None:
     """As `expect`, for both ends of a range."""
-    if dimension is not None and dimension not in (NUMBER, *_BARE_MEANS_SI) and bare(found.low) and bare(found.high) and not zero(found.high):
+    if dimension and dimension not in _NEEDS_NO_UNIT and bare(found.low) and bare(found.high) and not zero(found.high):
         agree.missing_unit(found, dimension, report)  # one unit is missing, behind both ends
         return None
     low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage)

@@ -24,8 +24,9 @@ class Token(NamedTuple):
     end: int
 
 
+# What YAML takes for a comment is gone by now; in a text of several lines (`|`) a comment is still there.
 _TOKEN = re.compile(
-    r"\s*(?:"
+    r"(?:\s++|#[^\n]*+)*+(?:"
     r"(?P<NUMBER>(?:\d+(?:_\d{3})*(?:\.\d+)?|\.\d+)(?:[eE][+-]?\d+)?)"
     r"|(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)"
     r"|(?P<FOREIGN>\*\*|&&|\|\||->|=>|//|<>)"

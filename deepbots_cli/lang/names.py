@@ -9,7 +9,6 @@ from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Pick, Reference, Typed
 from deepbots_cli.lang.types import Kind, Report, Scope, Subject, shown
 
-
 # What is asked most often of a part of the world that is no place.
 _ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age"}
 
@@ -22,6 +21,8 @@ def reference(node: syntax.Name, scope: Scope, report: Report) -> Typed | None:
             continue
         if symbol.refused is not None:
             report("DB407", node.start, node.end, f"`{symbol.name}` has no value here", symbol.refused)
+        if symbol.later:
+            report("DB108", node.start, node.end, f"`{symbol.name}` is not supported by this version yet")
         if symbol.type is None:
             return None
         value: Typed | None = Reference(symbol.type, node.start, node.end, symbol)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Protocol, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.text import Text
 
 
 @dataclass(frozen=True)
@@ -71,15 +73,22 @@ class Lines:
         pass
 
 
+class _Speed(ProgressColumn):
+    """Steps per second, once there is a speed to speak of."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if task.speed is None else f"{task.speed:,.0f} steps/s", style="progress.data.speed")
+
+
 class Bar:
     """A progress bar with the figures beside it."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._progress = Progress(
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=10),
             TaskProgressColumn(show_speed=False),
-            TextColumn("{task.description}"),
-            TextColumn("{task.speed:,.0f} steps/s", style="progress.data.speed"),
+            TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis")),
+            _Speed(table_column=Column(no_wrap=True)),
             TimeRemainingColumn(),
             console=Console(file=sys.stderr if stream is None else stream),
         )

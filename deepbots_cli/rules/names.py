@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from deepbots_cli.compile import Checked
 from deepbots_cli.compile.namespace import Origin
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.lang.typed import Reference, Typed, children
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
@@ -22,3 +23,32 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
         if definition.origin in _COUNTED and definition.uses == 0:
             span = checked.namespace.values.key_span(definition.path)
             yield Finding("DB205", span, f"`{name}` is {definition.origin.value} that nothing uses", help="use it or take it out")
+
+
+def unused_part(checked: Checked) -> Iterator[Finding]:
+    """DB205: a sensor that is neither sent nor used on board, or an actuator without a command.
+
+    Such an actuator is left alone: the joint swings as if there were no motor.
+    """
+    if checked.task is None or checked.namespace is None:
+        return
+    values = checked.namespace.values
+    for robot in checked.task.robots:
+        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
+        driven = {command.actuator.name for command in robot.commands}
+        for sensor in robot.sensors:
+            if sensor.name not in used:
+                span = values.key_span(("robots", robot.name, "sensors", sensor.name))
+                yield Finding("DB205", span, f"`{sensor.name}` is a sensor that nothing reads", help="send it under `emit`, or take it out")
+        for actuator in robot.actuators:
+            if actuator.name not in driven:
+                span = values.key_span(("robots", robot.name, "actuators", actuator.name))
+                help = "give it a command under `apply`, or take it out"
+                yield Finding("DB205", span, f"`{actuator.name}` is an actuator that nothing drives", help=help)
+
+
+def _names(value: Typed) -> Iterator[str]:
+    if isinstance(value, Reference):
+        yield value.symbol.name
+    for part in children(value):
+        yield from _names(part)

@@ -179,9 +179,9 @@ def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) 
 
 
 def _is_about(span: Span, key: str) -> bool:
-    """Whether a finding at `span` marks this key, or its value."""
+    """Whether a finding at `span` marks this key, or its value, or a file that was to be included and may have held it."""
     before = span.source.text[: span.start].rstrip()
-    return span.text.strip("'\"") == key or before.endswith((f"{key}:", f"{key}':", f'{key}":'))
+    return span.text.strip("'\"") == key or before.endswith((f"{key}:", f"{key}':", f'{key}":', "include:"))
 
 
 def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:

@@ -90,7 +90,7 @@ def inertia(model: RobotModel, elements: Elements, report: Report) -> None:
         missing,
         moving,
         "no inertial",
-        "an engine would invent 1 kg; add an <inertial>, with a small mass for a frame",
+        "add an <inertial>; without one a link weighs nothing, which is right for a mere frame",
     )
     massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
     _warn(report, "DB306", elements, massless, moving, "mass 0", "give it a mass; an engine may treat such a link as immovable")

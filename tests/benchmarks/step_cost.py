@@ -21,9 +21,12 @@ from statistics import median
 from typing import Any
 
 from deepbots_cli import api
+from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.runtime import Supervisor
-from tests.benchmarks.layered import LayeredCartPole
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
+
+with hushed():  # PyBullet prints when it is imported and when it connects
+    from tests.benchmarks.layered import LayeredCartPole
 
 RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
 
@@ -59,50 +62,27 @@ def plan(environment: Supervisor, steps: int) -> list[Episode]:
     return episodes
 
 
-def timed(environment: Any, episodes: list[Episode], step: Callable[[Any], object]) -> float:
-    """CPU time of a step in us, first steps and resets left out."""
+def timed(environment: Any, episodes: list[Episode], step: Callable[[int], object], arguments: list[int]) -> float:
+    """CPU time of a call of `step` in us, resets and first steps left out; each episode has one argument for all its calls."""
     total = 0.0
-    for episode in episodes:
+    for episode, argument in zip(episodes, arguments, strict=True):
         environment.reset(seed=episode.seed)
         environment.step(episode.action)
-        held = repeat(episode.action, episode.steps)
+        held = repeat(argument, episode.steps)
         start = time.process_time()
-        for action in held:
-            step(action)
+        for given in held:
+            step(given)
         total += time.process_time() - start
     return 1e6 * total / sum(episode.steps for episode in episodes)
 
 
-def bare(environment: Supervisor, episodes: list[Episode]) -> Callable[[], float]:
-    physics, substeps = environment.engine.step, environment.scenario.world.substeps
-
-    def advance(_action: Any) -> None:
-        physics(substeps)
-
-    return lambda: timed(environment, episodes, advance)
-
-
-def bare_loop(environment: Supervisor, episodes: list[Episode]) -> Callable[[], float]:
-    """The same without a function around it: nothing but the loop and the engine's step."""
-    physics, substeps = environment.engine.step, environment.scenario.world.substeps
-
-    def measure() -> float:
-        total = 0.0
-        for episode in episodes:
-            environment.reset(seed=episode.seed)
-            environment.step(episode.action)
-            held = repeat(substeps, episode.steps)
-            start = time.process_time()
-            for count in held:
-                physics(count)
-            total += time.process_time() - start
-        return 1e6 * total / sum(episode.steps for episode in episodes)
-
-    return measure
-
-
 def whole(environment: Any, episodes: list[Episode]) -> Callable[[], float]:
-    return lambda: timed(environment, episodes, environment.step)
+    return lambda: timed(environment, episodes, environment.step, [episode.action for episode in episodes])
+
+
+def bare(environment: Supervisor, episodes: list[Episode]) -> Callable[[], float]:
+    substeps = environment.scenario.world.substeps
+    return lambda: timed(environment, episodes, environment.engine.step, [substeps] * len(episodes))
 
 
 def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) -> None:
@@ -113,33 +93,36 @@ def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) ->
     for _ in range(episode.steps):
         one.step(episode.action)
         other.engine.step(other.scenario.world.substeps)
-    last, motionless = (environment.step(episode.action)[0] for environment in (one, other))
-    if last.tobytes() != motionless.tobytes():
-        raise RuntimeError(f"the two sides moved apart: {last} and {motionless}")
+    ours, bare_side = (environment.step(episode.action)[0] for environment in (one, other))
+    if ours.tobytes() != bare_side.tobytes():
+        raise RuntimeError(f"the two sides moved apart: {ours} and {bare_side}")
 
 
 def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int) -> Row:
     with opened(source, *sets) as environment, opened(source, *sets) as other:
         episodes = plan(environment, steps)
         require_same_motion(environment, other, episodes[0])
-        found = pairs(whole(environment, episodes), bare_loop(other, episodes), count)
+        found = pairs(whole(environment, episodes), bare(other, episodes), count)
     step, physics = (median(side) for side in zip(*found, strict=True))
     return Row(f"{what} ({step:.2f} / {physics:.2f} us)", ratio(found), "x", bar)
 
 
 def csv_beside_struct(steps: int, count: int) -> Row:
+    """Physics is the same on both sides, and costs a hundred times what is asked for: left out, it leaves no noise."""
     with opened("cartpole", "messages.format=csv") as csv, opened("cartpole", "messages.format=struct") as struct:
         episodes = plan(struct, steps)
+        csv.physics = struct.physics = lambda substeps: None
         found = pairs(whole(csv, episodes), whole(struct, episodes), count)
     return Row("CartPole, csv minus struct", difference(found), "us", 4.0)
 
 
 def beside_layered(steps: int, count: int) -> list[Row]:
-    layered = LayeredCartPole()
+    with hushed():
+        layered = LayeredCartPole()
     with opened(RAIL) as environment, opened(RAIL) as other:
         episodes = plan(environment, steps)
         by_hand = pairs(whole(layered, episodes), whole(environment, episodes), count)
-        fair = pairs(whole(layered, episodes), bare_loop(other, episodes), count)
+        fair = pairs(whole(layered, episodes), bare(other, episodes), count)
     layered.close()
     return [
         Row(f"rail, 4 substeps: the layered one by hand ({median(a for a, _ in by_hand):.2f} us) / ours", ratio(by_hand), "x", 2.4, True),

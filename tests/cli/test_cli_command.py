@@ -139,6 +139,27 @@ def test_linting_imports_neither_simulator_nor_learner():
     assert not [name for name in HEAVY if f"'{name}'" in loaded]
 
 
+@pytest.mark.parametrize(
+    ("words", "absent", "extra"),
+    [("run cartpole", "gymnasium", "sim"), ("bench cartpole", "msgspec", "sim"), ("train cartpole", "torch", "train")],
+)
+def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(words, absent, extra):
+    code = f"import sys; sys.modules['{absent}'] = None; from deepbots_cli.cli import main; sys.exit(main({words.split()}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.endswith(f"pip install 'deepbots-cli[{extra}]'\n")
+    assert done.stderr.count("\n") == 1
+
+
+def test_what_runs_nothing_needs_no_extra(tmp_path):
+    lines = ["lint cartpole", "compile cartpole", "inspect cartpole", "list", "schema", "copy cartpole there", "eject cartpole here"]
+    block = "".join(f"sys.modules['{name}'] = None; " for name in HEAVY)
+    code = f"import sys; {block}from deepbots_cli.cli import main; print([main(line.split()) for line in {lines}], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[-1] == str([0] * len(lines)), done.stderr
+
+
 def test_the_overview_imports_no_verb_and_not_even_the_language():
     code = "import sys; from deepbots_cli.cli import main; main(['--help']); print([*sys.modules])"
     loaded = in_process_of_its_own(code)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -90,6 +92,21 @@ def test_there_must_be_something_to_train(deepbots):
     ran = deepbots("train")
     assert ran.code == 2
     assert "deepbots train cartpole" in ran.err
+
+
+def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
+    ours, theirs = pty.openpty()
+    words = [*TINY, "--run", "mine", "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "deepbots_cli", *words], cwd=tmp_path, stdout=subprocess.PIPE, stderr=theirs, text=True
+    )
+    os.close(theirs)
+    out, _ = process.communicate(timeout=60)
+    shown = os.read(ours, 65_536).decode()
+    os.close(ours)
+    assert process.returncode == 0, shown
+    assert "━" in shown
+    assert json.loads(out)["training"]["status"] == "finished"
 
 
 def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(tmp_path):

@@ -1,0 +1,159 @@
+"""What README and docs say is true: scenarios lint, Python runs, commands parse, links lead somewhere, tables are current."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import import_module, util
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import pytest
+import typer
+
+from deepbots_cli.cli.verbs import VERBS
+from deepbots_cli.compile import check
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.rules import run as run_rules
+from deepbots_cli.source import loads
+
+ROOT = Path(__file__).parents[2]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+ELSEWHERE = {"docs/results.md"}
+"""Pages that are written by hand after the measurements; linked before they exist."""
+
+FORBIDDEN = re.compile(r"/work/|\bshared/|artifactory|simple/pypi|index-url|\bTODO\b", re.IGNORECASE)
+UPON_CARTPOLE = "deepbots: 1\nextends: cartpole.yaml\n"
+
+
+class Block(NamedTuple):
+    """A fenced block: its page, first line, language, what follows the language, and its text."""
+
+    page: str
+    line: int
+    language: str
+    mark: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+def blocks(language: str) -> list[Block]:
+    return [block for page in PAGES for block in _blocks(page) if block.language == language]
+
+
+def _blocks(page: Path) -> Iterator[Block]:
+    text = page.read_text(encoding="utf-8")
+    for found in re.finditer(r"^```(\w+)[ ]?([^\n]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        yield Block(str(page.relative_to(ROOT)), text[: found.start()].count("\n") + 1, found[1], found[2], found[3])
+
+
+def findings_of(text: str) -> list[Finding]:
+    checked = check(loads(text, base=ROOT / "scenarios"))
+    kept, unused = suppress([*checked.findings, *run_rules(checked)], checked.document.sources)
+    return [*kept, *unused]
+
+
+def load_reference() -> ModuleType:
+    spec = util.spec_from_file_location("build_reference", ROOT / "docs" / "build_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("block", blocks("yaml"), ids=str)
+def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block):
+    mark, _, code = block.mark.partition(" ")
+    if mark == "wrong":
+        assert code in {finding.code for finding in findings_of(UPON_CARTPOLE + block.text)}
+    elif mark == "fragment":
+        found = findings_of(UPON_CARTPOLE + block.text)
+        assert [f"{finding.code} {finding.headline}" for finding in found if finding.severity == "error"] == []
+    else:
+        assert [f"{finding.code} {finding.headline}" for finding in findings_of(block.text)] == []
+
+
+@pytest.mark.parametrize("block", blocks("python"), ids=str)
+def test_python_in_the_docs_runs(block: Block):
+    if block.mark.startswith("skip"):
+        compile(block.text, str(block), "exec")
+        pytest.skip(block.mark)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", block.text], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def command_lines() -> list[tuple[str, str]]:
+    found = []
+    for block in blocks("console"):
+        found += [(str(block), line.removeprefix("$ ")) for line in block.text.splitlines() if line.startswith("$ ")]
+    for page in PAGES:
+        quoted = re.findall(r"`(deepbots [a-z][^`]*)`", page.read_text(encoding="utf-8"))
+        found += [(page.name, line) for line in quoted if "VERB" not in line and "NAME" not in line]
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize(("place", "line"), command_lines(), ids=str)
+def test_a_command_in_the_docs_is_one(place: str, line: str):
+    words = shlex.split(line)
+    if words[0] == "make":
+        targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+        assert words[1] in targets
+        return
+    if words[0] != "deepbots":
+        assert words[:2] == ["pip", "install"]
+        return
+    verb, *arguments = words[1:]
+    assert verb in VERBS
+    app = typer.Typer(add_completion=False)
+    app.command(verb)(import_module(f"deepbots_cli.cli.verbs.{verb}").command)
+    options = {option for parameter in typer.main.get_command(app).params for option in parameter.opts}
+    assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if target.startswith("https://"):
+            continue
+        path, _, fragment = target.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        if str(there.relative_to(ROOT)) in ELSEWHERE:
+            continue
+        assert there.exists(), target
+        assert not fragment or fragment in anchors(there), target
+
+
+def anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", ["keys.md", "functions.md", "rules.md"])
+def test_the_reference_is_current(name: str):
+    written = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
+    assert written == load_reference().pages()[name], "run: python docs/build_reference.py"
+
+
+def test_the_reference_says_which_algorithms_can_be_trained():
+    from deepbots_cli.learning.algorithms import ALGORITHMS
+
+    assert set(ALGORITHMS) == load_reference().TRAINED
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "docs" / "build_reference.py"], ids=lambda page: page.name)
+def test_a_page_speaks_of_nothing_that_a_reader_cannot_see(page: Path):
+    assert FORBIDDEN.findall(page.read_text(encoding="utf-8")) == []
+
+
+def test_the_picture_is_small():
+    assert (ROOT / "docs" / "images" / "cartpole.png").stat().st_size < 60_000
