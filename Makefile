@@ -34,7 +34,8 @@ check: dev ## everything that a change must pass
 
 .PHONY: results
 results: dev ## the trainings and benchmarks behind docs/results.md
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -n 2 -m slow
+	$(BIN)/python -m tests.benchmarks --write
 
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay

@@ -31,7 +31,7 @@ class CanonicalError(DeepbotsError):
 
 def to_json(scenario: ir.CompiledScenario) -> str:
     """Canonical JSON; equal scenarios give equal text."""
-    return json.dumps(_plain(scenario), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return json.dumps(_plain(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def digest(scenario: ir.CompiledScenario) -> str:
@@ -46,17 +46,21 @@ def from_json(text: str) -> ir.CompiledScenario:
         CanonicalError: The text is not JSON, or not of the form of this version; says where.
     """
     try:
-        data = json.loads(text)
+        data = json.loads(text, parse_constant=_refuse)
         version = data.get("version") if isinstance(data, dict) else None
         if version != ir.IR_VERSION:
             raise CanonicalError(
                 f"compiled scenario has format {version!r}, this deepbots reads {ir.IR_VERSION}; compile the scenario again"
             )
         result = _build(data, ir.CompiledScenario, "scenario")
-    except (ValueError, RecursionError) as error:  # ValueError: no JSON, or a number of thousands of digits
+    except (ValueError, OverflowError, RecursionError) as error:  # no JSON, or a number of thousands of digits
         raise CanonicalError(f"not a compiled scenario: {error}") from None
     assert isinstance(result, ir.CompiledScenario)  # _build returns what its second argument says
     return result
+
+
+def _refuse(word: str) -> float:
+    raise ValueError(f"{word} is no JSON")  # Python's reader would take it
 
 
 def _plain(value: object) -> object:

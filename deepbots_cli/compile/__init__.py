@@ -116,8 +116,10 @@ class _Pass:
         self._define_parameters()
         for name in spec.robots:
             namespace.define(name, Origin.ROBOT, ("robots", name))
-        for name in spec.objects:
+        for name, thing in spec.objects.items():
             namespace.define(name, Origin.OBJECT, ("objects", name))
+            if "count" in thing.model_fields_set:
+                self.values.lose(name)  # a group of things, which `support` has refused
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         scope = ParameterScope(namespace, Context.FIELD)

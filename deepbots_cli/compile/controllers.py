@@ -68,15 +68,19 @@ class Controller:
     def _check_names(self) -> None:
         """No name on board may mean two things, also not one here and another in the scenario."""
         spec = self.scene.spec
-        for section, names in (("poses", spec.poses), ("sensors", spec.sensors), ("receive", spec.receive or {})):
+        taken: dict[str, tuple[str, Path]] = {}
+        for name in self.namespace.named(Origin.PARAMETER, Origin.ACTION):
+            definition = self.namespace.definitions[name]
+            taken[name] = (definition.origin.value, definition.path)
+        for what, section, names in (("a pose", "poses", spec.poses), ("a sensor", "sensors", spec.sensors)):
             for name in names:
-                origin = self.namespace.origin(name)
-                taken = origin.value if origin in (Origin.PARAMETER, Origin.ACTION) and section != "receive" else None
-                taken = taken or ("a pose" if section != "poses" and name in spec.poses else None)
-                taken = taken or ("a sensor" if section == "receive" and name in spec.sensors else None)
-                if taken:
-                    span = self.values.key_span((*self.path, section, name))
-                    self.values.findings.add("DB202", span, f"`{name}` is already {taken}", help="choose another name")
+                place = (*self.path, section, name)
+                if name in taken:
+                    self.values.taken(place, name, *taken[name])
+                taken[name] = (what, place)
+        for name in spec.receive or {}:
+            if name in spec.poses or name in spec.sensors:
+                self.values.taken((*self.path, "receive", name), name, *taken[name])
 
     def _joint_sensor(self, name: str, kind: str, joints: tuple[Joint, ...], *, many: bool) -> Symbol:
         dimension = _fact_dimension(kind, joints[0])
@@ -88,14 +92,14 @@ class Controller:
     def joints_of(self, spec: object, place: Path) -> tuple[Joint, ...]:
         """The joints that `joint` or `joints` of a sensor or actuator names; empty after a finding."""
         key = "joint" if getattr(spec, "joint", None) is not None else "joints"
-        patterns = getattr(spec, key)
+        patterns = getattr(spec, key) or ()  # neither is left where the schema had a finding about it
         moving = [joint.name for joint in self.scene.model.moving_joints]
         names, missing = expand(moving, patterns, self.scene.groups)
         for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
             if pattern in missing:
                 span = self.values.span((*place, key) if isinstance(patterns, str) else (*place, key, index))
                 joint_missing(self.values, span, pattern, self.scene.model)
-        if missing:
+        if missing or not names:
             return ()
         joints = tuple(self.scene.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:

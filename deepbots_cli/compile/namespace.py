@@ -13,7 +13,6 @@ from enum import Enum
 
 from deepbots_cli.compile.robots import RobotScene
 from deepbots_cli.compile.values import Values
-from deepbots_cli.diagnostics import Label
 from deepbots_cli.lang.types import Kind, Subject, Symbol
 from deepbots_cli.source.nodes import Path
 
@@ -66,9 +65,7 @@ class Namespace:
         if first is None:
             self.definitions[name] = Definition(name, origin, path, make)
             return
-        also = (Label(self.values.key_span(first.path), "first defined here"),) if first.path else ()
-        headline = f"`{name}` is already {first.origin.value}"
-        self.values.findings.add("DB202", self.values.key_span(path), headline, help="choose another name", also=also)
+        self.values.taken(path, name, first.origin.value, first.path)
 
     def symbol(self, name: str) -> Symbol | None:
         """The typed symbol of a name that an expression uses; None where there is no such value."""
@@ -131,16 +128,15 @@ class Namespace:
         """The part of the world called `name`: a robot, one of its parts, an object, the ground."""
         if name == "ground":
             return Subject(name, Kind.GROUND)
+        if self.is_broken(name):
+            return Subject(name, Kind.BROKEN)
         head, _, rest = name.partition(".")
-        definition = self.definitions.get(head)
-        found = None
-        if definition is not None and definition.origin is Origin.ROBOT:
-            robot = self.robots.get(head)
-            if robot is not None:
-                found = robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
-        elif definition is not None and definition.origin in _WHOLE and not rest:
-            found = Subject(head, _WHOLE[definition.origin], link=head)
-        return found or (Subject(name, Kind.BROKEN) if self.is_broken(name) else None)
+        definition, robot = self.definitions.get(head), self.robots.get(head)
+        if robot is not None:
+            return robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
+        if definition is not None and definition.origin in _WHOLE and not rest:
+            return Subject(head, _WHOLE[definition.origin], link=head)
+        return None
 
     def subjects(self) -> Iterable[str]:
         for name, definition in self.definitions.items():

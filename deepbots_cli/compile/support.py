@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 from deepbots_cli.compile.sensors import SENSOR_KINDS
 from deepbots_cli.compile.values import Values
+from deepbots_cli.lang.names import NOT_YET
 from deepbots_cli.schema.part import Part
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
@@ -59,8 +60,7 @@ def check_support(spec: Scenario, values: Values) -> None:
 
 
 def _report(values: Values, path: Path, what: str) -> None:
-    help = "take it out for now; the language reference lists what each version runs"
-    values.findings.add("DB108", values.key_span(path), f"{what} is not supported yet", help=help)
+    values.findings.add("DB108", values.key_span(path), f"{what} is not supported yet", help=NOT_YET)
 
 
 def _fits(path: Path, pattern: tuple[str, ...]) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Mapping as Table
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Span
+from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.lang import agree, check, parser, syntax
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.expect import expect, expect_range
@@ -76,6 +76,11 @@ class Values:
         return Text(key.text, key.part) if key else self.text(path, path[-1])
 
     # Names
+
+    def taken(self, path: Path, name: str, what: str, first: Path) -> None:
+        """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
+        also = (Label(self.key_span(first), "first defined here"),)
+        self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", also=also)
 
     def lose(self, name: str) -> None:
         """Note that the definition of `name` had a finding."""

@@ -99,7 +99,9 @@ def _towards(given: Dimension, needed: Dimension) -> str | None:
     excess = given / needed
     if excess == ANGLE:
         return "the angle cancels only on division: `/ rad`"
-    return "the angle is missing: `* rad`" if needed / given == ANGLE else None
+    if needed / given == ANGLE:
+        return "the angle is missing: `* rad`"
+    return f"one of its units is wrong, or a factor in {needed / given} is missing"
 
 
 def components_of(values: Sequence[Typed], start: int, end: int, report: Report) -> tuple[Components | None] | None:

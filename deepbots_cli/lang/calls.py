@@ -9,7 +9,7 @@ from deepbots_cli.lang import agree, syntax
 from deepbots_cli.lang.dimensions import NUMBER, Dimension
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Function, Param, Shape
 from deepbots_cli.lang.intervals import TRUTH, Interval
-from deepbots_cli.lang.names import subject_of, unknown
+from deepbots_cli.lang.names import NOT_YET, subject_of, unknown
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Typed, Vector
 from deepbots_cli.lang.types import PLANE, SPACE, Components, Context, Report, Scope, Stage, Subject, Type
@@ -82,7 +82,7 @@ def _availability(node: syntax.Call, function: Function, context: Context, repor
         report("DB407", node.start, node.name_end, f"`{function.name}` in {_PLACE_WORDS[context]}", help)
         return False
     if not function.supported:
-        report("DB108", node.start, node.name_end, f"`{function.name}` is not supported by this version yet")
+        report("DB108", node.start, node.name_end, f"`{function.name}` is not supported yet", NOT_YET)
     return True
 
 

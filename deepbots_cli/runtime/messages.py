@@ -11,6 +11,7 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import GenericAlias
 from typing import Any
 
 import msgspec
@@ -80,8 +81,9 @@ def _csv_truth(cell: str) -> bool:
 
 
 def _tuple_type(dtypes: list[str]) -> Any:
+    """The type `tuple[int, float, ...]` that msgspec checks a message against."""
     kinds = tuple(bool if dtype == "bool" else float for dtype in dtypes)
-    return tuple[(int, *kinds)]  # type: ignore[misc]  # built from data, for msgspec to check against
+    return GenericAlias(tuple, (int, *kinds))
 
 
 def _json_codec(stamp: int, dtypes: list[str]) -> Codec:

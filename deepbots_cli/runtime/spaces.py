@@ -6,15 +6,17 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import Choices, CompiledScenario, Interval
 
 
-def observation_space(scenario: CompiledScenario) -> gym.spaces.Box:
+def observation_space(scenario: CompiledScenario) -> gym.Space[NDArray[np.float32]]:
     """One float32 per observed number: [-1, 1], or [0, 1] for a truth value."""
     low = np.array([0.0 if entry.truth else -1.0 for entry in scenario.observation], np.float32)
-    return gym.spaces.Box(low, np.ones_like(low), dtype=np.float32)
+    box: gym.Space[Any] = gym.spaces.Box(low, np.ones_like(low), dtype=np.float32)
+    return box
 
 
 def action_space(scenario: CompiledScenario) -> gym.Space[Any]:

@@ -36,7 +36,6 @@ class Supervisor(gym.Env[Observation, Any]):
     The paper's methods below only read what `_advance` left, so calling one twice changes nothing.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 30}
     CONTROLLERS: ClassVar[dict[str, type[RobotController]]] = {}
 
     observed: NDArray[np.float32]

@@ -7,18 +7,23 @@ outside of quotes must be an identifier of the language or an entry of a table.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 
 from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.ir import Choices, CompiledScenario
+from deepbots_cli.compile.emit.text import flat
+from deepbots_cli.compile.sensors import SENSOR_KINDS
+from deepbots_cli.ir import Choices, CompiledScenario, Interval
 from deepbots_cli.lang.emit import PYTHON
 from deepbots_cli.lang.scalar import Draw, Name, Op, State, World
 from deepbots_cli.lang.state import RULES
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 _DRAWS = frozenset({"uniform", "integer", "normal", "choice"})
+_BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended"))
+_MOST_TICKS = 1e12  # centuries
 _FACTS: dict[str, tuple[str | None, ...]] = {
     **dict.fromkeys(("position", "velocity", "angular_velocity"), ("x", "y", "z")),
     "orientation": ("x", "y", "z", "w"),
@@ -30,7 +35,8 @@ def check_printable(scenario: CompiledScenario) -> None:
     """Refuse what the compiler would never have written.
 
     Raises:
-        CanonicalError: A name is no identifier, or an operation, draw or fact is not in its table.
+        CanonicalError: A name is no identifier or defined nowhere, an operation, draw, fact or sensor is not in its
+            table, or a figure that the code is made with is out of all bounds.
     """
     for name in _defined_names(scenario):
         if not _NAME.fullmatch(name):
@@ -47,6 +53,52 @@ def check_printable(scenario: CompiledScenario) -> None:
                 joint = word.startswith("joint_")
                 if component not in _FACTS.get(word, ()) or len(subjects) != 1 or (joint and "." not in subjects[0]):
                     raise CanonicalError(f"{word[:40]!r} of {str(subjects)[:60]} is nothing that an engine can tell")
+
+    _require_figures(scenario)
+    _require_known_names(scenario)
+
+
+def _require_figures(scenario: CompiledScenario) -> None:
+    """What is divided by, or counted in, while the code is printed."""
+    timestep = scenario.world.timestep
+    spans = [(scenario.reset.settle, "settle"), (scenario.truncation.max_time or 0.0, "max_time")]
+    if not 0.0 < timestep < math.inf:
+        raise CanonicalError(f"a timestep of {timestep} s")
+    for seconds, what in spans:
+        if not 0.0 <= seconds / timestep < _MOST_TICKS:
+            raise CanonicalError(f"{what} of {seconds} s")
+    for entry in scenario.observation:
+        if not 1e-300 < entry.high - entry.low < 1e300:
+            raise CanonicalError(f"'{entry.name[:40]}' is observed from {entry.low} to {entry.high}")
+
+
+def _require_known_names(scenario: CompiledScenario) -> None:
+    """Each name in an expression is one that the scenario defines, in the scope of the expression."""
+    sent = [(f"{robot.name}.{name}", component) for robot in scenario.robots for name, component in flat(robot.emit)]
+    acted = [pair for part in scenario.action for pair in _variables(part)]
+    endings = [(ending.name, None) for ending in scenario.endings]
+    known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
+    supervisor = [scenario.parameters, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
+    _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
+    for robot in scenario.robots:
+        for sensor in robot.sensors:
+            if sensor.kind not in SENSOR_KINDS or not sensor.subjects:
+                raise CanonicalError(f"{sensor.kind[:40]!r} is no sensor kind")
+        sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]
+        _require_in([robot.emit], set(sensed))
+        _require_in([robot.apply], {*sensed, *flat(robot.receive)})
+
+
+def _variables(part: Choices | Interval) -> list[tuple[str, str | None]]:
+    if isinstance(part, Choices):
+        return [(variable, None) for variable in part.variables]
+    return [(part.name, component) for component in (part.components or (None,))]
+
+
+def _require_in(expressions: Iterable[object], known: set[tuple[str, str | None]]) -> None:
+    for node in (node for value in expressions for node in _nodes(value)):
+        if isinstance(node, Name) and (node.name, node.component) not in known:
+            raise CanonicalError(f"{node.name[:40]!r} is not defined")
 
 
 def _defined_names(scenario: CompiledScenario) -> Iterator[str]:

@@ -98,7 +98,7 @@ class RobotPrinter:
         return block(head, [doc, *printer.lines])
 
     def _create_message(self) -> list[str]:
-        labels = [name if component is None else f"{name}.{component}" for name, component in flat(self._robot.emit)]
+        labels = [self._names(name, component) for name, component in flat(self._robot.emit)]
         lines = []
         if self._keeps_state:
             values = [f"self.{self._stored(name, component)}" for name, component in flat(self._robot.emit)]

@@ -1,0 +1,124 @@
+"""Names: what they mean, what is said about those that mean nothing, and what is not said about lost ones."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from deepbots_cli.lang.scalar import World, walk
+
+REWARD = "  alive: 1"
+
+
+def facts(compiled, name: str) -> set[World]:
+    signal = next(signal for signal in compiled.ir.signals if signal.name == name)
+    return {node for value in signal.values for node in walk(value) if isinstance(node, World)}
+
+
+def test_a_name_that_a_joint_and_a_link_share_means_what_the_function_needs(workshop, cartpole) -> None:
+    text = cartpole(
+        ("augment: ", "signals:\n  spin: joint_velocity(cart.wheel_front_left)\n  rise: velocity(cart.wheel_front_left).z\naugment: "),
+        (REWARD, "  alive: 1 + 0 * spin / (rad/s) + 0 * rise / (m/s)"),
+    )
+    compiled = workshop.compile(text)
+    assert facts(compiled, "spin") == {World("joint_velocity", ("cart.wheel_front_left",))}
+    assert facts(compiled, "rise") == {World("velocity", ("cart.wheel_front_left",), "z")}
+
+
+def test_such_a_name_is_offered_once_among_the_known_ones(workshop, cartpole) -> None:
+    (finding,) = workshop.lint(cartpole(("velocity(cart.tip)", "velocity(cart.tipp)")))
+    assert finding.help is not None
+    assert finding.help.count("`cart.wheel_front_left`") == 1
+
+
+def test_names_may_be_used_before_they_are_defined(workshop, cartpole) -> None:
+    text = cartpole(("  x:         position(cart).x", "  half: x / 2\n  x:         position(cart).x"), (REWARD, "  alive: half / m"))
+    assert workshop.codes(text) == []
+    assert [signal.name for signal in workshop.compile(text).ir.signals].index("half") == 1
+
+
+def test_a_circle_is_told_once_and_in_full(workshop, cartpole) -> None:
+    text = cartpole(("  x:         position(cart).x", "  x: y + z\n  y: z\n  z: x"))
+    (finding,) = workshop.lint(text)
+    assert finding.code == "DB207"
+    assert finding.notes == ("the circle is x -> y -> z -> x",)
+
+
+def test_previous_does_not_break_a_circle_of_parameters(workshop, cartpole) -> None:
+    (finding,) = workshop.lint(cartpole(("fall_angle:  15 deg", "fall_angle:  fall_angle")))
+    assert finding.help == "break the circle"
+
+
+@pytest.mark.parametrize("count", [60, 3000])
+def test_long_chains_of_definitions_end_in_a_value_or_a_finding(workshop, cartpole, count: int) -> None:
+    chain = "".join(f"  p{n}: p{n + 1} + 1 mm\n" for n in range(count)) + f"  p{count}: 1 mm\n"
+    text = cartpole(("parameters:\n", f"parameters:\n{chain}"), ("-0.4 .. 0.4 m", "-0.4 m .. p0"))
+    began = time.perf_counter()
+    assert set(workshop.codes(text)) <= {"DB005"}
+    assert time.perf_counter() - began < 10
+
+
+# What one misspelt or broken piece takes away is not reported again where it is used.
+BROKEN = {
+    "parameters:": "parameter:",
+    "augment:": "augmnt:",
+    "termination:": "terminations:",
+    "truncation:": "trunkation:",
+    "robots:": "robot:",
+    "\naction:": "\nactoin:",
+    "    sensors:": "    sensor:",
+    "    actuators:": "    actuator:",
+    "    emit:": "    emits:",
+    "    urdf:": "    urfd:",
+    "type: joint_position": "type: joint_angle",
+    "joint: pole_hinge": "joint: pole",
+    "fall_angle:  15 deg": "fall_angle:",
+    "track:       0.39 m": "track:       [0.39 m]",
+    "wheel_speed: 5 rad/s": "wheel_speed: 5 rd/s",
+    "urdf: cartpole": "urdf: cart",
+    "    urdf: cartpole": "    include: cart.yaml",
+    "emit: [pole_angle]": "emit: [pole_angel]",
+    "x:         position(cart).x": "x:         position(cart).q",
+    "forward: 1, backward: -1": "forward: {drive: 1}, backward: -1",
+}
+
+
+@pytest.mark.parametrize("old", BROKEN)
+def test_one_broken_piece_is_one_finding(workshop, cartpole, old: str) -> None:
+    assert len(workshop.lint(cartpole((old, BROKEN[old])))) == 1
+
+
+def test_findings_far_apart_do_not_hide_each_other(workshop, cartpole) -> None:
+    text = cartpole(
+        ("    sensors:", "    sensor:"),
+        ("-0.8 .. 0.8 m/s", "-0.8 .. 0.8"),
+        (REWARD, "  alive: 1 - wobble"),
+        ("algorithm: PPO", "algorithm: PP0"),
+        ("{z: 0.04 m}", "{z: 0.04 kg}"),
+    )
+    assert sorted(workshop.codes(text)) == ["DB101", "DB104", "DB402", "DB502", "DB503"]
+
+
+def test_a_list_under_augment_grants_what_it_names(workshop, rail) -> None:
+    given = ("reward:", "signals: {lean: joint_position(cart.hinge)}\nreward:"), ("  cart.turn:", "  lean: -1 .. 1 rad\n  cart.turn:")
+    assert workshop.codes(rail(*given)) == ["DB609"]
+    assert workshop.codes(rail(*given, ("reward:", "augment: [lean]\nreward:"))) == []
+
+
+def test_groups_of_links_are_no_joints(workshop, cartpole) -> None:
+    text = cartpole(("    sensors:", "    groups: {upper: [pole, tip]}\n    sensors:"), ("[wheel_*]", "upper"))
+    assert workshop.codes(text) == ["DB302"]
+
+
+def test_a_group_is_made_of_groups_in_the_order_written(workshop, cartpole) -> None:
+    groups = "    groups: {front: [wheel_front_*], rear: [wheel_rear_*], all: [rear, front]}\n    sensors:"
+    compiled = workshop.compile(cartpole(("    sensors:", groups), ("[wheel_*]", "all")))
+    (wheels,) = compiled.ir.robots[0].actuators
+    assert wheels.joints == ("wheel_rear_left", "wheel_rear_right", "wheel_front_left", "wheel_front_right")
+
+
+def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop, cartpole) -> None:
+    (finding,) = workshop.lint(cartpole(("100_000", "100_00")))
+    assert finding.code == "DB103"
+    assert finding.notes == ("`100_00` is text: digits are grouped in threes",)

@@ -1,0 +1,132 @@
+"""What a scenario may change of a robot, an object or the world, and within which bounds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+CART = "    sensors:"
+
+
+def model(compiled):
+    return compiled.ir.world.robots[0].model
+
+
+def with_cart(lines: str) -> tuple[str, str]:
+    return CART, f"    {lines}\n{CART}"
+
+
+def test_a_joint_takes_range_and_limits_from_the_scenario(workshop, cartpole) -> None:
+    change = "joints: {pole_hinge: {range: -60 .. 45 deg, max_torque: 2 N*m, max_velocity: urdf / 4}}"
+    limit = model(workshop.compile(cartpole(with_cart(change)))).joint("pole_hinge").limit
+    assert limit.lower == pytest.approx(math.radians(-60))
+    assert limit.upper == pytest.approx(math.radians(45))
+    assert limit.effort == 2.0
+    assert limit.velocity == 25.0
+
+
+def test_the_range_of_a_joint_bounds_what_its_sensor_can_read(workshop, cartpole) -> None:
+    text = cartpole(with_cart("joints: {pole_hinge: {range: -30 .. 30 deg}}"), ("-20 .. 20 deg", "auto"))
+    lean = next(entry for entry in workshop.compile(text).ir.observation if entry.name == "cart.pole_angle")
+    assert (lean.low, lean.high) == pytest.approx((-math.pi / 6, math.pi / 6))
+
+
+def test_a_raised_limit_silences_the_warning_about_the_motor(workshop, cartpole) -> None:
+    stronger = ("10 N*m", "15 N*m")
+    assert workshop.codes(cartpole(stronger)) == ["DB304"]
+    assert workshop.codes(cartpole(stronger, with_cart('joints: {"wheel_*": {max_torque: 15 N*m}}'))) == []
+
+
+def test_a_pattern_changes_all_that_it_matches_from_the_figure_of_each(workshop, cartpole) -> None:
+    plain = model(workshop.compile(cartpole()))
+    heavier = model(workshop.compile(cartpole(with_cart('links: {"*": {mass: urdf * 2}}'))))
+    for old, new in zip(plain.links, heavier.links, strict=True):
+        assert new.inertial.mass == 2 * old.inertial.mass
+        assert new.inertial.ixx == pytest.approx(2 * old.inertial.ixx)
+
+
+def test_a_group_may_stand_for_the_joints_that_change(workshop, cartpole) -> None:
+    change = "groups: {front: [wheel_front_*]}\n    joints: {front: {damping: 0.1 N*m*s/rad}}"
+    joints = model(workshop.compile(cartpole(with_cart(change)))).joints
+    assert [joint.name for joint in joints if joint.damping] == ["wheel_front_left", "wheel_front_right"]
+
+
+def test_a_stretch_may_be_one_factor_for_all_axes(workshop, cartpole) -> None:
+    pole = model(workshop.compile(cartpole(with_cart("links: {pole: {stretch: size}}"), ("parameters:", "parameters:\n  size: 2"))))
+    assert pole.link("pole").inertial.mass == pytest.approx(8 * 0.2)
+
+
+WRONG = {
+    "links: {pole: {mass: 0}}": "DB105",
+    "links: {pole: {mass: 1 m}}": "DB503",
+    "links: {pole: {mass: -1 kg}}": "DB105",
+    "links: {poel: {mass: 1 kg}}": "DB201",
+    'links: {"pol_*": {mass: 1 kg}}': "DB206",
+    "links: {pole: {stretch: 1 1 0}}": "DB105",
+    "links: {wheel_front_left: {stretch: 1 1 2}}": "DB105",
+    "links: {pole: {friction: uniform(0.5 .. 1)}}": "DB108",
+    "links: {pole: {friction: -0.5}}": "DB105",
+    "joints: {pole_hing: {damping: 1 N*m*s/rad}}": "DB302",
+    "joints: {tip_mount: {damping: 1 N*m*s/rad}}": "DB303",
+    "joints: {pole_hinge: {damping: 1 N*s/m}}": "DB503",
+    "joints: {pole_hinge: {range: 1 .. 1 rad}}": "DB105",
+    "joints: {pole_hinge: {range: -1 .. 1 m}}": "DB503",
+    "joints: {pole_hinge: {range: -1 .. 1}}": "DB502",
+    'joints: {"wheel_*": {range: -1 .. 1 rad}}': "DB203",
+}
+
+
+@pytest.mark.parametrize("change", WRONG)
+def test_a_change_that_cannot_be_made_is_one_finding(workshop, cartpole, change: str) -> None:
+    assert workshop.codes(cartpole(with_cart(change))) == [WRONG[change]]
+
+
+# Every figure keeps the bounds of its field, also one with a unit, a parameter or a vector.
+BEYOND = {
+    "timestep: 32 ms": "timestep: 0 s",
+    "timestep:  32 ms": "timestep: 2 min",
+    "size: 1 1 m": "size: 1 0 m",
+    "wall_height: 0.1 m": "wall_height: -10 cm",
+    "friction: 1.0": "friction: track / m - 1",
+    "max_torque: 10 N*m": "max_torque: -10 N*m",
+    "{max_steps: 200}": "{max_steps: 200 / 3}",
+    "{max_steps:  200}": "{max_time: -1 s}",
+    "reset:": "reset:\n  settle: -1 s",
+    "mean_return: 195": "success_rate: 150 %",
+}
+
+
+@pytest.mark.parametrize("old", BEYOND)
+def test_a_figure_out_of_bounds_is_one_finding(workshop, cartpole, old: str) -> None:
+    assert workshop.codes(cartpole((old.replace("  ", " "), BEYOND[old]))) == ["DB105"]
+
+
+@pytest.mark.parametrize("figure", ["32 ms / 0", "1e300 s * 1e300", "sqrt(-1) * 1 s", "log(0) * 1 s"])
+def test_a_figure_that_cannot_be_computed_is_an_error(workshop, cartpole, figure: str) -> None:
+    findings = workshop.lint(cartpole(("timestep: 32 ms", f"timestep: {figure}")))
+    assert [finding.code for finding in findings if finding.severity == "error"] == ["DB105"]
+
+
+@pytest.mark.parametrize("figure", ["1 / 0", "1e300 * 1e300"])
+def test_a_parameter_that_cannot_be_computed_is_an_error(workshop, cartpole, figure: str) -> None:
+    findings = workshop.lint(cartpole(("track:       0.39 m", f"track: {figure} * 1 m")))
+    assert [finding.code for finding in findings if finding.severity == "error"] == ["DB105"]
+
+
+def test_an_object_has_the_density_of_water_unless_it_has_a_mass(workshop, cartpole) -> None:
+    objects = "objects:\n  a: {shape: box, size: 10 10 10 cm, pose: {x: 1 m}}\n  b: {shape: sphere, radius: 5 cm, mass: 0.3}\nrobots:\n"
+    a, b = workshop.compile(cartpole(("robots:\n", objects))).ir.world.objects
+    assert a.mass == pytest.approx(1.0)
+    assert b.mass == 0.3
+
+
+def test_a_mark_is_seen_and_not_solid(workshop, cartpole) -> None:
+    objects = "objects:\n  spot: {shape: cylinder, radius: 2 cm, height: 1 mm, solid: false, colour: red}\nrobots:\n"
+    (spot,) = workshop.compile(cartpole(("robots:\n", objects))).ir.world.objects
+    assert not spot.solid
+
+
+def test_settling_takes_whole_timesteps(workshop, cartpole) -> None:
+    assert workshop.codes(cartpole(("reset:", "reset:\n  settle: 50 ms"))) == ["DB308"]
+    assert workshop.codes(cartpole(("reset:", "reset:\n  settle: 0.32 s"))) == []

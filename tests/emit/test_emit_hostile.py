@@ -1,0 +1,104 @@
+"""A compiled scenario from elsewhere: whatever stands in it, none of its text becomes code."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import random
+import tokenize
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.canonical import from_json, to_json
+from deepbots_cli.compile.emit import emit
+from deepbots_cli.errors import DeepbotsError
+
+DATA = Path(__file__).parents[1] / "data" / "scenarios"
+SOURCES = ["cartpole", str(DATA / "drawn.yaml"), str(DATA / "pair.yaml")]
+MARK = "intruder"
+TEXTS = (
+    f'"""\n{MARK}()\n"""',
+    f"x\n{MARK} = 1",
+    f'"; {MARK}(); "',
+    f"'; {MARK}(); '",
+    f"\\'; {MARK}() #",
+    f"__import__('{MARK}')",
+    f"x): {MARK}(",
+    f"{{{MARK}}}",
+    f"a\r{MARK}()",
+    f"a\u2028{MARK}()\x0c",
+    "\\",
+    "",
+)
+OTHERS: tuple[Any, ...] = (None, True, -1, 0, 10**30, 1e308, [], ["x"], {}, {"is": "float", "value": "nan"})
+
+
+@cache
+def canonical(source: str) -> str:
+    return to_json(api.compile(source).ir)
+
+
+def places(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where the numbers and texts of a JSON document stand."""
+    if isinstance(data, dict | list):
+        for key, item in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from places(item, (*path, key))
+    else:
+        yield path
+
+
+def replaced(text: str, path: tuple[Any, ...], value: Any) -> str:
+    data = json.loads(text)
+    inner = data
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = copy.deepcopy(value)
+    return json.dumps(data)
+
+
+def code_of(text: str) -> str | None:
+    """What is printed for such a scenario, or None where it is refused in words."""
+    try:
+        return emit(from_json(text))
+    except DeepbotsError:
+        return None
+
+
+def words(code: str) -> set[str]:
+    """Everything in the code that is neither quoted nor a comment."""
+    return {token.string for token in tokenize.generate_tokens(io.StringIO(code).readline) if token.type in (tokenize.NAME, tokenize.OP)}
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: Path(source).stem)
+def test_text_in_any_place_is_quoted_or_refused(source: str) -> None:
+    text = canonical(source)
+    rng = random.Random(1)
+    for path in places(json.loads(text)):
+        code = code_of(replaced(text, path, rng.choice(TEXTS)))
+        if code is not None:
+            compile(code, "printed", "exec")
+            assert MARK not in words(code), path
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: Path(source).stem)
+def test_odd_values_in_any_place_give_code_or_are_refused(source: str) -> None:
+    text = canonical(source)
+    rng = random.Random(2)
+    for path in places(json.loads(text)):
+        code = code_of(replaced(text, path, rng.choice(OTHERS)))
+        if code is not None:
+            compile(code, "printed", "exec")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "null", "[]", "{}", "{" * 100_000, "[" * 100_000, '{"version": 1}', '{"version": 99}', "\x00", "1" * 6000]
+)
+def test_what_is_no_compiled_scenario_is_refused(text: str) -> None:
+    with pytest.raises(DeepbotsError):
+        from_json(text)

@@ -1,0 +1,144 @@
+"""Stateful functions, from the text of a scenario to what a step returns, against sequences worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from deepbots_cli.runtime import Supervisor
+
+Small = Callable[..., Supervisor]
+DRIVES = (0.5, -0.25, 1.0, 1.0, -0.5)
+NEARLY = 1e-8  # m/s; a motor of limited force leaves the speed so near to its target
+
+
+def terms(environment: Supervisor, drives: Sequence[float] = DRIVES) -> dict[str, list[float]]:
+    """Each reward term over an episode that takes these actions."""
+    environment.reset(seed=0)
+    rows = [environment.step(np.array([drive]))[4]["reward_terms"] for drive in drives]
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("delta(drive)", [0.5, -0.75, 1.25, 0.0, -1.5]),
+        ("delta(drive, 0.25)", [0.25, -0.75, 1.25, 0.0, -1.5]),
+        ("previous(drive)", [0.0, 0.5, -0.25, 1.0, 1.0]),
+        ("previous(drive, 7)", [7.0, 0.5, -0.25, 1.0, 1.0]),
+        ("running_max(drive)", [0.5, 0.5, 1.0, 1.0, 1.0]),
+        ("running_min(drive)", [0.0, -0.25, -0.25, -0.25, -0.5]),
+        ("hold(drive, drive > 0.75)", [0.0, 0.0, 1.0, 1.0, 1.0]),
+        ("hold(step, drive < 0)", [0.0, 2.0, 2.0, 2.0, 5.0]),
+        ("smooth(drive, 20 ms)", [0.25, 0.0, 0.5, 0.75, 0.125]),
+        ("smooth(drive, 0 s)", [0.5, -0.25, 1.0, 1.0, -0.5]),
+        ("integral(drive) / s", [0.01, 0.005, 0.025, 0.045, 0.035]),
+        ("accumulate(drive, -1 .. 1, 0)", [0.5, 0.25, 1.0, 1.0, 0.5]),
+        ("accumulate(drive, -1 .. 1, -1)", [-0.5, -0.75, 0.25, 1.0, 0.5]),
+        ("duration(drive > 0.75) / s", [0.0, 0.0, 0.02, 0.04, 0.0]),
+        ("1 when rising(drive > 0.4)", [1.0, 0.0, 1.0, 0.0, 0.0]),
+        ("1 when previous(drive > 0.4)", [0.0, 1.0, 0.0, 1.0, 1.0]),
+        ("delta(delta(drive))", [0.5, -1.25, 2.0, -1.25, -1.5]),
+        ("delta(integral(drive)) / s", [0.01, -0.005, 0.02, 0.02, -0.01]),
+        ("previous(previous(drive))", [0.0, 0.0, 0.5, -0.25, 1.0]),
+    ],
+)
+def test_a_stateful_function_gives_the_sequence_of_its_definition(small: Small, expression: str, expected: list[float]) -> None:
+    found = terms(small(f'reward: {{a: "{expression}"}}'))["a"]
+    assert found == pytest.approx(expected, abs=1e-15)
+
+
+def test_memory_advances_also_while_its_branch_is_not_taken(small: Small) -> None:
+    found = terms(small('reward: {late: "where(step >= 4, delta(drive), 0)", held: "where(step == 5, running_max(drive), 0)"}'))
+    assert found["late"] == [0.0, 0.0, 0.0, 0.0, -1.5]
+    assert found["held"] == [0.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_each_occurrence_in_the_text_has_a_memory_of_its_own(small: Small) -> None:
+    found = terms(small('reward: {both: "delta(drive) + delta(drive)", twice: "2 * delta(drive)"}'))
+    assert found["both"] == found["twice"]
+
+
+def test_a_new_episode_starts_all_memory_anew(small: Small) -> None:
+    environment = small('reward: {a: delta(drive), b: running_max(drive), c: "accumulate(drive, -1 .. 1, 0.5)"}')
+    assert terms(environment) == terms(environment)
+
+
+def test_rewards_may_remember_the_end_of_an_episode(small: Small) -> None:
+    sections = "termination: {failure: {fast: drive > 0.9}}\nreward: {end: 1 when rising(terminated), either: 1 when rising(ended)}"
+    assert terms(small(sections))["end"] == [0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+def test_memory_in_signals_and_endings_advances_once_per_step(small: Small) -> None:
+    ending = "termination: {success: {done: duration(drive > 0.75) > 30 ms}}"
+    environment = small(f"signals: {{total: integral(drive)}}\nreward: {{a: total / s, b: total / s}}\n{ending}")
+    assert terms(environment)["a"] == pytest.approx([0.01, 0.005, 0.025, 0.045, 0.035])
+    environment.reset(seed=0)
+    assert [environment.step(np.array([drive]))[2] for drive in DRIVES] == [False, False, False, True, True]
+
+
+def test_components_of_a_vector_are_remembered_apart(small: Small) -> None:
+    environment = small('signals: {both: "vector(drive, -2 * drive)"}\nreward: {most: "max(delta(both))", least: "min(delta(both))"}')
+    found = terms(environment)
+    assert found["most"] == pytest.approx([max(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
+    assert found["least"] == pytest.approx([min(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
+
+
+ON_BOARD = """\
+robots:
+  cart:
+    urdf: cartpole_rail
+    base: fixed
+    sensors:
+      place: {type: joint_position, joint: slider}
+      rate:  {type: joint_velocity, joint: slider}
+    actuators:
+      motor: {type: velocity_motor, joint: slider, max_torque: 10 N}
+    emit: {place: place, rate: rate, soft: "smooth(rate, 60 ms)", most: "running_max(rate)"}
+    apply: {motor: "APPLY"}
+"""
+SEEN = "reward: {rate: cart.rate * s / m, soft: cart.soft * s / m, most: cart.most * s / m, place: cart.place / m}"
+
+
+@pytest.mark.parametrize("format", ["struct", "none"])
+def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Small, format: str) -> None:
+    found = terms(small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "drive * 0.02 m/s")))
+    assert found["rate"] == pytest.approx([0.02 * drive for drive in DRIVES], abs=NEARLY)
+    assert found["most"] == pytest.approx(np.maximum.accumulate([0.0, *found["rate"]])[1:])
+    soft = 0.0
+    for rate, filtered in zip(found["rate"], found["soft"], strict=True):
+        soft += (rate - soft) / 4
+        assert filtered == pytest.approx(soft)
+
+
+@pytest.mark.parametrize("format", ["struct", "none"])
+def test_what_a_robot_applies_may_remember_earlier_messages(small: Small, format: str) -> None:
+    environment = small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "smooth(drive, 20 ms) * 0.02 m/s"))
+    assert terms(environment)["rate"] == pytest.approx([0.02 * held for held in (0.25, 0.0, 0.5, 0.75, 0.125)], abs=NEARLY)
+
+
+def test_a_robot_may_apply_a_sensor_that_it_does_not_send(small: Small) -> None:
+    """The sensors that it sends and those that it applies are read apart, and must not be taken for each other."""
+    robot = ON_BOARD.replace('{place: place, rate: rate, soft: "smooth(rate, 60 ms)", most: "running_max(rate)"}', "[rate]").replace(
+        "APPLY", "place / s + drive * 0.02 m/s"
+    )
+    environment = small(
+        "reward: {rate: cart.rate * s / m, x: position(cart.cart).x / m}", "observation={cart.rate: -1 .. 1 m/s}", robot=robot
+    )
+    found = terms(environment)
+    before = [0.0, *found["x"][:-1]]
+    assert found["rate"] == pytest.approx([x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY)
+
+
+TOLD = ON_BOARD.replace("    apply:", "    receive: {RECEIVE}\n    apply:")
+
+
+@pytest.mark.parametrize("format", ["struct", "none"])
+@pytest.mark.parametrize("told", ["position(cart.cart).x", "x", "cart.place", "previous(x) + delta(x)"])
+def test_a_robot_is_told_what_held_before_the_step(small: Small, format: str, told: str) -> None:
+    robot = TOLD.replace("{RECEIVE}", f'{{push: drive, where: "{told}"}}').replace("APPLY", "push * 0.02 m/s + where / s")
+    found = terms(small(f"signals: {{x: position(cart.cart).x}}\n{SEEN}", f"messages.format={format}", robot=robot))
+    before = [0.0, *found["place"][:-1]]
+    assert found["rate"] == pytest.approx([x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY)
