@@ -115,7 +115,7 @@ class Supervisor(gym.Env[Observation, Any]):
                 getattr(self, f"to_{spec.name}").clear()
                 getattr(self, f"from_{spec.name}").clear()
             self._start()
-        except (ArithmeticError, ValueError) as error:
+        except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error
         if self.terminated:
             raise EvaluationError(
@@ -134,7 +134,7 @@ class Supervisor(gym.Env[Observation, Any]):
         """
         try:
             self._go_on(action)
-        except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
+        except (ArithmeticError, ValueError, LookupError, NameError, TypeError, AttributeError) as error:
             self._try_again(action, error)
         terminated, truncated = self.is_done()
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
@@ -230,7 +230,7 @@ class Supervisor(gym.Env[Observation, Any]):
     def _no_value(self, error: Exception) -> Exception:
         """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of ours."""
         frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith("<deepbots")]
-        if not frames or not isinstance(error, (ArithmeticError, ValueError)):
+        if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
         return EvaluationError(f"step {self.step_count}: no value for `{frames[-1].line}`: {error}")

@@ -20,7 +20,7 @@ def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | N
     """`root` with one assignment made; unchanged, with a finding, where it cannot be.
 
     A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces
-    what was there; mappings are not merged.
+    what was there; mappings are not merged. A section that the file leaves out is begun.
     """
     source = Source(f"--set {assignment}", assignment)
     if not files.check(source, findings):
@@ -36,18 +36,24 @@ def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | N
         target = _target(root, Span(source, 0, len(path)), findings)
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
         if target is not None and value is not None:
-            return _placed(root, *target, value, findings)
+            place, key, inner = target
+            for step in reversed(inner):
+                value = Mapping(whole, {step.text: Entry(step, value)})
+            return _placed(root, place, key, value, findings)
     return root
 
 
-def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar] | None:
-    """The path that is meant, and its last key as written; the key may be new, the mapping around it may not."""
+def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar, list[Scalar]] | None:
+    """The path to replace, its last key as written, and the keys of a section that is begun below it.
+
+    A key may be new, the mapping around it may not, unless it is a whole section of the scenario.
+    """
     dotted = span.text.strip()
     start = span.start + span.text.index(dotted)
     parameters = root.get("parameters")
     if isinstance(parameters, Mapping) and "." not in dotted:
         if dotted in parameters.entries:
-            return ("parameters", dotted), _key(Span(span.source, start, start + len(dotted)))
+            return ("parameters", dotted), _key(Span(span.source, start, start + len(dotted))), []
         if dotted not in root.entries and (near := _near(dotted, parameters)):
             help = f"did you mean `{near}`?"
             findings.add("DB201", Span(span.source, start, start + len(dotted)), f"there is no parameter `{dotted}`", help=help)
@@ -55,18 +61,21 @@ def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar
     steps, reached, rest = follow(root, dotted)
     at = start + len(dotted) - len(rest)
     if not rest:
-        return steps, _key(Span(span.source, start, start + len(dotted)))
+        return steps, _key(Span(span.source, start, start + len(dotted))), []
     name = rest.split(".")[0]
     place = Span(span.source, at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, Mapping):
         findings.add("DB201", place, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
+    elif not steps and all(rest.split(".")) and not _near(name, reached):
+        first, *inner = _keys(Span(span.source, at, at + len(rest)))
+        return (first.text,), first, inner
     elif name != rest or not name:
         near = _near(name, reached)
         help = f"did you mean `{near}`?" if near else f"there are: {', '.join(list(reached.entries)[:20])}"
         findings.add("DB201", place, f"there is no `{name}`{inside}", help=help)
     else:
-        return (*steps, name), _key(place)
+        return (*steps, name), _key(place), []
     return None
 
 
@@ -76,6 +85,15 @@ def _placed(root: Mapping, path: Path, key: Scalar, value: Node, findings: Findi
         return root
     changed = replace(root, path, Entry(key, value))
     return changed if isinstance(changed, Mapping) else root
+
+
+def _keys(dotted: Span) -> list[Scalar]:
+    """The steps of a dotted path, each at its place."""
+    keys, start = [], dotted.start
+    for step in dotted.text.split("."):
+        keys.append(_key(Span(dotted.source, start, start + len(step))))
+        start += len(step) + 1
+    return keys
 
 
 def _key(span: Span) -> Scalar:

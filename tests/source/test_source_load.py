@@ -293,3 +293,19 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignmen
     assert hint in (finding.help or "")
     assert document.root is not None
     assert to_data(document.root) == to_data(loads(BASE).root)  # type: ignore[arg-type]
+
+
+def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
+    document = loads("deepbots: 1\nname: X\n", sets=["messages.format=none", "train.policy.hidden=[8]"])
+    assert document.root is not None
+    assert to_data(document.root) == {
+        "deepbots": 1,
+        "name": "X",
+        "messages": {"format": "none"},
+        "train": {"policy": {"hidden": [8]}},
+    }
+
+
+def test_a_misspelt_section_in_an_assignment_is_not_begun() -> None:
+    document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", sets=["mesages.format=none"])
+    assert [finding.code for finding in document.findings] == ["DB201"]

@@ -141,7 +141,7 @@ class EvaluationPrinter:
     def _observation(self, printer: Printer) -> None:
         packed = []
         for entry in self._scenario.observation:
-            name = self.names("seen", entry.name, entry.component)
+            name = self.names(f"seen {entry.name}", entry.component)  # the blank keeps it apart from a signal called `seen`
             if entry.truth:
                 packed.append(f"1.0 if {printer.value(entry.value)} else 0.0")
                 continue
