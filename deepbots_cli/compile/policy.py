@@ -47,7 +47,7 @@ class Actions:
         figures = {option: self._figures((*place, option), given, variables, bool(named)) for option, given in part.choices.items()}
         for index, variable in enumerate(variables):
             column = [row[index] for row in figures.values()]
-            symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column), max(column)), stage=Stage.STEP))
+            symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP))
             self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
         self._parts[name] = ir.Choices(name, variables, tuple(ir.Option(option, row) for option, row in figures.items()))
 

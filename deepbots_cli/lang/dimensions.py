@@ -93,7 +93,7 @@ _NOUNS = {
     ANGULAR_VELOCITY / TIME: "an angular acceleration",
     FREQUENCY: "a frequency",
     FORCE: "a force",
-    TORQUE: "a torque",
+    TORQUE: "a torque or an energy",
     POWER: "a power",
     PRESSURE: "a pressure",
     MASS * LENGTH**2: "a moment of inertia",

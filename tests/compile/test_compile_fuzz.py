@@ -18,8 +18,55 @@ FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 TEXTS = [shipped_text("cartpole"), (FOLDER / "drawn.yaml").read_text(encoding="utf-8"), (FOLDER / "pair.yaml").read_text(encoding="utf-8")]
 LINES = sorted({line for text in TEXTS for line in text.splitlines() if line.strip()})
 WORDS = sorted({word for text in TEXTS for word in re.findall(r"[\w.]+", text)})
-SIGNS = ["..", "+", "*", "/", "(", ")", "^", "-", " m", " rad", " deg", " s", ",", ":", "{", "}", "[", "]", "|", ">", "=", "#", "'", '"', "&a", "*a"]
-ODD = ["0", "-1", "1e308", "1e-320", "nan", ".inf", "true", "null", "x", "cart", "auto", "any", "urdf", "1 2 3 m", "0 .. 0", "{}", "[]", "\u00e4", "\t"]
+SIGNS = [
+    "..",
+    "+",
+    "*",
+    "/",
+    "(",
+    ")",
+    "^",
+    "-",
+    " m",
+    " rad",
+    " deg",
+    " s",
+    ",",
+    ":",
+    "{",
+    "}",
+    "[",
+    "]",
+    "|",
+    ">",
+    "=",
+    "#",
+    "'",
+    '"',
+    "&a",
+    "*a",
+]
+ODD = [
+    "0",
+    "-1",
+    "1e308",
+    "1e-320",
+    "nan",
+    ".inf",
+    "true",
+    "null",
+    "x",
+    "cart",
+    "auto",
+    "any",
+    "urdf",
+    "1 2 3 m",
+    "0 .. 0",
+    "{}",
+    "[]",
+    "\u00e4",
+    "\t",
+]
 PIECES = st.sampled_from(WORDS + SIGNS + ODD)
 
 
@@ -37,7 +84,7 @@ def examine(bench: Workshop, text: str) -> None:
         compile(api.compile(bench.file).code, "generated", "exec")
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_lines_taken_out_put_in_or_exchanged(bench: Workshop, data: st.DataObject) -> None:
     lines = data.draw(st.sampled_from(TEXTS)).splitlines()
@@ -55,7 +102,7 @@ def test_lines_taken_out_put_in_or_exchanged(bench: Workshop, data: st.DataObjec
     examine(bench, "\n".join(lines) + "\n")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_words_exchanged(bench: Workshop, data: st.DataObject) -> None:
     text = data.draw(st.sampled_from(TEXTS))
@@ -65,7 +112,7 @@ def test_words_exchanged(bench: Workshop, data: st.DataObject) -> None:
     examine(bench, text)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_values_exchanged(bench: Workshop, data: st.DataObject) -> None:
     text = data.draw(st.sampled_from(TEXTS))

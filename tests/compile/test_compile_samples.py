@@ -25,9 +25,7 @@ INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" 
 def stand_in(name: str) -> str:
     base, links, joints = STAND_INS[name]
     parts = [f'<link name="{link}">{INERTIAL}</link>' for link in (base, *links, *(f"{joint}_link" for joint in joints))]
-    parts += [
-        f'<joint name="{link}_mount" type="fixed"><parent link="{base}"/><child link="{link}"/></joint>' for link in links
-    ]
+    parts += [f'<joint name="{link}_mount" type="fixed"><parent link="{base}"/><child link="{link}"/></joint>' for link in links]
     parts += [
         f'<joint name="{joint}" type="continuous"><parent link="{base}"/><child link="{joint}_link"/><axis xyz="0 0 1"/></joint>'
         for joint in joints
