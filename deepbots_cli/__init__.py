@@ -3,7 +3,7 @@
 The way of the data, and the packages along it:
 
     text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ IR ─▶ generated Python ─▶ environment ─▶ run
-    source      schema     compile (with lang, urdf)              ir       compile.emit      runtime      learning
+    source      schema     compiler (with lang, urdf)             ir       compiler.emit     runtime      learning
 
 The documented Python API is `load`, `compile`, `make`, `train` and `evaluate`; each is imported when
 it is first asked for, so that importing this package costs nothing.

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli import rules
-from deepbots_cli.compile import Checked, check
+from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
@@ -102,8 +102,8 @@ def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_pat
         UsageError: There is no such file.
     """
     from deepbots_cli.canonical import digest
-    from deepbots_cli.compile.emit import emit
-    from deepbots_cli.compile.lower import lower
+    from deepbots_cli.compiler.emit import emit
+    from deepbots_cli.compiler.lower import lower
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths)
     if checked.task is None or checked.findings.errors:
@@ -149,8 +149,8 @@ def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | 
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.canonical import digest
-    from deepbots_cli.compile.emit import emit
-    from deepbots_cli.compile.emit.names import class_name
+    from deepbots_cli.compiler.emit import emit
+    from deepbots_cli.compiler.emit.names import class_name
 
     code = emit(ir)
     name = class_name(ir.name)

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from pydantic_core import PydanticUndefinedType
 
-from deepbots_cli.compile import support
-from deepbots_cli.compile.sensors import SENSOR_KINDS
+from deepbots_cli.compiler import support
+from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.lang.functions import ALLOWED, Family, Function
 from deepbots_cli.lang.table import FUNCTIONS

@@ -8,7 +8,7 @@ import deepbots_cli
 from deepbots_cli import canonical
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli.copying import Files
-from deepbots_cli.compile.emit.names import class_name
+from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.errors import UsageError
 from deepbots_cli.urdf.writer import write as to_urdf
 

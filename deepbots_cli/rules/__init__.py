@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from deepbots_cli.compile import Checked
+from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.rules.names import unused_definition, unused_part
 from deepbots_cli.rules.spaces import privileged_observation

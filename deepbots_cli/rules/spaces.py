@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from deepbots_cli.compile import Checked
-from deepbots_cli.compile.namespace import Origin
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError, digest, from_json, to_json
-from deepbots_cli.compile.emit import emit
+from deepbots_cli.compiler.emit import emit
 from deepbots_cli.ir import CompiledScenario, Term
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 

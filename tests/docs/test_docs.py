@@ -17,7 +17,7 @@ import pytest
 import typer
 
 from deepbots_cli.cli.verbs import VERBS
-from deepbots_cli.compile import check
+from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.rules import run as run_rules

@@ -16,7 +16,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.canonical import from_json, to_json
-from deepbots_cli.compile.emit import emit
+from deepbots_cli.compiler.emit import emit
 from deepbots_cli.errors import DeepbotsError
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 
 from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.compile.emit.text import flat
-from deepbots_cli.compile.sensors import SENSOR_KINDS
+from deepbots_cli.compiler.emit.text import flat
+from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.ir import Choices, CompiledScenario, Interval
 from deepbots_cli.lang.emit import PYTHON
 from deepbots_cli.lang.scalar import Draw, Name, Op, State, World

@@ -22,17 +22,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from deepbots_cli.compile.controllers import Controller
-from deepbots_cli.compile.lost import lost_names
-from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.policy import Actions, Observations
-from deepbots_cli.compile.resets import joint_starts, placements
-from deepbots_cli.compile.robots import RobotScene, load_robot
-from deepbots_cli.compile.scopes import ParameterScope
-from deepbots_cli.compile.scoring import Signals, reward_terms, solved, training, truncation
-from deepbots_cli.compile.support import check_support
-from deepbots_cli.compile.values import Values
-from deepbots_cli.compile.world import WorldBuilder
+from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.lost import lost_names
+from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.policy import Actions, Observations
+from deepbots_cli.compiler.resets import joint_starts, placements
+from deepbots_cli.compiler.robots import RobotScene, load_robot
+from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, training, truncation
+from deepbots_cli.compiler.support import check_support
+from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.world import WorldBuilder
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.ir import Evaluation
 from deepbots_cli.lang import agree

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from deepbots_cli import ir
-from deepbots_cli.compile.namespace import Namespace
-from deepbots_cli.compile.robots import RobotScene
-from deepbots_cli.compile.scopes import ParameterScope
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, MASS, NUMBER, TIME
 from deepbots_cli.lang.types import PLANE, SPACE, Context
 from deepbots_cli.schema.objects import BoxObject, CapsuleObject, CylinderObject, Placed, SphereObject

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from deepbots_cli.compile.joints import joint_dimension
-from deepbots_cli.compile.matching import joint_missing
-from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.scopes import ParameterScope
+from deepbots_cli.compiler.joints import joint_dimension
+from deepbots_cli.compiler.matching import joint_missing
+from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import SPACE, Context, Kind, Stage, Subject, Symbol

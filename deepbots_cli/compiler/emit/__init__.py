@@ -14,10 +14,10 @@ match `[a-z_][a-z0-9_]*` and quoted strings.
 from __future__ import annotations
 
 from deepbots_cli.canonical import digest
-from deepbots_cli.compile.emit.guard import check_printable
-from deepbots_cli.compile.emit.names import class_name
-from deepbots_cli.compile.emit.robot import RobotPrinter
-from deepbots_cli.compile.emit.supervisor import SupervisorPrinter
+from deepbots_cli.compiler.emit.guard import check_printable
+from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.compiler.emit.robot import RobotPrinter
+from deepbots_cli.compiler.emit.supervisor import SupervisorPrinter
 from deepbots_cli.ir import CompiledScenario
 
 _MATH = ("atan2", "cos", "exp", "hypot", "inf", "log", "pi", "pow", "sin", "sqrt", "tan", "tau")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from deepbots_cli.compile.values import Values
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.lang.types import Kind
 from deepbots_cli.schema.plain import choose_from

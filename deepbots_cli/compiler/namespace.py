@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from deepbots_cli.compile.robots import RobotScene
-from deepbots_cli.compile.values import Values
+from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.types import Kind, Subject, Symbol
 from deepbots_cli.source.nodes import Path
 

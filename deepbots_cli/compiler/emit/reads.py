@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.compile.emit.names import Names
-from deepbots_cli.compile.emit.text import quoted, quoted_tuple
+from deepbots_cli.compiler.emit.names import Names
+from deepbots_cli.compiler.emit.text import quoted, quoted_tuple
 from deepbots_cli.lang.scalar import Draw, Op, Scalar, State, World
 
 _XYZ = {"x": 0, "y": 1, "z": 2, "w": 3}

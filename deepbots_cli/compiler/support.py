@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from deepbots_cli.compile.sensors import SENSOR_KINDS
-from deepbots_cli.compile.values import Values
+from deepbots_cli.compiler.sensors import SENSOR_KINDS
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.names import NOT_YET
 from deepbots_cli.schema.part import Part
 from deepbots_cli.schema.scenario import Scenario

@@ -6,10 +6,10 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepbots_cli.compile.joints import hull, joint_dimension, joint_interval
-from deepbots_cli.compile.matching import Group, expand, unmatched
-from deepbots_cli.compile.overrides import Overrides
-from deepbots_cli.compile.values import Values
+from deepbots_cli.compiler.joints import hull, joint_dimension, joint_interval
+from deepbots_cli.compiler.matching import Group, expand, unmatched
+from deepbots_cli.compiler.overrides import Overrides
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.types import Kind, Scope, Subject, shown
 from deepbots_cli.schema.robot import Robot as RobotSpec
 from deepbots_cli.source import Document, roots, shipped

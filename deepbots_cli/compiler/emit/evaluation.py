@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from deepbots_cli.compile.emit.names import Names
-from deepbots_cli.compile.emit.printer import Printer, outer_states
-from deepbots_cli.compile.emit.reads import Reads
-from deepbots_cli.compile.emit.text import quoted
+from deepbots_cli.compiler.emit.names import Names
+from deepbots_cli.compiler.emit.printer import Printer, outer_states
+from deepbots_cli.compiler.emit.reads import Reads
+from deepbots_cli.compiler.emit.text import quoted
 from deepbots_cli.ir import Choices, CompiledScenario, Ending, Interval, Observed
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 

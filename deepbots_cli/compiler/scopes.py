@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from deepbots_cli.compile.namespace import Namespace, Origin
+from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol, Type

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import partial
 
 from deepbots_cli import ir
-from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.compile.values import Text, Values
+from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
+from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.plain import parse_schedule

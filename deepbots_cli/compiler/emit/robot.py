@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compile.emit.names import Names, class_name
-from deepbots_cli.compile.emit.printer import Printer, outer_states
-from deepbots_cli.compile.emit.reads import Reads
-from deepbots_cli.compile.emit.text import block, flat, indent, quoted, quoted_tuple, sentence_list, tuple_code
-from deepbots_cli.compile.sensors import reading
+from deepbots_cli.compiler.emit.names import Names, class_name
+from deepbots_cli.compiler.emit.printer import Printer, outer_states
+from deepbots_cli.compiler.emit.reads import Reads
+from deepbots_cli.compiler.emit.text import block, flat, indent, quoted, quoted_tuple, sentence_list, tuple_code
+from deepbots_cli.compiler.sensors import reading
 from deepbots_cli.ir import Actuator, CompiledScenario, Robot
 from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from deepbots_cli.compile.emit.names import Names
-from deepbots_cli.compile.emit.text import quoted
+from deepbots_cli.compiler.emit.names import Names
+from deepbots_cli.compiler.emit.text import quoted
 from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
 from deepbots_cli.lang.state import advance_lines, reset_lines

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compile.emit.evaluation import EvaluationPrinter, name_leaves
-from deepbots_cli.compile.emit.names import class_name
-from deepbots_cli.compile.emit.printer import Printer, outer_states
-from deepbots_cli.compile.emit.robot import controller_name, decode_lines, keeps_state
-from deepbots_cli.compile.emit.text import block, flat, indent, quoted, tuple_code
+from deepbots_cli.compiler.emit.evaluation import EvaluationPrinter, name_leaves
+from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.compiler.emit.printer import Printer, outer_states
+from deepbots_cli.compiler.emit.robot import controller_name, decode_lines, keeps_state
+from deepbots_cli.compiler.emit.text import block, flat, indent, quoted, tuple_code
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, Robot
 from deepbots_cli.lang.scalar import Const, Name, Scalar, World
 

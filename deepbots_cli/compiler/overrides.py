@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from deepbots_cli.compile.joints import effort_of, joint_dimension
-from deepbots_cli.compile.matching import Group, expand, motionless, unmatched
-from deepbots_cli.compile.values import Values
+from deepbots_cli.compiler.joints import effort_of, joint_dimension
+from deepbots_cli.compiler.matching import Group, expand, motionless, unmatched
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.dimensions import MASS, NUMBER, TIME, Dimension
 from deepbots_cli.lang.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type
 from deepbots_cli.schema.robot import JointOverride, LinkOverride

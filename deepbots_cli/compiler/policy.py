@@ -6,10 +6,10 @@ import math
 from functools import partial
 
 from deepbots_cli import ir
-from deepbots_cli.compile.matching import expand
-from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.compile.values import Text
+from deepbots_cli.compiler.matching import expand
+from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
+from deepbots_cli.compiler.values import Text
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.intervals import Interval

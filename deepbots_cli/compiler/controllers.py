@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import partial
 
 from deepbots_cli import ir
-from deepbots_cli.compile.joints import effort_of, hull, joint_dimension
-from deepbots_cli.compile.matching import expand, joint_missing
-from deepbots_cli.compile.namespace import Namespace, Origin
-from deepbots_cli.compile.poses import poses
-from deepbots_cli.compile.robots import RobotScene
-from deepbots_cli.compile.scopes import ParameterScope, RobotScope, SupervisorScope
-from deepbots_cli.compile.sensors import SENSOR_KINDS
-from deepbots_cli.compile.values import Values
+from deepbots_cli.compiler.joints import effort_of, hull, joint_dimension
+from deepbots_cli.compiler.matching import expand, joint_missing
+from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.poses import poses
+from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compiler.sensors import SENSOR_KINDS
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.dimensions import LENGTH, SPEED, TIME, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type

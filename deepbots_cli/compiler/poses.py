@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compile.joints import joint_dimension
-from deepbots_cli.compile.matching import expand, joint_missing
-from deepbots_cli.compile.namespace import Namespace
-from deepbots_cli.compile.robots import RobotScene
-from deepbots_cli.compile.scopes import ParameterScope
+from deepbots_cli.compiler.joints import joint_dimension
+from deepbots_cli.compiler.matching import expand, joint_missing
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import Context, Symbol, Type
 from deepbots_cli.source.nodes import Path
