@@ -32,16 +32,11 @@ _LATER = "*Not run yet.*"
 
 Route = tuple[str, ...]
 
-# What `support` refuses, and what the passes refuse where they come upon it.
-_KEYS_LATER: dict[Route, tuple[str, ...]] = {
-    **dict(support._LATER),
-    ("robots", "*", "joints", "*"): ("range", "max_torque", "max_velocity"),
-}
-TRAINED = frozenset({"PPO", "A2C", "DQN", "SAC", "TD3", "DDPG"})
+_KEYS_LATER: dict[Route, tuple[str, ...]] = dict(support.LATER)
 _KINDS_RUN: dict[Route, frozenset[str]] = {
-    ("train",): TRAINED,
+    ("train",): support.TRAINED,
     ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),
-    ("robots", "*", "actuators", "*"): frozenset(support._MOTORS),
+    ("robots", "*", "actuators", "*"): frozenset(support.MOTORS),
 }
 
 

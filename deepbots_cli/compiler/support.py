@@ -14,10 +14,11 @@ from deepbots_cli.schema.part import Part
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 
-_MOTORS = ("velocity_motor", "position_motor", "torque_motor")
+MOTORS = ("velocity_motor", "position_motor", "torque_motor")
+TRAINED = frozenset({"A2C", "DDPG", "DQN", "PPO", "SAC", "TD3"})
 
 # Keys of the parts found at a path (a `*` stands for any name) that are not delivered yet.
-_LATER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+LATER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("world",), ("walls", "terrain", "lines", "light")),
     (("world", "ground"), ("colour",)),
     (("world", "arena"), ("colour",)),
@@ -45,15 +46,19 @@ def check_support(spec: Scenario, values: Values) -> None:
         if _fits(path, ("robots", "*", "sensors", "*")) and kind not in SENSOR_KINDS:
             _report(values, (*path, "type"), f"the sensor kind `{kind}`")
             continue
-        if _fits(path, ("robots", "*", "actuators", "*")) and kind not in _MOTORS:
+        if _fits(path, ("robots", "*", "actuators", "*")) and kind not in MOTORS:
             _report(values, (*path, "type"), f"the actuator kind `{kind}`")
             continue
-        for pattern, keys in _LATER:
+        if kind == "position_motor" and "max_velocity" in part.model_fields_set:
+            _report(values, (*path, "max_velocity"), "`max_velocity` of a position motor")
+        for pattern, keys in LATER:
             if _fits(path, pattern):
                 for key in sorted(part.model_fields_set.intersection(keys)):
                     _report(values, (*path, key), f"`{key}`")
         if "python" in part.model_fields_set:
             _report(values, (*path, "python"), "a Python term")
+    if spec.train is not None and spec.train.algorithm not in TRAINED:
+        _report(values, ("train", "algorithm"), f"training with {spec.train.algorithm}")
     mixed = {hasattr(part, "choices") for part in spec.action.values()}
     if len(mixed) > 1:
         _report(values, ("action",), "an action of both choices and ranges")
