@@ -71,7 +71,7 @@ def table(result: dict[str, Any]) -> str:
     for run in result["runs"]:
         after = f"{run['steps']} steps, {run['episodes']} episodes" if run["steps"] else "not solved"
         hours = f"{run['hours']:.3f}" if run["hours"] else "-"
-        mean = f"{run['mean_of_100']:.1f}" if run["mean_of_100"] else "-"
+        mean = f"{run['mean_of_100']:.2f}" if run["mean_of_100"] else "-"
         held_out = f"{run['held_out_mean']:.1f} | {run['held_out_least']:.0f}"
         lines.append(f"| {run['seed']} | {after} | {hours} | {mean} | {run['cpu_seconds']:.1f} s | {held_out} |")
     lines += ["", f"Median {result['median_hours']:.3f} simulated hours." if result["median_hours"] else "No run was solved."]
