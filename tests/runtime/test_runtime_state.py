@@ -86,6 +86,15 @@ def test_components_of_a_vector_are_remembered_apart(small: Small) -> None:
     assert found["least"] == pytest.approx([min(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
 
 
+def test_two_signals_whose_slots_read_alike_do_not_share_a_memory(small: Small) -> None:
+    """Component 1 of `v` and the second integral of `v_0` would both be called `memory_signals_v_0_1`."""
+    signals = 'signals: {a: 1 * drive, v: "sum(integral(1 a a a))", v_0: "integral(a) + 10 * integral(a)"}\n'
+    found = terms(small(signals + "reward: {v: v / s, v_0: v_0 / s}"))
+    integral = np.cumsum([0.02 * drive for drive in DRIVES])
+    assert found["v_0"] == pytest.approx(11 * integral)
+    assert found["v"] == pytest.approx(3 * integral + 0.02 * np.arange(1, 6))
+
+
 ON_BOARD = """\
 robots:
   cart:

@@ -56,7 +56,7 @@ class Printer:
 
     def _state(self, state: State) -> str:
         if state not in self._hoisted:
-            memory = f"self.{memory_name(state)}"
+            memory = f"self.{self.names(f'memory {state.slot}')}"
             arguments = [self.value(argument) for argument in state.args]
             result = self.names(f"{state.function}_{state.slot}")
             if self.starting:
@@ -65,10 +65,6 @@ class Printer:
                 self.lines += advance_lines(state, memory, result, arguments, self._timestep)
             self._hoisted[state] = result
         return self._hoisted[state]
-
-
-def memory_name(state: State) -> str:
-    return "memory_" + "".join(c if c.isalnum() else "_" for c in state.slot)
 
 
 def outer_states(expression: Scalar) -> list[State]:
