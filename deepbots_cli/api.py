@@ -38,7 +38,7 @@ class Compiled:
     """A compiled scenario with all that a run records of it.
 
     `inputs` maps the name of every file that was read to its bytes, the scenario first; `resolved` is
-    the merged scenario as YAML; `findings` holds warnings only.
+    the merged scenario as YAML; `findings` is what `lint` says of it: warnings only.
     """
 
     ir: CompiledScenario
@@ -88,7 +88,11 @@ def lint(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[
     Raises:
         UsageError: There is no such file.
     """
-    checked = load(source, sets=sets, allow_paths=allow_paths)
+    return _review(load(source, sets=sets, allow_paths=allow_paths))
+
+
+def _review(checked: Checked) -> list[Finding]:
+    """What the passes and the rules found, without what comments suppress."""
     robots = tuple(robot.file.source for robot in (checked.robots or {}).values())
     kept, unused = suppress([*checked.findings, *rules.run(checked)], (*checked.document.sources, *robots))
     return sorted([*kept, *unused], key=lambda finding: finding.sort_key)
@@ -106,12 +110,13 @@ def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_pat
     from deepbots_cli.compiler.lower import lower
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths)
-    if checked.task is None or checked.findings.errors:
-        raise ScenarioError(list(checked.findings))
+    findings = _review(checked)
+    if checked.task is None or any(finding.severity == "error" for finding in findings):
+        raise ScenarioError(findings)
     ir = lower(checked.task)
     document = checked.document
     resolved = to_yaml(document.root) if document.root else ""
-    return Compiled(ir, emit(ir), digest(ir), document.path, checked.inputs, resolved, tuple(checked.findings))
+    return Compiled(ir, emit(ir), digest(ir), document.path, checked.inputs, resolved, tuple(findings))
 
 
 def make(

@@ -137,3 +137,12 @@ def test_a_warning_does_not_stop_other_verbs_but_is_mentioned(deepbots, tmp_path
     assert ran.code == 0
     assert "class CartPoleSupervisor" in ran.out
     assert ran.err == "1 warning; see: deepbots lint w.yaml\n"
+
+
+def test_a_suppressed_warning_is_not_mentioned_by_other_verbs(deepbots, tmp_path):
+    file = tmp_path / "slow.yaml"
+    slow = CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("timestep: 32 ms", "timestep: 1500 ms")
+    file.write_text(slow, encoding="utf-8")
+    assert "1 warning" in deepbots("compile", str(file)).err
+    file.write_text(slow.replace("1500 ms", "1500 ms  # deepbots: ignore[DB505]"), encoding="utf-8")
+    assert deepbots("compile", str(file)).err == ""
