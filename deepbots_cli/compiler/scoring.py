@@ -8,18 +8,18 @@ from functools import partial
 from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.plain import parse_schedule
 from deepbots_cli.lang.types import Context, Symbol
+from deepbots_cli.schema.plain import read_schedule
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskEnding, Valued
 
-_ON_CHOICES = frozenset({"DQN", "QRDQN"})
-_ON_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC", "CrossQ"})
+_ON_CHOICES = frozenset({"DQN"})
+_ON_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 
 
 class Signals:
@@ -129,15 +129,10 @@ def training(spec: Scenario, values: Values, action: tuple[ir.Choices | ir.Inter
     figures = []
     for name, given in spec.train.hyperparameters.items():
         if isinstance(given, (bool, int, float, str)) or given is None:
-            value = _schedule(values.text(("train", name), given), values) if isinstance(given, str) and "->" in given else given
-            figures.append(ir.Hyperparameter(name, value))
+            ramp = read_schedule(given) if isinstance(given, str) else None
+            figures.append(ir.Hyperparameter(name, ir.Schedule(*ramp) if ramp else given))
     policy = ir.Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation)
     return ir.Training(spec.train.algorithm, spec.train.total_timesteps, spec.train.environments, tuple(figures), policy)
-
-
-def _schedule(text: Text, values: Values) -> ir.Schedule | None:
-    found = parse_schedule(text.text, values.report(text))
-    return ir.Schedule(found.begin, found.end) if found else None
 
 
 def _check_algorithm(algorithm: str, values: Values, action: tuple[ir.Choices | ir.Interval, ...]) -> None:

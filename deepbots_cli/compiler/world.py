@@ -9,6 +9,7 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, MASS, NUMBER, TIME
 from deepbots_cli.lang.types import PLANE, SPACE, Context
 from deepbots_cli.schema.objects import BoxObject, CapsuleObject, CylinderObject, Placed, SphereObject
+from deepbots_cli.schema.plain import COLOURS
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.urdf.inertia import volume
@@ -18,23 +19,6 @@ _WATER = 1000.0  # kg/m^3, the default density of objects
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
 _SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
-
-COLOURS: dict[str, tuple[float, float, float, float]] = {
-    "white": (0.95, 0.95, 0.95, 1.0),
-    "grey": (0.6, 0.6, 0.6, 1.0),
-    "black": (0.1, 0.1, 0.1, 1.0),
-    "red": (0.85, 0.2, 0.2, 1.0),
-    "orange": (0.95, 0.55, 0.15, 1.0),
-    "yellow": (0.95, 0.85, 0.2, 1.0),
-    "green": (0.25, 0.65, 0.3, 1.0),
-    "blue": (0.2, 0.4, 0.8, 1.0),
-    "purple": (0.55, 0.3, 0.7, 1.0),
-    "brown": (0.5, 0.35, 0.2, 1.0),
-    "pink": (0.95, 0.6, 0.7, 1.0),
-    "cyan": (0.2, 0.75, 0.8, 1.0),
-    "magenta": (0.8, 0.2, 0.65, 1.0),
-    "tan": (0.8, 0.7, 0.5, 1.0),
-}
 
 
 class WorldBuilder:
@@ -129,11 +113,10 @@ class WorldBuilder:
         return None  # `support` has said that this shape is not delivered yet
 
     def _colour(self, given: str | None, path: Path) -> tuple[float, float, float, float]:
-        if given is None:
-            return COLOURS["grey"]
-        if given.startswith("#") and len(given) == 7:
-            return (int(given[1:3], 16) / 255, int(given[3:5], 16) / 255, int(given[5:7], 16) / 255, 1.0)
-        if given not in COLOURS:  # the schema lets words of this table through, and draws
+        word = (given or "grey").strip()
+        if word.startswith("#"):
+            return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
+        if word not in COLOURS:  # the schema lets words of this table through, and draws
             span = self._values.span((*path, "colour"))
             self._values.findings.add("DB108", span, "a colour that is drawn anew is not supported yet", help="give one colour")
-        return COLOURS.get(given, COLOURS["grey"])
+        return (*COLOURS.get(word, COLOURS["grey"]), 1.0)

@@ -8,10 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, get_args
+from typing import get_args
 
 from deepbots_cli.lang.types import shown
-from deepbots_cli.schema.fields import JsonSchema, Leaf, examine_bounds, mismatch, problem
+from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds, mismatch, problem
 
 _REAL = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 # Compiled when they are first used: most scenarios need few of them.
@@ -148,7 +148,23 @@ class Title(Leaf):
         return {"type": "string", "pattern": f"^{self.pattern}$"}
 
 
-COLOURS = ("black", "white", "grey", "red", "green", "blue", "yellow", "orange", "brown", "purple", "pink", "cyan", "magenta", "tan")
+COLOURS = {
+    "black": (0.1, 0.1, 0.1),
+    "white": (0.95, 0.95, 0.95),
+    "grey": (0.6, 0.6, 0.6),
+    "red": (0.85, 0.2, 0.2),
+    "green": (0.25, 0.65, 0.3),
+    "blue": (0.2, 0.4, 0.8),
+    "yellow": (0.95, 0.85, 0.2),
+    "orange": (0.95, 0.55, 0.15),
+    "brown": (0.5, 0.35, 0.2),
+    "purple": (0.55, 0.3, 0.7),
+    "pink": (0.95, 0.6, 0.7),
+    "cyan": (0.2, 0.75, 0.8),
+    "magenta": (0.8, 0.2, 0.65),
+    "tan": (0.8, 0.7, 0.5),
+}
+"""Red, green and blue of each word, from 0 to 1."""
 _DRAWN = r"choice\(([^()]*)\)"
 
 
@@ -162,22 +178,15 @@ class Colour(Leaf):
         drawn = re.fullmatch(_DRAWN, text)
         for word in [part.strip() for part in drawn[1].split("|")] if drawn else [text]:
             if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
-                raise problem("DB104", f"unknown colour `{word[:40]}`", f"{choose_from(word, COLOURS)}, or write `'#ffa500'`")
+                raise problem("DB104", f"unknown colour `{word[:40]}`", f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`")
 
 
-class Span(NamedTuple):
-    """A figure that goes linearly from `start` to `end` over the training."""
-
-    start: float
-    end: float
-
-
-def read_schedule(value: object) -> Span | None:
-    """`3e-4 -> 0` or a plain number, as its two ends; None if it is neither."""
+def read_schedule(value: object) -> tuple[float, float] | None:
+    """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is neither."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return Span(float(value), float(value)) if abs(value) < 1e30 else None
+        return (float(value), float(value)) if abs(value) < LARGEST else None
     match = re.fullmatch(_SCHEDULE, value) if isinstance(value, str) else None
-    return Span(float(match[1]), float(match[2])) if match else None
+    return (float(match[1]), float(match[2])) if match else None
 
 
 class Schedule(Leaf):
@@ -197,20 +206,6 @@ class Schedule(Leaf):
         return {"anyOf": [{"type": "number", "minimum": 0}, {"type": "string", "pattern": "->"}]}
 
 
-class Goal(NamedTuple):
-    """`metric >= threshold over episodes`."""
-
-    metric: str
-    threshold: float
-    episodes: int
-
-
-def read_until(value: object) -> Goal | None:
-    """`success_rate >= 0.7 over 40 episodes` in its parts; None if it is something else."""
-    match = re.fullmatch(_UNTIL, value) if isinstance(value, str) else None
-    return Goal(match[1], float(match[2]), int(match[3])) if match else None
-
-
 class Until(Leaf):
     """When a stage of the curriculum is done."""
 
@@ -218,12 +213,13 @@ class Until(Leaf):
     example = "success_rate >= 0.7 over 40 episodes"
 
     def examine(self, value: object) -> None:
-        goal = read_until(value)
-        if goal is None:
+        match = re.fullmatch(_UNTIL, str(value))
+        if match is None:
             raise mismatch(self.noun, self.help_for(value))
-        examine_bounds(goal.episodes, 1, None)
-        if goal.metric == "success_rate":
-            examine_bounds(goal.threshold, 0, 1)
+        metric, threshold, episodes = match.groups()
+        examine_bounds(int(episodes), 1, None)
+        if metric == "success_rate":
+            examine_bounds(float(threshold), 0, 1)
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string", "pattern": r"^\s*(success_rate|mean_return)\s*>=.* over .* episodes?\s*$"}

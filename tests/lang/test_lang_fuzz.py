@@ -8,7 +8,6 @@ from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.lower import constant, lower
 from deepbots_cli.lang.parser import parse
-from deepbots_cli.lang.plain import parse_schedule, parse_until
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.types import Context
 from deepbots_cli.lang.units import UNITS
@@ -23,9 +22,6 @@ soup = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.lists(st
 def take(bench, text):
     """Everything the language does with a text, to the end."""
     bench.text, bench.said = text, []
-    parse_schedule(text, bench.report)
-    parse_until(text, bench.report)
-    bench.said.clear()
     tree = parse(text, bench.report)
     if tree is None:
         assert len(bench.said) == 1

@@ -5,7 +5,6 @@ import pytest
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.lexer import MAX_LENGTH
 from deepbots_cli.lang.parser import MAX_NESTING
-from deepbots_cli.lang.plain import Schedule, Until, parse_schedule, parse_until
 from deepbots_cli.lang.types import Context
 
 # One of each form that the shipped kinds of scenario use.
@@ -172,38 +171,3 @@ def test_hostile_length_and_depth_give_one_finding_at_once(bench, text):
 
 def test_a_draw_may_be_repeated_and_nothing_else(bench):
     assert bench.codes("uniform(0 .. 1) each step", Context.PARAMETER) == ["DB407"]
-
-
-def test_a_schedule_is_one_number_or_two(bench):
-    assert parse_schedule("3e-4 -> 0", bench.report) == Schedule(3e-4, 0.0)
-    assert parse_schedule("100_000", bench.report) == Schedule(100_000.0, 100_000.0)
-    assert bench.said == []
-
-
-@pytest.mark.parametrize("text", ["3 ->", "a -> b", "1 -> 2 -> 3", "", "1e999", "0x10", "9" * 20_000])
-def test_a_broken_schedule_is_one_finding(bench, text):
-    bench.text = text
-    assert parse_schedule(text, bench.report) is None
-    assert [said.code for said in bench.said] == ["DB401"]
-
-
-def test_the_end_of_a_stage_is_a_measure_over_episodes(bench):
-    assert parse_until("success_rate >= 0.7 over 40 episodes", bench.report) == Until("success_rate", 0.7, 40)
-    assert parse_until("success_rate > 70 % over 1 episode", bench.report) == Until("success_rate", 0.7, 1, strictly=True)
-    assert parse_until("mean_return >= -12.5 over 100 episodes", bench.report) == Until("mean_return", -12.5, 100)
-
-
-@pytest.mark.parametrize(
-    ("text", "code"),
-    [
-        ("success_rate >= 0.7", "DB401"),
-        ("luck >= 0.7 over 40 episodes", "DB104"),
-        ("success_rate >= 7 over 40 episodes", "DB105"),
-        ("success_rate >= 0.7 over 0 episodes", "DB105"),
-        ("mean_return >= 1e999 over 4 episodes", "DB401"),
-    ],
-)
-def test_a_broken_end_of_a_stage_is_one_finding(bench, text, code):
-    bench.text = text
-    assert parse_until(text, bench.report) is None
-    assert [said.code for said in bench.said] == [code]

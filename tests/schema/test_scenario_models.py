@@ -9,7 +9,7 @@ import pytest
 from deepbots_cli.schema import Scenario, validate, visit
 from deepbots_cli.schema.fields import Expression, Pattern, Quantity, Range, Reference, count_literal
 from deepbots_cli.schema.part import Part, fields
-from deepbots_cli.schema.plain import read_schedule, read_until
+from deepbots_cli.schema.plain import read_schedule
 from deepbots_cli.source import descend, load
 
 SAMPLES = sorted((Path(__file__).parents[1] / "data" / "samples").glob("*.yaml"))
@@ -112,12 +112,10 @@ def test_a_literal_is_numbers_with_one_unit(text: str, count: int | None) -> Non
     assert count_literal(text) == count
 
 
-def test_schedules_and_goals_are_read_into_their_parts() -> None:
+def test_a_schedule_is_read_into_its_ends() -> None:
     assert read_schedule("3e-4 -> 0") == (3e-4, 0.0)
     assert read_schedule(0.5) == (0.5, 0.5)
-    assert read_schedule("high -> low") is None
-    assert read_until("success_rate >= 0.7 over 40 episodes") == ("success_rate", 0.7, 40)
-    assert read_until("success_rate > 0.7 over 40 episodes") is None
+    assert [read_schedule(text) for text in ("high -> low", "3 ->", "1 -> 2 -> 3", "", "0x10", True, 10**400)] == [None] * 7
 
 
 def test_reading_a_scenario_needs_no_simulator_and_no_numbers_library() -> None:

@@ -162,6 +162,12 @@ def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str
     assert findings[1].headline == "missing key `name` in entry 2 of `curriculum`"
 
 
+@pytest.mark.parametrize("until", ["success_rate >= 7 over 40 episodes", "success_rate >= 0.7 over 0 episodes"])
+def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, until: str) -> None:
+    _, findings = check(cartpole + f"curriculum:\n  - {{name: easy, until: {until}}}\n")
+    assert [finding.code for finding in findings] == ["DB105"]
+
+
 def test_each_body_is_told_by_its_shape(check: Check, cartpole: str) -> None:
     objects = "{ball: {shape: sphere, radius: 1 m}, heap: {count: 3, one_of: {a: {shape: box, size: 1 1 1 m}}}}"
     scenario, findings = check(cartpole + f"objects: {objects}\n")
