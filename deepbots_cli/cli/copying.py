@@ -6,10 +6,10 @@ import json
 import os
 import re
 from collections.abc import Iterator
-from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 
 from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import Scalar, roots, shipped, walk
 from deepbots_cli.source.parse import parse
@@ -31,8 +31,8 @@ def collect(name: str) -> Files:
     first = shipped.scenario_path(name)
     if first is None:
         names = shipped.scenario_names()
-        near = get_close_matches(name, names, 1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
+        near = nearest(name, names)
+        hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"no scenario '{name}' comes with deepbots{hint}; there are: {', '.join(names)}")
     files: Files = {}
     waiting = [first.resolve()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -13,6 +12,7 @@ from typer.core import TyperGroup
 import deepbots_cli
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.verbs import VERBS
+from deepbots_cli.diagnostics.nearest import nearest
 
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -25,8 +25,8 @@ class Verbs(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in VERBS:
-            near = get_close_matches(cmd_name, VERBS, 1)
-            ctx.fail(f"there is no verb '{cmd_name}'" + (f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(VERBS)}"))
+            near = nearest(cmd_name, VERBS)
+            ctx.fail(f"there is no verb '{cmd_name}'" + (f"; did you mean '{near}'?" if near else f"; there are {', '.join(VERBS)}"))
         app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
         app.command(cmd_name)(import_module(f"deepbots_cli.cli.verbs.{cmd_name}").command)
         return typer.main.get_command(app)

@@ -14,11 +14,11 @@ from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.compiler.values import Values
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.lang.dimensions import LENGTH, SPEED, TIME, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type
 from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
-from deepbots_cli.schema.plain import nearest
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Command, TaskRobot, Valued
 from deepbots_cli.urdf.model import Joint

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from deepbots_cli.diagnostics.finding import Finding, Source, Span
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.registry import RULES
 
 # `<!--` is how a comment begins in a robot file.
@@ -72,7 +73,5 @@ def _unused(entry: _Suppression) -> Finding:
 
 
 def _similar(code: str) -> str:
-    from difflib import get_close_matches
-
-    near = get_close_matches(code.upper(), RULES, 1)
-    return f"did you mean {near[0]}?" if near else "codes look like DB604"
+    near = nearest(code, RULES)
+    return f"did you mean {near}?" if near else "codes look like DB604"

@@ -20,12 +20,12 @@ An engine is imported when it is first used. Other packages add theirs as an ent
 
 from __future__ import annotations
 
-import difflib
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, cast
 
-from deepbots_cli.errors import EngineError, MissingExtraError
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.errors import MissingExtraError, UsageError
 
 if TYPE_CHECKING:
     from deepbots_cli.ir import WorldModel
@@ -48,7 +48,8 @@ def create(name: str, world: WorldModel) -> Engine:
 
     Raises:
         MissingExtraError: The engine's library is not installed.
-        EngineError: No engine has this name, or the engine cannot hold this world.
+        UsageError: No engine has this name; lists those there are.
+        EngineError: The engine cannot hold this world.
     """
     try:
         return _factory(name)(world)
@@ -64,6 +65,6 @@ def _factory(name: str) -> EngineFactory:
         return cast("EngineFactory", getattr(import_module(module), attribute))
     for entry in entry_points(group="deepbots_cli.engines", name=name):
         return cast("EngineFactory", entry.load())
-    near = difflib.get_close_matches(name, names(), 1)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
-    raise EngineError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
+    near = nearest(name, names())
+    hint = f"; did you mean '{near}'?" if near else ""
+    raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Pick, Reference, Typed
@@ -12,8 +13,6 @@ from deepbots_cli.lang.types import Kind, Report, Scope, Subject, shown
 NOT_YET = "take it out for now; the language reference lists what each version runs"
 """The help that goes with DB108."""
 
-# A file of thousands of names and thousands of misspellings would take minutes otherwise.
-_COMPARED = 300
 # What is asked most often of a part of the world that is no place.
 _ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age"}
 
@@ -85,11 +84,9 @@ def subject_of(node: syntax.Node, kinds: frozenset[Kind], function: str, scope: 
 
 def unknown(what: str, name: str, known: Iterable[str], start: int, end: int, report: Report) -> None:
     """DB402 with the nearest of the known names, and a list of them."""
-    from difflib import get_close_matches  # only on the way to a finding: its import costs 1 ms
-
     names = sorted(known)
-    close = get_close_matches(name, names[:_COMPARED], n=1)
-    parts = [f"did you mean `{close[0]}`?" if close else None, _known(names)]
+    near = nearest(name, names)
+    parts = [f"did you mean `{near}`?" if near else None, _known(names)]
     report("DB402", start, end, f"unknown {what} `{name}`", " ".join(filter(None, parts)) or None)
 
 

@@ -125,7 +125,7 @@ def suggest_unit(name: str) -> str | None:
         return _MEANT[name]
     if name.lower() in _MEANT:
         return _MEANT[name.lower()]
-    from difflib import get_close_matches  # only on the way to a finding: its import costs 1 ms
+    from difflib import get_close_matches  # only on the way to a finding: its import costs 4 ms; here case tells apart: m, M
 
     close = get_close_matches(name, UNITS, n=1)
     return close[0] if close else None

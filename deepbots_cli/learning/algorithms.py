@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
@@ -18,6 +17,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import Policy, Schedule, Training
 
@@ -132,8 +132,8 @@ def _entry(name: str) -> Algorithm:
 
 
 def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
-    near = get_close_matches(name, table, n=1)
-    return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near[0]}?)" if near else "")
+    near = nearest(name, table)
+    return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near}?)" if near else "")
 
 
 def _networks(policy: Policy, algorithm: Algorithm) -> Settings:

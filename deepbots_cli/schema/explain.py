@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.schema.hyperparameters import ELSEWHERE
 from deepbots_cli.schema.part import Kinds, Part, Spec, fields, noun_of
-from deepbots_cli.schema.plain import nearest
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.training import Training
 from deepbots_cli.schema.walk import Path, homes, spec_at

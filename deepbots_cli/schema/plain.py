@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.lang.types import shown
 from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds, mismatch, problem
 
@@ -18,19 +19,7 @@ _REAL = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _SCHEDULE = rf"\s*({_REAL})\s*->\s*({_REAL})\s*"
 _UNTIL = rf"\s*(success_rate|mean_return)\s*>=\s*({_REAL})\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
 
-
-# A file of thousands of names and thousands of misspellings would take minutes otherwise.
-_COMPARED = 300
 _LISTED = 24
-
-
-def nearest(word: str, words: Sequence[str]) -> str | None:
-    """The one of `words` that was probably meant."""
-    from difflib import get_close_matches  # only on the way to a finding: its import costs 1 ms
-
-    known = {candidate.lower(): candidate for candidate in words[:_COMPARED]}
-    close = get_close_matches(word[:64].lower(), known, n=1)
-    return known[close[0]] if close else None
 
 
 def choose_from(word: str, words: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 
 from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.source import files
 from deepbots_cli.source.merge import follow, replace
 from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar
@@ -54,7 +55,7 @@ def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar
     if isinstance(parameters, Mapping) and "." not in dotted:
         if dotted in parameters.entries:
             return ("parameters", dotted), _key(Span(span.source, start, start + len(dotted))), []
-        if dotted not in root.entries and (near := _near(dotted, parameters)):
+        if dotted not in root.entries and (near := nearest(dotted, parameters.entries, 0.75)):
             help = f"did you mean `{near}`?"
             findings.add("DB201", Span(span.source, start, start + len(dotted)), f"there is no parameter `{dotted}`", help=help)
             return None
@@ -67,11 +68,11 @@ def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, Mapping):
         findings.add("DB201", place, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
-    elif not steps and all(rest.split(".")) and not _near(name, reached):
+    elif not steps and all(rest.split(".")) and not nearest(name, reached.entries, 0.75):
         first, *inner = _keys(Span(span.source, at, at + len(rest)))
         return (first.text,), first, inner
     elif name != rest or not name:
-        near = _near(name, reached)
+        near = nearest(name, reached.entries, 0.75)
         help = f"did you mean `{near}`?" if near else f"there are: {', '.join(list(reached.entries)[:20])}"
         findings.add("DB201", place, f"there is no `{name}`{inside}", help=help)
     else:
@@ -98,10 +99,3 @@ def _keys(dotted: Span) -> list[Scalar]:
 
 def _key(span: Span) -> Scalar:
     return Scalar(span, span.text, span.text)
-
-
-def _near(name: str, mapping: Mapping) -> str | None:
-    from difflib import get_close_matches
-
-    near = get_close_matches(name, mapping.entries, 1, 0.75)
-    return near[0] if near else None

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from deepbots_cli.diagnostics.nearest import nearest
+
 _MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 
 
@@ -67,11 +69,8 @@ def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused
 
 def _similar(path: Path) -> str | None:
     """The name of a file beside `path` that was probably meant."""
-    from difflib import get_close_matches
-
     try:
         names = [other.name for other in path.parent.iterdir() if other.suffix == path.suffix]
     except OSError:
         return None
-    near = get_close_matches(path.name, names, 1)
-    return near[0] if near else None
+    return nearest(path.name, names)

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable
 
 from deepbots_cli.diagnostics import Findings, Label
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.urdf.xml import Element
 
 MAX_TOLD = 100
@@ -25,16 +26,6 @@ _OPTIONAL = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")
 def quoted(text: str) -> str:
     """`text` as it may stand in a message: in quotes, on one line, not longer than 60 characters."""
     return repr(text if len(text) <= 60 else text[:57] + "...")
-
-
-def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The known word that looks most like `word`."""
-    import difflib  # 4 ms, and only files with a mistake pay for it
-
-    if len(word) > 60:
-        return None
-    by_lower = {name.lower(): name for name in known}
-    return next((by_lower[match] for match in difflib.get_close_matches(word.lower(), by_lower, 1, cutoff)), None)
 
 
 def known_names(word: str, known: Iterable[str], kind: str) -> str:

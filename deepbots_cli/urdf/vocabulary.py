@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deepbots_cli.urdf.report import Report, nearest, quoted
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.urdf.report import Report, quoted
 from deepbots_cli.urdf.xml import Element
 
 MAX_WORDS = 200  # unknown words that are compared with the known ones

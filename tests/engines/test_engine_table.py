@@ -8,11 +8,11 @@ import sys
 import pytest
 
 from deepbots_cli.engines import ENGINES, create, names
-from deepbots_cli.errors import EngineError
+from deepbots_cli.errors import UsageError
 
 
 def test_an_unknown_engine_lists_those_there_are_and_the_nearest(worlds):
-    with pytest.raises(EngineError, match=r"no engine 'pybulet'; there are pybullet, exact; did you mean 'pybullet'\?"):
+    with pytest.raises(UsageError, match=r"no engine 'pybulet'; there are pybullet, exact; did you mean 'pybullet'\?"):
         create("pybulet", worlds.rail())
 
 
