@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.lang.types import Kind
 from deepbots_cli.schema.plain import choose_from
-from deepbots_cli.urdf.kinematics import match
 from deepbots_cli.urdf.model import Joint, RobotModel
 
 Group = tuple[Kind, tuple[str, ...]]
@@ -25,6 +25,11 @@ def expand(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[
             missing.append(pattern)
         found.update(dict.fromkeys(matched))
     return tuple(found), missing
+
+
+def match(names: Iterable[str], pattern: str) -> tuple[str, ...]:
+    """The names that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in their given order."""
+    return tuple(name for name in names if fnmatchcase(name, pattern))
 
 
 def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:

@@ -30,10 +30,6 @@ class RobotScene:
     groups: dict[str, Group]
 
     @property
-    def joint_names(self) -> list[str]:
-        return [joint.name for joint in self.model.joints]
-
-    @property
     def link_names(self) -> list[str]:
         return [link.name for link in self.model.links]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -84,23 +84,6 @@ class Label:
 
 
 @dataclass(frozen=True)
-class Edit:
-    """Replace the text of `span` by `text`."""
-
-    span: Span
-    text: str
-
-
-@dataclass(frozen=True)
-class Fix:
-    """Edits that mend a finding; a safe one never changes what the file means."""
-
-    title: str
-    edits: tuple[Edit, ...]
-    safe: bool = True
-
-
-@dataclass(frozen=True)
 class Finding:
     """One problem at one place.
 
@@ -114,7 +97,6 @@ class Finding:
     help: str | None = None
     also: tuple[Label, ...] = ()
     notes: tuple[str, ...] = ()
-    fix: Fix | None = field(default=None, compare=False)
 
     @property
     def severity(self) -> Severity:
@@ -148,9 +130,8 @@ class Findings:
         help: str | None = None,
         also: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
-        fix: Fix | None = None,
     ) -> None:
-        self.append(Finding(code, span, headline, help, also, notes, fix))
+        self.append(Finding(code, span, headline, help, also, notes))
 
     def append(self, finding: Finding) -> None:
         self._found.setdefault(finding.sort_key, finding)

@@ -16,7 +16,6 @@ from deepbots_cli.lang.types import PLANE, SPACE, Components, Context, Report, S
 
 Visit = Callable[[syntax.Node], Typed | None]
 
-_REDUCED = 2
 _PLACE_WORDS = {
     Context.FIXED: "a fixed value",
     Context.PARAMETER: "a parameter",

@@ -6,11 +6,11 @@ of sums is kept. Another table (arrays) prints the same trees for another target
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import NamedTuple
 
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World, walk
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Leaf = Callable[[Name | World | State | Draw], str]
 
@@ -53,22 +53,6 @@ Table = Mapping[str, Form]
 def python(scalar: Scalar, leaf: Leaf, table: Table | None = None) -> str:
     """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
     return _code(scalar, leaf, PYTHON if table is None else table).text
-
-
-def required_imports(scalars: Iterable[Scalar]) -> tuple[str, ...]:
-    """The names that the printed text takes from the module `math`, sorted."""
-    needed: set[str] = set()
-    for scalar in scalars:
-        for node in walk(scalar):
-            if isinstance(node, Op):
-                needed.update(_needs(node))
-    return tuple(sorted(needed))
-
-
-def _needs(node: Op) -> tuple[str, ...]:
-    if node.op == "pow":
-        return () if _whole(node.args[1]) is not None else ("pow",)
-    return _IMPORTS.get(node.op, ())
 
 
 def _code(scalar: Scalar, leaf: Leaf, table: Table) -> Code:
@@ -172,4 +156,3 @@ PYTHON: Table = {
     "wrap": _wrap,
     **{name: _call(name) for name in ("abs", "min", "max", "hypot", "sqrt", "exp", "log", "sin", "cos", "tan", "atan2")},
 }
-_IMPORTS = {"wrap": ("pi", "tau"), **{name: (name,) for name in ("hypot", "sqrt", "exp", "log", "sin", "cos", "tan", "atan2")}}

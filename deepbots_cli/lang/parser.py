@@ -41,7 +41,6 @@ _MAX_DOTS = 8
 
 _STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
-KEYWORDS = frozenset(WORDS | {"true", "false"})
 _SMALLER = "name parts of it, as signals or parameters"
 _SLOT_ENDS = {",", ")", "..", "+-", "|"}
 _SUFFIXES = {"when", "every", "each"}

@@ -6,32 +6,17 @@ result is not used; the arguments are code that reads values of the same tick.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import NamedTuple
 
-from deepbots_cli.lang.scalar import Scalar, State, walk
+from deepbots_cli.lang.scalar import State
 
 
 class StateRule(NamedTuple):
-    """`advance` and `reset` give statements from (memory, result, arguments, timestep), all of them code.
-
-    `separate` marks functions whose result is not what they remember.
-    """
+    """`advance` and `reset` give statements from (memory, result, arguments, timestep), all of them code."""
 
     advance: Callable[[str, str, list[str], str], list[str]]
     reset: Callable[[str, str, list[str]], list[str]]
-    separate: bool = False
-    needs_timestep: bool = False
-
-
-def in_order(scalars: Iterable[Scalar]) -> list[State]:
-    """Every state in the trees, once, those inside the arguments of others first."""
-    found: dict[str, State] = {}
-    for scalar in scalars:
-        for node in walk(scalar):
-            if isinstance(node, State):
-                found.setdefault(node.slot, node)
-    return list(found.values())
 
 
 def advance_lines(state: State, memory: str, result: str, args: list[str], timestep: str) -> list[str]:
@@ -95,14 +80,14 @@ def _rising(memory: str, result: str, args: list[str], _timestep: str) -> list[s
 
 
 RULES: dict[str, StateRule] = {
-    "delta": StateRule(_delta, lambda m, r, a: [f"{m} = {a[-1]}", f"{r} = 0.0"], separate=True),
-    "previous": StateRule(_previous, lambda m, r, a: [f"{r} = {m} = {a[-1]}"], separate=True),
+    "delta": StateRule(_delta, lambda m, r, a: [f"{m} = {a[-1]}", f"{r} = 0.0"]),
+    "previous": StateRule(_previous, lambda m, r, a: [f"{r} = {m} = {a[-1]}"]),
     "running_max": StateRule(_running("max"), _from_value),
     "running_min": StateRule(_running("min"), _from_value),
     "hold": StateRule(_hold, _from_value),
-    "smooth": StateRule(_smooth, _from_value, needs_timestep=True),
-    "integral": StateRule(_integral, _from_zero, needs_timestep=True),
+    "smooth": StateRule(_smooth, _from_value),
+    "integral": StateRule(_integral, _from_zero),
     "accumulate": StateRule(_accumulate, lambda m, r, a: [f"{r} = {m} = {a[3]}"]),
-    "duration": StateRule(_duration, _from_zero, needs_timestep=True),
-    "rising": StateRule(_rising, lambda m, r, a: [f"{m} = {a[0]}", f"{r} = False"], separate=True),
+    "duration": StateRule(_duration, _from_zero),
+    "rising": StateRule(_rising, lambda m, r, a: [f"{m} = {a[0]}", f"{r} = False"]),
 }

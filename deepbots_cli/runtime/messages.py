@@ -19,7 +19,6 @@ import msgspec
 from deepbots_cli.errors import MessageError
 from deepbots_cli.ir import Field, MessageFormat, MessageLayout
 
-Message = bytes | str
 Value = float | bool
 
 MALFORMED = (ValueError, TypeError, AttributeError, RecursionError, struct.error, msgspec.MsgspecError)

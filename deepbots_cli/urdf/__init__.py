@@ -13,5 +13,4 @@ writer.py      write: the normalised URDF that an engine loads
 inertia.py     closed forms; second moments
 rotation.py    3 by 3 matrices as tuples
 override.py    stretch, with_mass, with_friction, with_joint
-kinematics.py  tree order, names by pattern
 """

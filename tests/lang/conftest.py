@@ -11,7 +11,7 @@ import pytest
 
 from deepbots_cli.lang.check import check
 from deepbots_cli.lang.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, LENGTH, NUMBER, SPEED, TIME
-from deepbots_cli.lang.emit import python, required_imports
+from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.lang.lower import lower
 from deepbots_cli.lang.parser import parse
@@ -141,8 +141,7 @@ class Bench:
 
 def evaluate(value: Typed, read: dict[str, object]) -> list[float]:
     scalars = lower(value, "item")
-    names = {name: getattr(math, name) for name in required_imports(scalars)}
-    return [eval(python(scalar, leaf), {**names, **read}) for scalar in scalars]
+    return [eval(python(scalar, leaf), {**vars(math), **read}) for scalar in scalars]
 
 
 def leaf(read: Name | World | State | Draw) -> str:

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli.lang.emit import required_imports
 from deepbots_cli.lang.lower import constant, lower
 from deepbots_cli.lang.scalar import Const, Draw, Op, State, World
 from deepbots_cli.lang.types import Context
@@ -51,17 +50,6 @@ def test_units_and_fixed_values_leave_no_trace(bench):
 def test_an_operation_that_cannot_be_computed_is_left_to_fail_where_it_runs(bench):
     assert lower(bench.typed("1 / (track - track)"), "item") == (Op("div", (Const(1.0), Const(0.0))),)
     assert constant(bench.typed("1 / 0")) is None
-
-
-def test_only_the_math_functions_that_are_used_are_imported(bench):
-    assert required_imports(lower(bench.clean("exp(-norm(home - position(cart)) / m) + sin(wrap(angle))"), "item")) == (
-        "exp",
-        "hypot",
-        "pi",
-        "sin",
-        "tau",
-    )
-    assert required_imports(lower(bench.clean("abs(x) + min(x, y)"), "item")) == ()
 
 
 def test_every_draw_has_a_stream_of_its_own_named_after_its_owner(bench):

@@ -4,11 +4,11 @@ import textwrap
 
 import pytest
 
-from deepbots_cli.lang.emit import python, required_imports
+from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.functions import Family
 from deepbots_cli.lang.lower import lower
-from deepbots_cli.lang.scalar import Name, State
-from deepbots_cli.lang.state import RULES, advance_lines, in_order, reset_lines
+from deepbots_cli.lang.scalar import Name, State, walk
+from deepbots_cli.lang.state import RULES, advance_lines, reset_lines
 from deepbots_cli.lang.table import FUNCTIONS
 
 DT = 0.5
@@ -27,12 +27,11 @@ def run(bench, text, rows):
         raise AssertionError(read)
 
     reset, tick = [], []
-    for state in in_order([scalar]):
+    for state in dict.fromkeys(node for node in walk(scalar) if isinstance(node, State)):
         now, memory = leaf(state), state.slot.replace("#", "_memory_")
         args = [python(arg, leaf) for arg in state.args]
         reset += reset_lines(state, memory, now, args)
         tick += advance_lines(state, memory, now, args, "dt")
-    assert required_imports([scalar]) == ()
     result = python(scalar, leaf)
     kept = {"dt": DT}
     seen = []
