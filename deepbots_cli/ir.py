@@ -205,6 +205,10 @@ class Observed:
     unit: str
     truth: bool = False
 
+    @property
+    def full_name(self) -> str:
+        return self.name if self.component is None else f"{self.name}.{self.component}"
+
 
 @dataclass(frozen=True)
 class Term:

@@ -31,7 +31,7 @@ def timing(scenario: CompiledScenario) -> list[Row]:
         rows.append(
             {
                 "what": "observation",
-                "name": full_name(observed.name, observed.component),
+                "name": observed.full_name,
                 "moment": "measured after",
                 "physics_step": f"{substeps}n + {after}" if after else f"{substeps}n",
                 "age_s": ticks * timestep,
@@ -39,10 +39,6 @@ def timing(scenario: CompiledScenario) -> list[Row]:
             }
         )
     return rows
-
-
-def full_name(name: str, component: str | None) -> str:
-    return name if component is None else f"{name}.{component}"
 
 
 def _names(scalar: Scalar, signals: dict[str, tuple[Scalar, ...]]) -> Iterator[str]:

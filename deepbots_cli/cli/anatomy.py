@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping as Dictionary
 
-from deepbots_cli.cli.ageing import full_name, timing
+from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageFormat, MessageLayout
 from deepbots_cli.source import Mapping, Node, Scalar, descend
@@ -236,7 +236,7 @@ def _observation(scenario: CompiledScenario) -> list[Row]:
     return [
         {
             "index": index,
-            "name": full_name(entry.name, entry.component),
+            "name": entry.full_name,
             "low": entry.low,
             "high": entry.high,
             "unit": entry.unit,

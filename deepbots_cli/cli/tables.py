@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import unicodedata
 from collections.abc import Mapping, Sequence
 
 from deepbots_cli.cli.terminal import printable
+from deepbots_cli.diagnostics.render import columns
 
 Row = Mapping[str, object]
 
@@ -48,13 +48,6 @@ def cell(value: object) -> str:
             return ", ".join(map(cell, value)) or "-"
         case _:
             return printable(str(value).replace("\n", " ")) or "-"
-
-
-def columns(text: str) -> int:
-    """How many columns of a terminal `text` takes."""
-    if text.isascii():
-        return len(text)
-    return sum(0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
 
 
 def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:

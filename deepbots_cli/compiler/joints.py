@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from deepbots_cli.lang import intervals
 from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TORQUE, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.urdf.model import Joint
@@ -28,5 +29,4 @@ def joint_interval(joint: Joint) -> Interval:
 
 def hull(joints: Iterable[Joint]) -> Interval:
     """The positions that the limits of any of the joints leave."""
-    intervals = [joint_interval(joint) for joint in joints]
-    return Interval(min(i.low for i in intervals), max(i.high for i in intervals))
+    return intervals.hull([joint_interval(joint) for joint in joints])

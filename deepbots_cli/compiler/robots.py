@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,7 +60,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, values: Values, s
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
         return None
-    file = read(located, _display(located), values.findings, resolve_mesh=_mesh_resolver(located.parent, document.roots))
+    file = read(located, roots.display(located), values.findings, resolve_mesh=_mesh_resolver(located.parent, document.roots))
     if file is None:
         return None
     groups = _groups(file.model, spec, path, values)
@@ -86,11 +85,6 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     names = shown(shipped.robot_names())
     values.findings.add("DB204", span, beside.headline, help=beside.help, notes=(f"shipped robots are {names}",))
     return None
-
-
-def _display(path: Path) -> str:
-    here = Path.cwd()
-    return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
 
 
 def _mesh_resolver(folder: Path, allowed: tuple[Path, ...]) -> mesh.ResolveMesh:

@@ -136,7 +136,7 @@ class _Line:
         self.line = line
         self.first = 0
         # A line of a megabyte is not worth measuring to its end, once for each finding in it.
-        if len(line) > width or _columns(line) + 3 * line.count("\t") > width:
+        if len(line) > width or columns(line) + 3 * line.count("\t") > width:
             # What stands before the place explains it better than what comes after.
             self.first = max(0, min(column - 1 - width // 2, len(line) - width))
         self.prefix = "… " if self.first else ""
@@ -144,7 +144,7 @@ class _Line:
         room = width - len(self.prefix) - 1
         for character in line[self.first : self.first + width]:
             cell = _cell(character)
-            room -= _columns(cell)
+            room -= columns(cell)
             if room < 0:
                 break
             self.cells.append(cell)
@@ -159,7 +159,7 @@ class _Line:
         return sign * max(1, self._columns_to(end) - self._columns_to(span.begin.column - 1))
 
     def _columns_to(self, column: int) -> int:
-        return sum(map(_columns, self.cells[: max(0, column - self.first)]))
+        return sum(map(columns, self.cells[: max(0, column - self.first)]))
 
 
 def _chain(source: Source) -> Iterator[Span]:
@@ -181,7 +181,7 @@ def _said(text: str) -> str:
     return _safe(text if len(text) <= _LONGEST else text[:_LONGEST] + "…")
 
 
-def _columns(text: str) -> int:
+def columns(text: str) -> int:
     """How many columns of a terminal `text` takes."""
     if text.isascii():
         return len(text)

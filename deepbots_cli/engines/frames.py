@@ -6,14 +6,9 @@ from math import cos, hypot, sin
 
 from deepbots_cli.port import Quaternion, Triple
 from deepbots_cli.urdf.model import Pose
+from deepbots_cli.urdf.rotation import quaternion
 
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
-
-
-def from_rpy(rpy: Triple) -> Quaternion:
-    """Of roll, pitch, yaw (rad) about the fixed axes x, y, z, as in URDF."""
-    (sr, cr), (sp, cp), (sy, cy) = ((sin(angle / 2), cos(angle / 2)) for angle in rpy)
-    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 
 def about(axis: Triple, angle: float) -> Quaternion:
@@ -79,7 +74,7 @@ HERE: Frame = ((0.0, 0.0, 0.0), UPRIGHT)
 
 
 def frame(pose: Pose) -> Frame:
-    return pose.xyz, from_rpy(pose.rpy)
+    return pose.xyz, quaternion(*pose.rpy)
 
 
 def inside(outer: Frame, inner: Frame) -> Frame:

@@ -147,10 +147,10 @@ class PyBulletEngine:
             for thing in (*(solids.walls(world.arena) if world.arena else ()), *world.objects):
                 known = not isinstance(thing.shape, Mesh)
                 body = self._load(thing.name, solids.as_robot(thing), not solids.moves(thing), folder, inertia_known=known)
-                body.home = body.of_centre(thing.pose.xyz, frames.from_rpy(thing.pose.rpy))
+                body.home = body.of_centre(*frames.frame(thing.pose))
             for robot in world.robots:
                 body = self._load(robot.name, loadable.movable(robot.name, robot.model, robot.fixed_base), robot.fixed_base, folder)
-                body.home = body.of_centre(robot.pose.xyz, frames.from_rpy(robot.pose.rpy))
+                body.home = body.of_centre(*frames.frame(robot.pose))
         self._join_islands()
         self.reset()
 

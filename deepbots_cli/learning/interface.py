@@ -16,8 +16,9 @@ def interface(ir: CompiledScenario) -> dict[str, str]:
     """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
     items = {}
     for observed in ir.observation:
-        name = observed.name if observed.component is None else f"{observed.name}.{observed.component}"
-        items[f"observation.{name}"] = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
+        items[f"observation.{observed.full_name}"] = (
+            "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
+        )
     for part in ir.action:
         items[f"action.{part.name}"] = _action(part)
     for robot in ir.robots:

@@ -10,7 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
-import deepbots_cli
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.atomic import Entries, parse_object, read_bytes, write_json
 
@@ -110,7 +109,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
-
-
-def deepbots_version() -> str:
-    return deepbots_cli.__version__

@@ -23,12 +23,13 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Protocol
 
+import deepbots_cli
 from deepbots_cli import canonical
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning import interface
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
-from deepbots_cli.learning.record import Record, deepbots_version
+from deepbots_cli.learning.record import Record
 
 ModelName = Literal["best", "last"]
 
@@ -84,7 +85,7 @@ class Run:
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
-        here = deepbots_version()
+        here = deepbots_cli.__version__
         return [] if self.record.deepbots == here else [f"{self.path} was trained by deepbots {self.record.deepbots}, this is {here}"]
 
     @staticmethod

@@ -15,6 +15,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 
+import deepbots_cli
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, interface, weights
@@ -23,7 +24,7 @@ from deepbots_cli.learning.environments import BuildWorld, Copies
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
 from deepbots_cli.learning.interruption import listening
 from deepbots_cli.learning.progress import Reporter, reporter
-from deepbots_cli.learning.record import FORMAT, Record, Status, deepbots_version, now, versions
+from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
 from deepbots_cli.learning.run import Compiled, Run, input_digests, new_directory
 from deepbots_cli.runtime.streams import derive
 
@@ -103,7 +104,7 @@ def train(
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
     record = Record(
         format=FORMAT,
-        deepbots=deepbots_version(),
+        deepbots=deepbots_cli.__version__,
         status="running",
         scenario=compiled.ir.name,
         source=str(compiled.source),

@@ -24,7 +24,6 @@ from deepbots_cli.runtime.view import overview
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
 
-
 _CLOSED = "the environment is closed; make a new one"
 
 
@@ -98,7 +97,7 @@ class Supervisor(gym.Env[Observation, Any]):
             The observation, float32 in the observation space, and the info of a step.
 
         Raises:
-            EvaluationError: The episode would end before its first step; names the ending.
+            EvaluationError: An expression has no value, or the episode would end before its first step; names it.
         """
         if self._closed:
             raise UsageError(_CLOSED)
@@ -130,6 +129,7 @@ class Supervisor(gym.Env[Observation, Any]):
         Raises:
             UsageError: Before the first reset, or with an action outside the action space.
             EngineError: The world is no longer finite.
+            EvaluationError: An expression has no value, or the reward is not finite; shows which.
             MessageError: A message does not fit its layout.
         """
         try:
@@ -267,16 +267,3 @@ def clipped(value: float) -> float:
     if value != value:
         raise FloatingPointError("not a number")
     return 1.0 if value > 0.0 else -1.0
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of rotations by roll about x, then pitch about y, then yaw about z, fixed axes, in rad (as in URDF)."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )

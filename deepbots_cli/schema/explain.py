@@ -9,8 +9,8 @@ from deepbots_cli.schema.hyperparameters import ELSEWHERE
 from deepbots_cli.schema.part import Kinds, Part, Spec, fields, noun_of
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.training import Training
-from deepbots_cli.schema.walk import Path, homes, spec_at
-from deepbots_cli.source.nodes import Mapping, Node, Scalar, Sequence
+from deepbots_cli.schema.walk import homes, spec_at
+from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, Sequence
 
 _SHOWN = 40
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}

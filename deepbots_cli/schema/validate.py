@@ -16,9 +16,9 @@ from deepbots_cli.diagnostics import Finding, Findings, Span
 from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place
 from deepbots_cli.schema.part import Keys
 from deepbots_cli.schema.scenario import VERSION, Scenario
-from deepbots_cli.schema.walk import Path, parts, spec_at
+from deepbots_cli.schema.walk import parts, spec_at
 from deepbots_cli.source import nodes
-from deepbots_cli.source.nodes import Mapping, Node, Scalar, descend, to_data, walk
+from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, descend, to_data, walk
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16

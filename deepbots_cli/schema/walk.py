@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 from deepbots_cli.schema.fields import Leaf
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.source.nodes import Path
 
-Path = tuple[str | int, ...]
 Visit = tuple[Path, Leaf, object]
 
 

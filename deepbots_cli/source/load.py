@@ -6,7 +6,6 @@ assignments of the command line come last, upon the whole.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from collections.abc import Sequence as Texts
 from dataclasses import dataclass
@@ -213,7 +212,7 @@ class _Reader:
                 "DB204", by, f"`{path.name}` cannot be read", help=f"the system says: {(error.strerror or 'no reason').lower()}"
             )
             return None
-        source, readable = files.decode(data, _display(path), self.findings, included_from=by)
+        source, readable = files.decode(data, roots.display(path), self.findings, included_from=by)
         self.files[path] = source
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
@@ -238,9 +237,3 @@ class _Reader:
                 self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=names)
         pruned = merge.without(tree, paths)
         return pruned if isinstance(pruned, Mapping) else tree
-
-
-def _display(path: Path) -> str:
-    """The path as users see it: relative to where they stand, if it lies below."""
-    here = Path.cwd()
-    return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)

@@ -5,6 +5,7 @@ A scenario may come from anyone; reading it must not reach for other files of th
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +47,12 @@ def project_root(folder: Path) -> Path:
         if any((candidate / marker).exists() for marker in _MARKERS):
             return candidate
     return folder
+
+
+def display(path: Path) -> str:
+    """The path as users see it: relative to where they stand, if it lies below."""
+    here = Path.cwd()
+    return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
 
 
 def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vector
-
-Matrix = tuple[Vector, Vector, Vector]
+from deepbots_cli.urdf.rotation import Matrix
 
 _HERE = Pose()
 # Published files round to three digits, and a flat plate stands exactly on the boundary.

@@ -1,4 +1,4 @@
-"""The little linear algebra that robots as data need: 3 by 3 matrices as tuples of rows."""
+"""The little linear algebra that robots as data need: 3 by 3 matrices as tuples of rows; roll, pitch, yaw as a quaternion."""
 
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ def from_rpy(rpy: Vector) -> Matrix:
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
         (-sp, cp * sr, cp * cr),
     )
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """The same rotation as (x, y, z, w)."""
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle / 2), math.cos(angle / 2)) for angle in (roll, pitch, yaw))
+    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 
 def transposed(m: Matrix) -> Matrix:

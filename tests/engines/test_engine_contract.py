@@ -10,9 +10,10 @@ import pytest
 
 from deepbots_cli.engines import ENGINES, frames
 from deepbots_cli.errors import EngineError
+from deepbots_cli.urdf.rotation import quaternion
 
 BOTH = pytest.mark.parametrize("engine_name", sorted(ENGINES))
-TURNED = frames.from_rpy((0.4, -0.3, 1.1))
+TURNED = quaternion(0.4, -0.3, 1.1)
 
 
 def episode(engine, ticks: int, substeps: int = 4, start: float = 0.1) -> bytes:

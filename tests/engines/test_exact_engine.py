@@ -16,6 +16,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
 from deepbots_cli.urdf.model import Box, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
+from deepbots_cli.urdf.rotation import quaternion
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -51,7 +52,7 @@ def test_a_tumbling_body_keeps_its_energy_for_ten_seconds():
 def test_a_symmetric_top_precesses_about_its_momentum_at_the_rate_of_the_closed_form():
     top = Link("top", Inertial(1.0, ixx=0.02, iyy=0.02, izz=0.05))
     body = RigidBody(joined(RobotModel("top", (top,), (), root="top"), "top"), (0, 0, 0), flies=True)
-    body.place(((0, 0, 0), frames.from_rpy((0.4, 0, 0))))
+    body.place(((0, 0, 0), quaternion(0.4, 0, 0)))
     body.spin(frames.rotate(body.turned, (0.0, 0.6, 4.0)))
     momentum = body.momentum
     rate = sqrt(frames.dot(momentum, momentum)) / 0.02
@@ -83,7 +84,7 @@ def test_a_cart_pole_follows_the_textbook_equations(worlds):
 @settings(max_examples=25, deadline=None)
 @given(rpy=st.tuples(*[st.floats(-3, 3)] * 3), angle=st.floats(-3, 3), rate=st.floats(-3, 3))
 def test_a_world_that_is_turned_as_a_whole_moves_alike(worlds, rpy, angle, rate):
-    turned = frames.from_rpy(rpy)
+    turned = quaternion(*rpy)
     level, tilted = cart_pole(worlds.rail()), cart_pole(replace(worlds.rail(), gravity=frames.rotate(turned, DOWN)))
     tilted.place(((1.0, 2.0, 3.0), turned))
     for motion in (level, tilted):
