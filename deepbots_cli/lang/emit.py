@@ -6,6 +6,7 @@ of sums is kept. Another table (arrays) prints the same trees for another target
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import NamedTuple
@@ -44,6 +45,11 @@ class Code(NamedTuple):
     def simple(self) -> bool:
         """Whether it may be written twice: a name, an attribute, a number."""
         return self.text.replace(".", "").replace("_", "").replace("-", "").isalnum()
+
+
+def operand(code: str) -> str:
+    """The code as one side of any operator: in parentheses unless it is a name, an attribute, an item or a number."""
+    return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
 
 
 Form = Callable[[tuple[Code, ...]], Code]

@@ -78,6 +78,11 @@ def children(scalar: Scalar) -> tuple[Scalar, ...]:
     return scalar.args if isinstance(scalar, Op | State | Draw) else ()
 
 
+def names_in(scalar: Scalar) -> list[Name]:
+    """Every named value that the tree reads."""
+    return [node for node in walk(scalar) if isinstance(node, Name)]
+
+
 def walk(scalar: Scalar) -> Iterator[Scalar]:
     """Every node, arguments before what is made of them: the order in which states must advance."""
     for child in children(scalar):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from deepbots_cli.lang.emit import operand
 from deepbots_cli.lang.scalar import State
 
 
@@ -27,11 +28,6 @@ def advance_lines(state: State, memory: str, result: str, args: list[str], times
 def reset_lines(state: State, memory: str, result: str, args: list[str]) -> list[str]:
     """Statements at a reset, after the first readings: memory and result as they stand before the first tick."""
     return RULES[state.function].reset(memory, result, args)
-
-
-def _whole(code: str) -> str:
-    """The code as one operand: in parentheses unless it is a name or a number."""
-    return code if code.replace(".", "").replace("_", "").isalnum() else f"({code})"
 
 
 def _from_zero(memory: str, result: str, _args: list[str]) -> list[str]:
@@ -60,19 +56,20 @@ def _hold(memory: str, result: str, args: list[str], _timestep: str) -> list[str
 
 def _smooth(memory: str, result: str, args: list[str], timestep: str) -> list[str]:
     """Backward Euler: stable for every time constant, and the complementary filter's own formula."""
-    return [f"{result} = {memory} = {memory} + ({_whole(args[0])} - {memory}) * ({timestep} / ({_whole(args[1])} + {timestep}))"]
+    share = f"{timestep} / ({operand(args[1])} + {timestep})"
+    return [f"{result} = {memory}", f"{result} += ({operand(args[0])} - {result}) * ({share})", f"{memory} = {result}"]
 
 
 def _integral(memory: str, result: str, args: list[str], timestep: str) -> list[str]:
-    return [f"{result} = {memory} = {memory} + {_whole(args[0])} * {timestep}"]
+    return [f"{result} = {memory} = {memory} + {operand(args[0])} * {timestep}"]
 
 
 def _accumulate(memory: str, result: str, args: list[str], _timestep: str) -> list[str]:
-    return [f"{result} = {memory} = min(max({memory} + {_whole(args[0])}, {args[1]}), {args[2]})"]
+    return [f"{result} = {memory} = min(max({memory} + {operand(args[0])}, {args[1]}), {args[2]})"]
 
 
 def _duration(memory: str, result: str, args: list[str], timestep: str) -> list[str]:
-    return [f"{result} = {memory} = {memory} + {timestep} if {_whole(args[0])} else 0.0"]
+    return [f"{result} = {memory} = {memory} + {timestep} if {operand(args[0])} else 0.0"]
 
 
 def _rising(memory: str, result: str, args: list[str], _timestep: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -188,7 +188,20 @@ class Supervisor(gym.Env[Observation, Any]):
     def _advance(self, action: Any) -> None:
         raise NotImplementedError
 
-    # Failures, off the fast path
+    # The end of an episode, and failures: off the fast path
+
+    def _terminate(self, endings: Mapping[str, bool], *, success: bool = False) -> None:
+        """End the task by the endings that hold, of which the first counts."""
+        self.terminated = True
+        self.is_success = success
+        self.endings = tuple(name for name, holds in endings.items() if holds)
+        self.ended_by = self.endings[0]
+
+    def _truncate(self, limit: str) -> None:
+        """Cut the episode short at a limit."""
+        self.truncated = True
+        self.ended_by = limit
+        self.endings = (limit,)
 
     def _forget(self) -> None:
         self.step_count = 0

@@ -5,7 +5,7 @@ supervisor.py  the supervisor class: reset and one tick
 evaluation.py  signals, endings, reward and observation inside that tick
 reads.py       which engine readers are bound, and how each number is taken from them
 guard.py       what may be printed at all
-printer.py     statements and the memory of stateful functions; names.py identifiers; text.py layout
+printer.py     statements and the memory of stateful functions; names.py identifiers; text.py, wrap.py layout
 
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
 match `[a-z_][a-z0-9_]*` and quoted strings.
@@ -18,6 +18,7 @@ from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.robot import RobotPrinter
 from deepbots_cli.compiler.emit.supervisor import SupervisorPrinter
+from deepbots_cli.compiler.emit.wrap import wrapped
 from deepbots_cli.ir import CompiledScenario
 
 _MATH = ("atan2", "cos", "exp", "hypot", "inf", "log", "pi", "pow", "sin", "sqrt", "tan", "tau")
@@ -34,7 +35,7 @@ def emit(scenario: CompiledScenario) -> str:
     for robot in scenario.robots:
         classes += ["", "", *RobotPrinter(scenario, robot).text()]
     classes += ["", "", *SupervisorPrinter(scenario).text()]
-    body = _trim_blank_lines(classes)
+    body = [line for long in _trim_blank_lines(classes) for line in wrapped(long)]
     return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
 
 

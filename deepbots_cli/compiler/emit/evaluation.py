@@ -7,14 +7,14 @@ endings), then the observation. Failure beats success; terminated beats truncate
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.text import quoted
-from deepbots_cli.ir import Choices, CompiledScenario, Ending, Interval, Observed
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.ir import CompiledScenario, Ending, Observed
+from deepbots_cli.lang.emit import operand
+from deepbots_cli.lang.scalar import Name, World, names_in
 
 
 class EvaluationPrinter:
@@ -29,7 +29,7 @@ class EvaluationPrinter:
         self._expressions += [entry.value for entry in scenario.observation]
         sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
         self.reads = Reads([*self._expressions, *sent], self.names)
-        self._used = {leaf.name for expression in self._expressions for leaf in name_leaves(expression)}
+        self._used = {leaf.name for expression in self._expressions for leaf in names_in(expression)}
         self._parameters = {entry.name for entry in scenario.parameters}
 
     def uses(self, name: str) -> bool:
@@ -37,15 +37,6 @@ class EvaluationPrinter:
 
     def local(self, name: str, component: str | None = None) -> str:
         return self.names(name, component)
-
-    def action_variables(self) -> list[tuple[str, str | None]]:
-        """Name and component of every number that the action sets."""
-        return [
-            (name, component)
-            for part in self._scenario.action
-            for name in (part.variables if isinstance(part, Choices) else (part.name,))
-            for component in ((isinstance(part, Interval) and part.components) or (None,))
-        ]
 
     def printer(self, *, starting: bool) -> Printer:
         return Printer(self._resolve, self.names, self._scenario.world.timestep, starting=starting)
@@ -82,16 +73,14 @@ class EvaluationPrinter:
             printer.assign(self.local(ending.name), ending.condition)
         failures = [ending for ending in endings if ending.outcome == "failure"]
         successes = [ending for ending in endings if ending.outcome == "success"]
-        order = [*failures, *successes]
         printer.line(f"if {' or '.join(self.local(ending.name) for ending in endings)}:")
-        printer.line("    self.terminated = True")
-        pairs = ", ".join(f"({quoted(ending.name)}, {self.local(ending.name)})" for ending in order)
-        printer.line(f"    self.endings = tuple([name for name, holds in ({pairs},) if holds])")
-        printer.line("    self.ended_by = self.endings[0]")
+        held = ", ".join(f"{quoted(ending.name)}: {self.local(ending.name)}" for ending in [*failures, *successes])
+        success = ""
         if successes:
-            refused = "".join(f" and not {self.local(ending.name)}" for ending in failures)
             reached = " or ".join(self.local(ending.name) for ending in successes)
-            printer.line(f"    self.is_success = {f'({reached})' if refused and len(successes) > 1 else reached}{refused}")
+            refused = "".join(f" and not {self.local(ending.name)}" for ending in failures)
+            success = f", success={f'({reached})' if refused and len(successes) > 1 else reached}{refused}"
+        printer.line(f"    self._terminate({{{held}}}{success})")
 
     def _truncation(self, printer: Printer) -> None:
         limits = self._scenario.truncation
@@ -106,9 +95,7 @@ class EvaluationPrinter:
         count, name = min(ticks)
         word = "elif" if self._scenario.endings else "if"
         printer.line(f"{word} self.step_count >= {count}:")
-        printer.line("    self.truncated = True")
-        printer.line(f"    self.ended_by = {quoted(name)}")
-        printer.line("    self.endings = (self.ended_by,)")
+        printer.line(f"    self._truncate({quoted(name)})")
 
     def _rewards(self, printer: Printer) -> None:
         terms = self._scenario.reward
@@ -130,7 +117,7 @@ class EvaluationPrinter:
     def _remember_rewards(self, printer: Printer) -> None:
         """Before the first step there is no reward, but what its terms remember begins."""
         terms = self._scenario.reward
-        remembered = {leaf.name for term in terms for state in outer_states(term.value) for leaf in name_leaves(state)}
+        remembered = {leaf.name for term in terms for state in outer_states(term.value) for leaf in names_in(state)}
         for flag in ("terminated", "truncated", "ended"):
             if flag in remembered:
                 printer.line(f"{self.local(flag)} = False")
@@ -158,7 +145,7 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
     order: dict[str, Ending] = {}
 
     def add(ending: Ending) -> None:
-        for leaf in name_leaves(ending.condition):
+        for leaf in names_in(ending.condition):
             if leaf.name in by_name and leaf.name not in order:
                 add(by_name[leaf.name])
         order[ending.name] = ending
@@ -173,20 +160,5 @@ def _normalised(code: str, entry: Observed) -> str:
     """Code that maps [low, high] to [-1, 1]."""
     half, middle = (entry.high - entry.low) / 2, (entry.high + entry.low) / 2
     if middle == 0.0:
-        return f"{_group(code)} * {1 / half!r}" if half != 1.0 else code
+        return f"{operand(code)} * {1 / half!r}" if half != 1.0 else code
     return f"({code} - {middle!r}) * {1 / half!r}"
-
-
-def _group(code: str) -> str:
-    return code if code.replace("_", "a").replace("[", "").replace("]", "").replace(".", "").isalnum() else f"({code})"
-
-
-def name_leaves(expression: Scalar) -> Iterator[Name]:
-    match expression:
-        case Name():
-            yield expression
-        case Op(_, args) | State(_, args, _) | Draw(_, args, _):
-            for argument in args:
-                yield from name_leaves(argument)
-        case Const() | World():
-            pass

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 
 from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.compiler.emit.text import flat
+from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import Choices, CompiledScenario, Interval
+from deepbots_cli.ir import Choices, CompiledScenario
 from deepbots_cli.lang.emit import PYTHON
 from deepbots_cli.lang.scalar import Draw, Name, Op, State, World
 from deepbots_cli.lang.state import RULES
@@ -75,7 +75,7 @@ def _require_figures(scenario: CompiledScenario) -> None:
 def _require_known_names(scenario: CompiledScenario) -> None:
     """Each name in an expression is one that the scenario defines, in the scope of the expression."""
     sent = [(f"{robot.name}.{name}", component) for robot in scenario.robots for name, component in flat(robot.emit)]
-    acted = [pair for part in scenario.action for pair in _variables(part)]
+    acted = [pair for part in scenario.action for pair in action_variables(part)]
     endings = [(ending.name, None) for ending in scenario.endings]
     known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
     supervisor = [scenario.parameters, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
@@ -87,12 +87,6 @@ def _require_known_names(scenario: CompiledScenario) -> None:
         sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]
         _require_in([robot.emit], set(sensed))
         _require_in([robot.apply], {*sensed, *flat(robot.receive)})
-
-
-def _variables(part: Choices | Interval) -> list[tuple[str, str | None]]:
-    if isinstance(part, Choices):
-        return [(variable, None) for variable in part.variables]
-    return [(part.name, component) for component in (part.components or (None,))]
 
 
 def _require_in(expressions: Iterable[object], known: set[tuple[str, str | None]]) -> None:

@@ -6,16 +6,17 @@ tick, however many numbers are taken from it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple
-from deepbots_cli.lang.scalar import Draw, Op, Scalar, State, World
+from deepbots_cli.lang.scalar import Scalar, World, walk
 
 _XYZ = {"x": 0, "y": 1, "z": 2, "w": 3}
-_POSE_PART = {"position": 0, "orientation": 1}
-_VELOCITY_PART = {"velocity": 0, "angular_velocity": 1}
-_JOINT_PART = {"joint_position": 0, "joint_velocity": 1}
+_METHODS = {"joints": "joint_states", "torques": "joint_torques", "pose": "pose", "velocity": "velocity"}
+_OF_LINKS = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
+_PART = {"position": 0, "orientation": 1, "velocity": 0, "angular_velocity": 1, "joint_position": 0, "joint_velocity": 1}
+"""Where a fact stands in what its reader returns, or returns for a joint."""
 
 
 class Reads:
@@ -26,60 +27,40 @@ class Reads:
 
     def __init__(self, expressions: Iterable[Scalar], names: Names) -> None:
         self._names = names
-        self._joints: dict[str, list[str]] = {}
-        self._torques: dict[str, list[str]] = {}
-        self._poses: dict[str, None] = {}
-        self._velocities: dict[str, None] = {}
-        for leaf in (leaf for expression in expressions for leaf in world_leaves(expression)):
+        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in _METHODS}
+        """The subjects of each kind of reader, with the joints that it is asked for."""
+        for leaf in _facts(expressions):
             self._note(leaf)
 
     def _note(self, leaf: World) -> None:
-        subject = leaf.subjects[0]
-        if leaf.function in _POSE_PART:
-            self._poses[subject] = None
-        elif leaf.function in _VELOCITY_PART:
-            self._velocities[subject] = None
-        else:
-            robot, joint = subject.split(".", 1)
-            table = self._torques if leaf.function == "joint_torque" else self._joints
-            joints = table.setdefault(robot, [])
-            if joint not in joints:
-                joints.append(joint)
+        subject, what = _reader(leaf)
+        joints = self._needed[what].setdefault(subject, [])
+        if what in ("joints", "torques"):
+            joint = leaf.subjects[0].split(".", 1)[1]
+            joints += [] if joint in joints else [joint]
 
     def bind_lines(self) -> list[str]:
         """Statements that take the readers from `engine`."""
-        lines = [
-            f"self.read_{self._local(robot, 'joints')} = engine.joint_states({quoted(robot)}, {quoted_tuple(joints)})"
-            for robot, joints in self._joints.items()
+        return [
+            f"self.read_{self._local(subject, what)} = engine.{_METHODS[what]}({_arguments(subject, joints)})"
+            for what, table in self._needed.items()
+            for subject, joints in table.items()
         ]
-        lines += [
-            f"self.read_{self._local(robot, 'torques')} = engine.joint_torques({quoted(robot)}, {quoted_tuple(joints)})"
-            for robot, joints in self._torques.items()
-        ]
-        lines += [f"self.read_{self._local(subject, 'pose')} = engine.pose({_body_and_link(subject)})" for subject in self._poses]
-        lines += [
-            f"self.read_{self._local(subject, 'velocity')} = engine.velocity({_body_and_link(subject)})" for subject in self._velocities
-        ]
-        return lines
 
     def call_lines(self, expressions: Iterable[Scalar]) -> list[str]:
         """Statements that read once what these expressions need."""
-        needed = {_reader(leaf) for expression in expressions for leaf in world_leaves(expression)}
-        tables = (("joints", self._joints), ("torques", self._torques), ("pose", self._poses), ("velocity", self._velocities))
-        locals_ = [self._local(subject, what) for what, table in tables for subject in table if (subject, what) in needed]
+        needed = {_reader(leaf) for leaf in _facts(expressions)}
+        locals_ = [self._local(subject, what) for what, table in self._needed.items() for subject in table if (subject, what) in needed]
         return [f"{name} = self.read_{name}()" for name in locals_]
 
     def code(self, leaf: World) -> str:
         """The code of one number, after its reader was called."""
-        subject = leaf.subjects[0]
-        if leaf.function in _POSE_PART:
-            return f"{self._local(subject, 'pose')}[{_POSE_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
-        if leaf.function in _VELOCITY_PART:
-            return f"{self._local(subject, 'velocity')}[{_VELOCITY_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
-        robot, joint = subject.split(".", 1)
-        if leaf.function == "joint_torque":
-            return f"{self._local(robot, 'torques')}[{self._torques[robot].index(joint)}]"
-        return f"{self._local(robot, 'joints')}[{self._joints[robot].index(joint)}][{_JOINT_PART[leaf.function]}]"
+        subject, what = _reader(leaf)
+        local = self._local(subject, what)
+        if what in ("pose", "velocity"):
+            return f"{local}[{_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
+        index = self._needed[what][subject].index(leaf.subjects[0].split(".", 1)[1])
+        return f"{local}[{index}]" if what == "torques" else f"{local}[{index}][{_PART[leaf.function]}]"
 
     def _local(self, subject: str, what: str) -> str:
         return self._names(f"{subject} {what}")  # the blank keeps it apart from every name of the scenario
@@ -88,22 +69,17 @@ class Reads:
 def _reader(leaf: World) -> tuple[str, str]:
     """Whose reader gives this number, and which of its readers."""
     subject = leaf.subjects[0]
-    if leaf.function in _POSE_PART:
-        return subject, "pose"
-    if leaf.function in _VELOCITY_PART:
-        return subject, "velocity"
+    if leaf.function in _OF_LINKS:
+        return subject, _OF_LINKS[leaf.function]
     return subject.split(".", 1)[0], "torques" if leaf.function == "joint_torque" else "joints"
 
 
-def world_leaves(expression: Scalar) -> Iterable[World]:
-    match expression:
-        case World():
-            yield expression
-        case Op(_, args) | State(_, args, _) | Draw(_, args, _):
-            for argument in args:
-                yield from world_leaves(argument)
+def _facts(expressions: Iterable[Scalar]) -> Iterator[World]:
+    return (node for expression in expressions for node in walk(expression) if isinstance(node, World))
 
 
-def _body_and_link(subject: str) -> str:
+def _arguments(subject: str, joints: list[str]) -> str:
+    if joints:
+        return f"{quoted(subject)}, {quoted_tuple(joints)}"
     body, _, link = subject.partition(".")
     return f"{quoted(body)}, {quoted(link)}" if link else quoted(body)

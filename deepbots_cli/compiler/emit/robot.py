@@ -5,7 +5,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.names import Names, class_name
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.reads import Reads
-from deepbots_cli.compiler.emit.text import block, flat, indent, quoted, quoted_tuple, sentence_list, tuple_code
+from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, quoted, quoted_tuple, sentence_list, targets_code, tuple_code
 from deepbots_cli.compiler.sensors import reading
 from deepbots_cli.ir import Actuator, CompiledScenario, Robot
 from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
@@ -23,7 +23,7 @@ class RobotPrinter:
         self._emitted = [self._sensed(value) for entry in robot.emit for value in entry.values]
         self._applied = [self._sensed(value) for entry in robot.apply for value in entry.values]
         self._reads = Reads([*self._emitted, *self._applied], self._names)
-        self._keeps_state = any(outer_states(value) for value in self._emitted)
+        self._keeps_state = keeps_state(robot)
 
     def text(self) -> list[str]:
         robot = self._robot
@@ -31,7 +31,7 @@ class RobotPrinter:
         driven = sentence_list([entry.name for entry in robot.apply]) or "nothing"
         lines = [
             f"class {controller_name(robot)}(RobotController):",
-            *indent([f'"""Robot `{robot.name}`: emits {emitted}; drives {driven}."""', ""]),
+            *indent([*docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."), ""]),
         ]
         lines += indent(self._bind())
         if self._keeps_state or any(outer_states(value) for value in self._applied):
@@ -79,11 +79,11 @@ class RobotPrinter:
         received = [self._names(name, component) for name, component in flat(self._robot.receive)]
         if self._messages:
             head = "def use_message_data(self, message: Any) -> None:"
-            doc = f'"""Decode {sentence_list(received) or "an empty message"} and drive the actuators."""'
+            doc = docstring(f"Decode {sentence_list(received) or 'an empty message'} and drive the actuators.")
             printer.lines += decode_lines("self.decode(message)", received, self._robot.to_robot.stamp, "self.rejected(message)")
         else:
-            head = f"def apply(self, {', '.join(received)}) -> None:".replace("(self, )", "(self)")
-            doc = '"""Drive the actuators."""'
+            head = f"def apply({', '.join(['self', *(f'{name}: Any' for name in received)])}) -> None:"
+            doc = docstring("Drive the actuators.")
         printer.lines += self._reads.call_lines(self._applied)
         applied = iter(self._applied)
         for entry in self._robot.apply:
@@ -95,7 +95,7 @@ class RobotPrinter:
                 printer.line(f"self.drive_{entry.name}(({', '.join([values[0]] * len(values))}))")
             else:
                 printer.line(f"self.drive_{entry.name}({tuple_code(values)})")
-        return block(head, [doc, *printer.lines])
+        return block(head, [*doc, *printer.lines])
 
     def _create_message(self) -> list[str]:
         labels = [self._names(name, component) for name, component in flat(self._robot.emit)]
@@ -111,9 +111,10 @@ class RobotPrinter:
         if self._messages:
             return block(
                 "def create_message(self) -> Any:",
-                [f'"""A message that holds {listed}."""', *lines, f"return self.encode({', '.join(values)})"],
+                [*docstring(f"A message that holds {listed}."), *lines, f"return self.encode({', '.join(values)})"],
             )
-        return block("def sense(self) -> tuple[Any, ...]:", [f'"""The values of {listed}."""', *lines, f"return {tuple_code(values)}"])
+        doc = docstring(f"The values of {listed}.")
+        return block("def sense(self) -> tuple[Any, ...]:", [*doc, *lines, f"return {tuple_code(values)}"])
 
     def _stored(self, name: str, component: str | None) -> str:
         return "emitted_" + self._names(name, component)
@@ -155,7 +156,7 @@ def decode_lines(decode: str, targets: list[str], stamp: int, error: str) -> lis
     """Statements that take a message apart, or raise the error that names robot, step and field."""
     return [
         "try:",
-        f"    {', '.join(['stamp', *targets])}{',' if not targets else ''} = {decode}",
+        f"    {targets_code(['stamp', *targets])} = {decode}",
         f"    if stamp != {stamp}:",
         "        raise ValueError(stamp)",
         "except MALFORMED:",

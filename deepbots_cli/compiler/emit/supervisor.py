@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.evaluation import EvaluationPrinter, name_leaves
+from deepbots_cli.compiler.emit.evaluation import EvaluationPrinter
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.robot import controller_name, decode_lines, keeps_state
-from deepbots_cli.compiler.emit.text import block, flat, indent, quoted, tuple_code
+from deepbots_cli.compiler.emit.text import action_variables, block, docstring, flat, indent, quoted, targets_code, tuple_code
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, Robot
-from deepbots_cli.lang.scalar import Const, Name, Scalar, World
+from deepbots_cli.lang.scalar import Const, Name, Scalar, World, names_in
 
 
 class SupervisorPrinter:
@@ -22,12 +22,13 @@ class SupervisorPrinter:
         self._late = scenario.timing == "paper"
         self._sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
         self._told = self._told_locals()
+        self._variables = [variable for part in scenario.action for variable in action_variables(part)]
 
     def text(self) -> list[str]:
         scenario = self._scenario
         controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
         lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
-        lines += indent([quoted(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *self._tables(), ""])
+        lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *self._tables(), ""])
         for method in (self._bind(), self._begin(), self._start(), self._advance(), self._reward_terms()):
             lines += indent(method)
         return lines
@@ -56,7 +57,7 @@ class SupervisorPrinter:
         """Local variables of one tick that the messages of the next one tell: signals, and fields that robots sent."""
         scenario = self._scenario
         kept = [*flat(scenario.signals), *((f"{r.name}.{name}", component) for r in scenario.robots for name, component in flat(r.emit))]
-        told = {(leaf.name, leaf.component) for value in self._sent for leaf in name_leaves(value)}
+        told = {(leaf.name, leaf.component) for value in self._sent for leaf in names_in(value)}
         return [self._evaluation.local(name, component) for name, component in kept if (name, component) in told]
 
     # Reset
@@ -89,8 +90,7 @@ class SupervisorPrinter:
     def _start(self) -> list[str]:
         printer = self._evaluation.printer(starting=True)
         printer.line('"""Receive the first messages and compute what the first observation needs."""')
-        variables = self._evaluation.action_variables()
-        zeros = [self._evaluation.local(*variable) for variable in variables if self._evaluation.uses(variable[0])]
+        zeros = [self._evaluation.local(*variable) for variable in self._variables if self._evaluation.uses(variable[0])]
         if zeros:
             printer.line(" = ".join([*zeros, "0.0"]))
         for robot in self._scenario.robots:
@@ -103,8 +103,8 @@ class SupervisorPrinter:
         """Begin what the values sent to robots remember; such a value begins with an action of 0."""
         states = [state for value in self._sent for state in outer_states(value)]
         if states:
-            used = {leaf.name for state in states for leaf in name_leaves(state)}
-            zeros = [v for v in self._evaluation.action_variables() if v[0] in used and not self._evaluation.uses(v[0])]
+            used = {leaf.name for state in states for leaf in names_in(state)}
+            zeros = [v for v in self._variables if v[0] in used and not self._evaluation.uses(v[0])]
             printer.lines += [f"{self._evaluation.local(*variable)} = 0.0" for variable in zeros]
             printer.lines += [line for line in self._evaluation.reads.call_lines(states) if line not in printer.lines]
             printer.remember(self._sent)
@@ -145,7 +145,7 @@ class SupervisorPrinter:
         targets_of = [(part, component) for part in intervals for component in (part.components or (None,))]
         if targets_of:
             locals_ = [self._evaluation.local(part.name, component) for part, component in targets_of]
-            printer.line(f"{', '.join(locals_)}{',' if len(locals_) == 1 else ''} = action.tolist()")
+            printer.line(f"{targets_code(locals_)} = action.tolist()")
             for (interval, _), name in zip(targets_of, locals_, strict=True):
                 printer.line(f"if not -1.0 <= {name} <= 1.0:")
                 printer.line(f"    {name} = clipped({name})")
@@ -174,7 +174,7 @@ class SupervisorPrinter:
         if keeps_state(robot) and not first:
             printer.line(f"{controller}.observe()")
         if not self._messages:
-            printer.line(f"{tuple_code(targets)} = {controller}.sense()" if targets else "")
+            printer.line(f"{targets_code(targets)} = {controller}.sense()" if targets else "")
             return
         if self._late and first:
             printer.line(f"message = {controller}.create_message()")

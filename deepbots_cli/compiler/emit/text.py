@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Iterable, Sequence
 
-from deepbots_cli.ir import NamedValues
+from deepbots_cli.ir import Choices, Interval, NamedValues
 
 
 def indent(lines: Iterable[str], depth: int = 1) -> list[str]:
@@ -21,9 +22,20 @@ def tuple_code(items: Sequence[str]) -> str:
     return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
 
 
+def targets_code(names: Sequence[str]) -> str:
+    """The left side of an assignment that takes a sequence apart."""
+    return ", ".join(names) if len(names) > 1 else tuple_code(names)
+
+
 def quoted(text: str) -> str:
     """A string literal in double quotes; the escapes of JSON are a subset of Python's."""
     return json.dumps(text)
+
+
+def docstring(text: str) -> list[str]:
+    """A string in triple quotes, over as many lines as it needs; the escapes leave no quote and no backslash of its own."""
+    lines = textwrap.wrap(json.dumps(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
+    return [f'"""{lines[0]}"""'] if len(lines) == 1 else [f'"""{lines[0]}', *lines[1:], '"""']
 
 
 def quoted_tuple(names: Sequence[str]) -> str:
@@ -38,3 +50,10 @@ def sentence_list(words: Sequence[str]) -> str:
 def flat(values: Iterable[NamedValues]) -> list[tuple[str, str | None]]:
     """Name and component of every single number, in order."""
     return [(entry.name, component) for entry in values for component in (entry.components or (None,))]
+
+
+def action_variables(part: Choices | Interval) -> list[tuple[str, str | None]]:
+    """Name and component of every number that a part of the action sets."""
+    if isinstance(part, Choices):
+        return [(variable, None) for variable in part.variables]
+    return [(part.name, component) for component in (part.components or (None,))]
