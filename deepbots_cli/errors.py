@@ -2,11 +2,13 @@
 
     DeepbotsError               whatever is the user's to mend; the command line prints it as one line
     ├── ScenarioError           a scenario has findings at error level; carries them
-    ├── UsageError              wrong arguments, a missing file, not a run, a missing extra (exit code 2)
-    │   └── MissingExtraError   an optional dependency is not installed
-    ├── RunError                a run directory cannot be used: damaged, of another shape, of another version
+    ├── UsageError              wrong arguments, a missing file, an unknown engine (exit code 2)
+    │   ├── MissingExtraError   an optional dependency is not installed
+    │   └── RunError            a run directory cannot be used: none, damaged, of another shape, of another version
     ├── MessageError            a message between robot and supervisor is malformed, short or foreign
-    └── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
+    ├── EvaluationError         an expression has no value in the present state of the world
+    ├── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
+    └── CanonicalError          a text is no compiled scenario of this version (in `canonical`)
 
 Anything outside this tree that reaches the user is a fault of ours.
 """

@@ -36,7 +36,10 @@ PoseReader = Callable[[], tuple[Triple, Quaternion]]
 VelocityReader = Callable[[], tuple[Triple, Triple]]
 """Velocity of the link's origin (m/s) and its angular velocity (rad/s), both in the world frame."""
 MotorWriter = Callable[[Sequence[float]], object]
-"""Sets one target per joint, in force until the next call; after a reset motors exert nothing until written."""
+"""Sets one target per joint, in force until the next call; after a reset motors exert nothing until written.
+
+The limits that a motor is bound with are infinite where a joint has none.
+"""
 
 
 @dataclass(frozen=True)
@@ -100,8 +103,9 @@ class Engine(Protocol):
         """Drive joints towards target positions (rad or m).
 
         With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m) the torque is
-        `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step;
-        without stiffness the engine's own servo reaches the target as fast as the limit allows.
+        `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
+        None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
+        `engines.servo.SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
         """
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:

@@ -1,6 +1,6 @@
 """Random numbers: one root seed, one stream per purpose.
 
-Each stream is named by what it is for (`reset/cart.pole_hinge`), and its seed depends on the root and
+Each stream is named by its place in the scenario (`reset.set.cart.pole_hinge#0`), and its seed depends on the root and
 that name alone. A new draw in a scenario therefore changes no other draw.
 """
 

@@ -85,7 +85,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Friction:
-    """Contact figures of a link; None leaves the engine's default."""
+    """Contact figures of a link; None where the file is silent, which engines take for 1 (`lateral`) or 0 (the others)."""
 
     lateral: float | None = None
     spinning: float | None = None
