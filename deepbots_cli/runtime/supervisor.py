@@ -152,31 +152,25 @@ class Supervisor(gym.Env[Observation, Any]):
             self._go_on = self._refuse
             self.engine.close()
 
-    # The paper's methods: they read, and change nothing
-
-    def get_observations(self) -> Observation:
-        """What the policy sees, float32 in [-1, 1]; a copy."""
-        return self.observed.copy()
-
-    def get_reward(self) -> float:
-        """The reward of the last step: the sum of its terms."""
-        return self.reward
-
-    def is_done(self) -> tuple[bool, bool]:
-        """Whether the task ended (success or failure), and whether a limit cut the episode short."""
-        return self.terminated, self.truncated
-
-    def get_info(self) -> Info:
-        """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms` by name."""
-        return {"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings, "reward_terms": self.reward_terms()}
-
     # What the compiler prints
 
     def bind(self, engine: Engine) -> None:
         """Take readers from the engine."""
 
-    def reward_terms(self) -> dict[str, float]:
-        """The terms of the last reward, by name."""
+    def get_observations(self) -> Observation:
+        """What the policy sees, float32 in [-1, 1]; a copy."""
+        raise NotImplementedError
+
+    def get_reward(self) -> float:
+        """The reward of the last step: the sum of its terms."""
+        raise NotImplementedError
+
+    def is_done(self) -> tuple[bool, bool]:
+        """Whether the task ended (success or failure), and whether a limit cut the episode short."""
+        raise NotImplementedError
+
+    def get_info(self) -> Info:
+        """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms` by name."""
         raise NotImplementedError
 
     def _begin(self) -> None:
@@ -217,7 +211,7 @@ class Supervisor(gym.Env[Observation, Any]):
     def _not_finite(self) -> None:
         """Called when the reward is not finite."""
         self.engine.require_finite()
-        terms = [name for name, value in self.reward_terms().items() if not math.isfinite(value)]
+        terms = [name for name, value in self.get_info()["reward_terms"].items() if not math.isfinite(value)]
         culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
         raise EvaluationError(f"step {self.step_count}: {culprit} is not finite")
 

@@ -6,7 +6,17 @@ from deepbots_cli.compiler.emit.evaluation import EvaluationPrinter
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.robot import controller_name, decode_lines, keeps_state
-from deepbots_cli.compiler.emit.text import action_variables, block, docstring, flat, indent, quoted, targets_code, tuple_code
+from deepbots_cli.compiler.emit.text import (
+    action_variables,
+    block,
+    docstring,
+    flat,
+    indent,
+    quoted,
+    sentence_list,
+    targets_code,
+    tuple_code,
+)
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, Robot
 from deepbots_cli.lang.scalar import Const, Name, Scalar, World, names_in
 
@@ -29,7 +39,7 @@ class SupervisorPrinter:
         controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
         lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
         lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *self._tables(), ""])
-        for method in (self._bind(), self._begin(), self._start(), self._advance(), self._reward_terms()):
+        for method in (self._bind(), self._begin(), self._start(), self._advance(), *self._readings()):
             lines += indent(method)
         return lines
 
@@ -185,9 +195,36 @@ class SupervisorPrinter:
         error = f"self._rejected({controller}.spec.from_robot, message)"
         printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.stamp, error)
 
-    def _reward_terms(self) -> list[str]:
-        entries = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in self._scenario.reward)
-        return block("def reward_terms(self) -> dict[str, float]:", [f"return {{{entries}}}"])
+    # The paper's methods: they read what `_advance` left, and change nothing
+
+    def _readings(self) -> list[list[str]]:
+        scenario = self._scenario
+        seen = sentence_list(list(dict.fromkeys(entry.name for entry in scenario.observation)))
+        summands = sentence_list([term.name for term in scenario.reward]) or "nothing"
+        ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
+        limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
+        ends += [f"a limit cut the episode short ({sentence_list(limits, 'or')})"] if limits else []
+        terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.reward)
+        info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
+        return [
+            block(
+                "def get_observations(self) -> Any:",
+                [*docstring(f"What the policy sees, float32 in [-1, 1]: {seen}."), "return self.observed.copy()"],
+            ),
+            block("def get_reward(self) -> float:", [*docstring(f"The sum of {summands}."), "return self.reward"]),
+            block(
+                "def is_done(self) -> tuple[bool, bool]:",
+                [*docstring(f"Whether {', and whether '.join(ends) or 'the episode is over'}."), "return self.terminated, self.truncated"],
+            ),
+            block(
+                "def get_info(self) -> dict[str, Any]:",
+                [
+                    *docstring("How the episode ended, if it has, and the terms of the last reward."),
+                    f"terms = {{{terms}}}",
+                    f'return {{{info}, "reward_terms": terms}}',
+                ],
+            ),
+        ]
 
 
 def _all_zero(values: tuple[Scalar, ...]) -> bool:

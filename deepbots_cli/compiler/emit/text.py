@@ -42,9 +42,9 @@ def quoted_tuple(names: Sequence[str]) -> str:
     return tuple_code([quoted(name) for name in names])
 
 
-def sentence_list(words: Sequence[str]) -> str:
+def sentence_list(words: Sequence[str], last: str = "and") -> str:
     """`a`, `a and b`, `a, b and c`."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def flat(values: Iterable[NamedValues]) -> list[tuple[str, str | None]]:
