@@ -12,6 +12,7 @@ robots.py       robot files, overrides.py their changes, matching.py patterns an
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
 policy.py       action and observation
 scoring.py      signals, reward, endings, training
+inputs.py       the files that it was made from, as a run keeps copies of them
 resets.py       places and joints at the start
 support.py      what the language has and this version does not run yet
 """
@@ -23,6 +24,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Observations
@@ -61,16 +63,9 @@ class Checked:
     namespace: Namespace | None = None
 
     @property
-    def inputs(self) -> dict[str, bytes]:
-        """Every text that was read, the scenario first: a name that is unique, and the bytes."""
-        found: dict[str, bytes] = {}
-        texts = [*self.document.sources, *(robot.file.source for robot in (self.robots or {}).values())]
-        for source in texts:
-            name = source.name.rsplit("/", 1)[-1]
-            while name in found and found[name] != source.text.encode():
-                name = f"_{name}"
-            found[name] = source.text.encode()
-        return found
+    def inputs(self) -> Inputs:
+        """Every file that was read."""
+        return Inputs(self.document, self.robots or {})
 
 
 def check(document: Document) -> Checked:
