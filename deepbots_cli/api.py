@@ -26,7 +26,6 @@ from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.source import load as read
 from deepbots_cli.source import shipped
-from deepbots_cli.source.text import write as to_yaml
 
 if TYPE_CHECKING:
     from deepbots_cli.ir import CompiledScenario
@@ -37,8 +36,9 @@ if TYPE_CHECKING:
 class Compiled:
     """A compiled scenario with all that a run records of it.
 
-    `inputs` maps the name of every file that was read to its bytes, the scenario first; `resolved` is
-    the merged scenario as YAML; `findings` is what `lint` says of it: warnings only.
+    `inputs` maps a relative path for the copy of every file that was read to its bytes, the scenario
+    first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
+    of those copies; `findings` is what `lint` says of it: warnings only.
     """
 
     ir: CompiledScenario
@@ -114,9 +114,8 @@ def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_pat
     if checked.task is None or any(finding.severity == "error" for finding in findings):
         raise ScenarioError(findings)
     ir = lower(checked.task)
-    document = checked.document
-    resolved = to_yaml(document.root) if document.root else ""
-    return Compiled(ir, emit(ir), digest(ir), document.path, checked.inputs, resolved, tuple(findings))
+    inputs = checked.inputs
+    return Compiled(ir, emit(ir), digest(ir), checked.document.path, inputs.contents(), inputs.resolved(), tuple(findings))
 
 
 def make(

@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
+from pathlib import PurePath
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -35,8 +37,26 @@ def to_json(scenario: ir.CompiledScenario) -> str:
 
 
 def digest(scenario: ir.CompiledScenario) -> str:
-    """SHA-256 of the canonical JSON, in hexadecimal."""
-    return hashlib.sha256(to_json(scenario).encode()).hexdigest()
+    """SHA-256 of the canonical JSON, in hexadecimal; a mesh counts for what it holds, not for where it lies."""
+    placeless = with_meshes(scenario, lambda mesh: replace(mesh, path=PurePath(mesh.path).suffix))
+    return hashlib.sha256(to_json(placeless).encode()).hexdigest()
+
+
+def with_meshes(scenario: ir.CompiledScenario, change: Callable[[model.Mesh], model.Mesh]) -> ir.CompiledScenario:
+    """The scenario with each of its meshes changed."""
+    world = _with_meshes(scenario.world, change)
+    assert isinstance(world, ir.WorldModel)  # as it was
+    return replace(scenario, world=world)
+
+
+def _with_meshes(value: object, change: Callable[[model.Mesh], model.Mesh]) -> object:
+    if isinstance(value, model.Mesh):
+        return change(value)
+    if isinstance(value, tuple):
+        return tuple(_with_meshes(item, change) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{f.name: _with_meshes(getattr(value, f.name), change) for f in fields(value)})
+    return value
 
 
 def from_json(text: str) -> ir.CompiledScenario:

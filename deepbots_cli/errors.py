@@ -15,6 +15,7 @@ Anything outside this tree that reaches the user is a fault of ours.
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -47,7 +48,13 @@ class MissingExtraError(UsageError):
 
     def __init__(self, extra: str, purpose: str) -> None:
         self.extra = extra
-        super().__init__(f"{purpose} needs the '{extra}' extra; install it with: pip install 'deepbots-cli[{extra}]'")
+        super().__init__(f"{purpose} needs the '{extra}' extra; {installing(extra)}")
+
+
+def installing(extra: str, python: tuple[int, int] = sys.version_info[:2]) -> str:
+    """How to install an extra; all of them simulate, and PyBullet has no wheels beyond Python 3.11."""
+    where = "" if python < (3, 12) else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
+    return f"install it{where} with: pip install 'deepbots-cli[{extra}]'"
 
 
 class RunError(UsageError):

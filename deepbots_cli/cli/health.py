@@ -13,7 +13,7 @@ from typing import Literal
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import DeepbotsError, installing
 from deepbots_cli.source import shipped
 
 State = Literal["ok", "missing", "broken"]
@@ -59,7 +59,7 @@ def _extra(extra: str, names: tuple[str, ...]) -> Iterator[Look]:
             missing.append(name)
             yield Look(name, "broken" if extra == "base" else "missing", "not installed")
     if extra != "base":
-        found = f"install it with: pip install 'deepbots-cli[{extra}]'" if missing else "complete"
+        found = installing(extra) if missing else "complete"
         yield Look(f"extra {extra}", "missing" if missing else "ok", found)
 
 

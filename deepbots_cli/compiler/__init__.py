@@ -12,6 +12,7 @@ robots.py       robot files, overrides.py their changes, matching.py patterns an
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
 policy.py       action and observation
 scoring.py      signals, reward, endings, training
+inputs.py       the files that it was made from, as a run keeps copies of them
 resets.py       places and joints at the start
 support.py      what the language has and this version does not run yet
 """
@@ -23,6 +24,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Observations
@@ -33,7 +35,7 @@ from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, trainin
 from deepbots_cli.compiler.support import check_support
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
-from deepbots_cli.diagnostics import Findings
+from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.ir import Evaluation
 from deepbots_cli.lang import agree
 from deepbots_cli.lang.dimensions import TIME
@@ -61,16 +63,9 @@ class Checked:
     namespace: Namespace | None = None
 
     @property
-    def inputs(self) -> dict[str, bytes]:
-        """Every text that was read, the scenario first: a name that is unique, and the bytes."""
-        found: dict[str, bytes] = {}
-        texts = [*self.document.sources, *(robot.file.source for robot in (self.robots or {}).values())]
-        for source in texts:
-            name = source.name.rsplit("/", 1)[-1]
-            while name in found and found[name] != source.text.encode():
-                name = f"_{name}"
-            found[name] = source.text.encode()
-        return found
+    def inputs(self) -> Inputs:
+        """Every file that was read."""
+        return Inputs(self.document, self.robots or {})
 
 
 def check(document: Document) -> Checked:
@@ -88,15 +83,21 @@ def check(document: Document) -> Checked:
 
 
 def _joined(findings: Findings) -> Findings:
-    """A warning about a value that is in error anyway becomes a note of the error."""
-    wrong = {finding.span for finding in findings.errors}
-    odd = {finding.span: finding for finding in findings if finding.severity == "warning" and finding.span in wrong}
+    """A warning about a value that is in error anyway, or about how such a value is spelt, becomes a note of the error."""
+    errors = findings.errors
+    absorbed = {found.sort_key: about for found in findings if (about := [e for e in errors if _absorbs(e, found)])}
     joined = Findings()
     for finding in findings:
-        if finding.severity == "warning" and finding.span in wrong:
-            continue
-        joined.append(replace(finding, notes=(*finding.notes, odd[finding.span].headline)) if finding.span in odd else finding)
+        if finding.sort_key not in absorbed:
+            notes = [found.headline for found in findings if finding in absorbed.get(found.sort_key, [])[:1]]
+            joined.append(replace(finding, notes=(*finding.notes, *notes)))
     return joined
+
+
+def _absorbs(error: Finding, warning: Finding) -> bool:
+    inner, outer = error.span, warning.span
+    spelling = warning.code in ("DB003", "DB004") and inner.source is outer.source and outer.start <= inner.start <= inner.end <= outer.end
+    return warning.severity == "warning" and (inner == outer or spelling)
 
 
 class _Pass:

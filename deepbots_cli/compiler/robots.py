@@ -23,6 +23,7 @@ class RobotScene:
     """A robot of the scenario: its specification, its body as changed by it, and its named groups."""
 
     name: str
+    path: Path
     spec: RobotSpec
     file: RobotFile
     model: RobotModel
@@ -65,7 +66,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, values: Values, s
         return None
     groups = _groups(file.model, spec, path, values)
     model = Overrides(path, groups, values, scope).apply(file.model, spec)
-    return RobotScene(name, spec, file, model, groups)
+    return RobotScene(name, located.resolve(), spec, file, model, groups)
 
 
 def _locate(reference: str, path: NodePath, document: Document, values: Values) -> Path | None:

@@ -2,8 +2,8 @@
 
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
-    ├── inputs/              a copy of every file that the scenario was read from
-    ├── resolved.yaml        the scenario after includes, parameters and overrides
+    ├── inputs/              a copy of every file that the scenario was read from, meshes too
+    ├── resolved.yaml        the scenario after includes and overrides; compiles, from the copies, to the same
     ├── scenario.ir.json     the compiled scenario; its digest names the task
     ├── environment.py       the generated code, to read; it is never run from here
     ├── monitor.csv          a line per episode
@@ -19,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Protocol
 
@@ -30,6 +30,7 @@ from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning import interface
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
 from deepbots_cli.learning.record import Record
+from deepbots_cli.urdf.model import Mesh
 
 ModelName = Literal["best", "last"]
 
@@ -126,7 +127,18 @@ class Run:
             raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
         if not _sensible(ir):
             raise RunError(f"{path / _SCENARIO} holds figures that no scenario of ours does")
-        return Run(path, record, ir)
+        return Run(path, record, _with_own_meshes(path, record, ir))
+
+
+def _with_own_meshes(path: Path, record: Record, ir: CompiledScenario) -> CompiledScenario:
+    """The scenario with the copies of its meshes in the run, which may have moved; the engine compares their digests."""
+    copies = {(digest, PurePosixPath(name).suffix): path / "inputs" / inside(name) for name, digest in record.inputs.items()}
+
+    def own(mesh: Mesh) -> Mesh:
+        copy = copies.get((mesh.digest, Path(mesh.path).suffix))
+        return replace(mesh, path=str(copy.resolve())) if copy is not None and copy.is_file() else mesh
+
+    return canonical.with_meshes(ir, own)
 
 
 def _sensible(ir: CompiledScenario) -> bool:

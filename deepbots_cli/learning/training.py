@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -100,6 +100,7 @@ def train(
     training = _training_of(compiled.ir, total_timesteps)
     if seed < 0:
         raise UsageError(f"seed {seed} is negative; seeds count from 0")
+    _rehearse(compiled.ir, training, build or default_build(engine))
     path = new_directory(run, runs, compiled.ir.name, seed)
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
     record = Record(
@@ -200,6 +201,13 @@ def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
         raise UsageError(f"a training of {training.total_timesteps} steps teaches nothing; ask for at least 1")
     algorithms.check(training)
     return training
+
+
+def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> None:
+    """Fail before there is a run directory, if the world cannot be built or the algorithm refuses its settings."""
+    with closing(build(ir)) as world:
+        copies = Copies([world] * training.environments, [0] * training.environments, on_step=lambda: None, on_episode=lambda episode: None)
+        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps)
 
 
 def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | None, told: Reporter) -> TrainingResult:

@@ -6,6 +6,7 @@ passes see all that is sound, and nothing is reported twice.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -179,9 +180,10 @@ def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) 
 
 
 def _is_about(span: Span, key: str) -> bool:
-    """Whether a finding at `span` marks this key, or its value, or a file that was to be included and may have held it."""
-    before = span.source.text[: span.start].rstrip()
-    return span.text.strip("'\"") == key or before.endswith((f"{key}:", f"{key}':", f'{key}":', "include:"))
+    """Whether a finding at `span` marks this key, its value or an item of it, or a file that was to be included and may have held it."""
+    before = span.source.text[max(0, span.start - 1000) : span.start].rstrip()
+    list_so_far = r"\s*(\[[^][{}:]*|-[^:]*)?$"
+    return span.text.strip("'\"") == key or re.search(rf"\b({re.escape(key)}|include)['\"]?:{list_so_far}", before) is not None
 
 
 def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:

@@ -236,7 +236,7 @@ class _Composer:
             self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help=help)
             return None
         if not isinstance(key.value, str):
-            help = f'put it in quotes: "{key.text}"' if key.text else "write `name: value`"
+            help = traps.help_for_key(key)
             self.findings.add("DB103", key.span, f"a key must be text, but this one is {_KINDS[type(key.value)]}", help=help)
             return None
         return key

@@ -79,6 +79,15 @@ def report_empty(key: Scalar, value: Scalar, flow: bool, findings: Findings) -> 
     findings.add("DB107", key.span, f"`{key.text}` has no value", help=help)
 
 
+def help_for_key(key: Scalar) -> str:
+    """What to do about a key that is no text; one without a colon is what a comma left over."""
+    if not key.text:
+        return "write `name: value`"
+    if not _COLON.match(key.span.source.text, key.span.end):
+        return "a comma inside brackets separates keys; digits are grouped as in 100_000, decimals take a point"
+    return f'put it in quotes: "{key.text}"'
+
+
 def _continues(key: Scalar) -> bool:
     """Whether the next line stands in the column of the key, as if it were meant to belong to it."""
     following = _NEXT_LINE.match(key.span.source.text, key.span.end)

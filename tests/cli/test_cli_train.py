@@ -8,6 +8,7 @@ import pty
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -94,6 +95,13 @@ def test_there_must_be_something_to_train(deepbots):
     assert "deepbots train cartpole" in ran.err
 
 
+def read_until_closed(terminal: int) -> bytes:
+    try:
+        return os.read(terminal, 65_536)
+    except OSError:  # how Linux says that the other end is closed
+        return b""
+
+
 def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
     ours, theirs = pty.openpty()
     words = [*TINY, "--run", "mine", "--json"]
@@ -101,9 +109,13 @@ def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
         [sys.executable, "-m", "deepbots_cli", *words], cwd=tmp_path, stdout=subprocess.PIPE, stderr=theirs, text=True
     )
     os.close(theirs)
+    pieces: list[bytes] = []
+    reading = threading.Thread(target=lambda: pieces.extend(iter(lambda: read_until_closed(ours), b"")))
+    reading.start()  # a terminal holds 4 KiB, beyond which the training would wait for ever
     out, _ = process.communicate(timeout=60)
-    shown = os.read(ours, 65_536).decode()
+    reading.join(timeout=60)
     os.close(ours)
+    shown = b"".join(pieces).decode()
     assert process.returncode == 0, shown
     assert "━" in shown
     assert json.loads(out)["training"]["status"] == "finished"

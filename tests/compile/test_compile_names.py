@@ -122,3 +122,22 @@ def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop
     (finding,) = workshop.lint(cartpole(("100_000", "100_00")))
     assert finding.code == "DB103"
     assert finding.notes == ("`100_00` is text: digits are grouped in threes",)
+
+
+@pytest.mark.parametrize(("old", "new"), [("alive: 1", "alive: 1,5"), ("alive: 1", "alive: 0x10"), ("timestep: 32 ms", "timestep: 0:32")])
+def test_so_does_one_about_a_part_of_the_value(workshop, cartpole, old, new):
+    (finding,) = workshop.lint(cartpole((old, new)))
+    assert finding.severity == "error"
+    assert len(finding.notes) == 1
+
+
+@pytest.mark.parametrize("joints", ["[*wheel]", "[wheel_front_left, *wheel]", "\n          - *wheel"])
+def test_a_star_without_quotes_is_one_finding(workshop, cartpole, joints):
+    text = cartpole(
+        (
+            "wheels: {type: velocity_motor, joints: [wheel_*], max_torque: 10 N*m}",
+            f"wheels:\n        type: velocity_motor\n        joints: {joints}",
+        )
+    )
+    (finding,) = workshop.lint(text)
+    assert (finding.code, finding.span.text) == ("DB001", "*wheel")

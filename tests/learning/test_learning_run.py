@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +14,12 @@ import stand_in
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli import canonical
+from deepbots_cli import api, canonical
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import Evaluation, Solved, WorldModel
 from deepbots_cli.learning import TrainingResult, evaluate, interface, resume, train
 from deepbots_cli.learning.run import Run, inside, new_directory
+from deepbots_cli.source import shipped
 
 
 def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -> None:
@@ -112,6 +114,27 @@ def test_a_symbolic_link_in_a_run_is_not_followed(run_copy: Path, tmp_path: Path
     with pytest.raises(RunError, match="symbolic link"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
     assert victim.read_text() == "precious"
+
+
+def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    project.mkdir()
+    (project / "part.obj").write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    robot = shipped.robot_path("cartpole").read_text().replace('<box size="0.20 0.05 0.08"/>', '<mesh filename="part.obj"/>', 1)
+    (project / "mine.urdf").write_text(robot)
+    scenario = shipped.scenario_path("cartpole").read_text().replace("../robots/urdf/cartpole.urdf", "mine.urdf")
+    (project / "mine.yaml").write_text(scenario)
+    compiled = api.compile(project / "mine.yaml")
+    result = train(compiled, run=tmp_path / "run", total_timesteps=512, build=stand_in.build)
+    shutil.rmtree(project)
+    shutil.move(result.run, tmp_path / "moved")
+    run = Run.open(tmp_path / "moved")
+    meshes: list[str] = []
+    canonical.with_meshes(run.ir, lambda mesh: meshes.append(mesh.path) or mesh)
+    assert meshes == [str(tmp_path / "moved" / "inputs" / "part.obj")]
+    with closing(api.build(run.ir)) as environment:
+        environment.reset(seed=0)
+    assert api.compile(tmp_path / "moved" / "resolved.yaml").digest == run.record.digest
 
 
 VALUES = st.recursive(

@@ -19,7 +19,7 @@ import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
 
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.ir import Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.progress import Lines, Standing
@@ -246,6 +246,13 @@ def test_settings_that_cannot_be_trained_with_are_refused(tmp_path: Path, traini
     with pytest.raises(UsageError, match=reason) as caught:
         short(tmp_path, training=training, build=stand_in.build)
     assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_world_that_cannot_be_built_leaves_no_run_behind(tmp_path: Path) -> None:
+    with pytest.raises(EngineError, match="no equations"):
+        train("cartpole", run=tmp_path / "run", engine="exact")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_scenario_without_a_train_section_is_refused() -> None:
@@ -259,13 +266,13 @@ def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
     made: list[stand_in.CartPole] = []
 
     def build(ir: Any, *, render_mode: str | None = None) -> stand_in.CartPole:
-        made.append((stand_in.CartPole if len(made) < 2 else stand_in.Failing)(ir))
+        made.append((stand_in.CartPole if len(made) < 3 else stand_in.Failing)(ir))
         return made[-1]
 
     short(tmp_path, build=build)
     with pytest.raises(DeepbotsError):
         short(tmp_path, build=build)
-    assert [world.closed for world in made] == [1, 1, 1, 1]
+    assert [world.closed for world in made] == [1] * 6
 
 
 def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -> None:

@@ -6,10 +6,16 @@ import json
 import os
 import subprocess
 import sys
+import sysconfig
 import zipfile
+from importlib.metadata import distribution
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import pytest
+
+import deepbots_cli
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,8 +46,9 @@ def deepbots(installed: Path, folder: Path, *arguments: str) -> subprocess.Compl
 
 def test_the_wheel_holds_scenarios_robots_and_the_schema(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    for wanted in ("data/scenarios/cartpole.yaml", "data/robots/urdf/cartpole.urdf", "data/schemas/deepbots-1.schema.json"):
+    for wanted in ("data/scenarios/cartpole.yaml", "data/robots/urdf/cartpole.urdf", "data/schemas/deepbots-1.schema.json", "py.typed"):
         assert f"deepbots_cli/{wanted}" in names
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
     assert not [name for name in names if name.startswith(("tests/", "docs/"))]
 
 
@@ -51,6 +58,7 @@ def test_the_wheel_names_its_extras_and_command(wheel: Path) -> None:
         text = archive.read(metadata).decode()
         (entry_points,) = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
         commands = archive.read(entry_points).decode()
+    assert f"Version: {deepbots_cli.__version__}\n" in text
     assert "Requires-Python: >=3.11" in text
     assert {"sim", "train", "dev"} <= {line.split()[1] for line in text.splitlines() if line.startswith("Provides-Extra")}
     assert "pybullet" in text
@@ -76,6 +84,35 @@ def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path
     ran = deepbots(installed, tmp_path, "run", str(scenario), "--steps", "20", "--json")
     assert ran.returncode == 0, ran.stderr
     json.loads(ran.stdout)
+
+
+def test_the_wheel_installs_the_command(wheel: Path, tmp_path: Path) -> None:
+    """Pip itself puts the wheel into an environment without anything; the dependencies are lent to it by path."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")], check=True)
+    pip = [sys.executable, "-m", "pip", "--python", str(tmp_path / "venv"), "install", "--no-deps", "--no-index", "-q", str(wheel)]
+    subprocess.run(pip, check=True, capture_output=True, text=True)
+    lent = sysconfig.get_path("purelib")
+    command = f"import sys; sys.path.append({lent!r}); from deepbots_cli.cli import main; sys.exit(main(['lint', 'cartpole']))"
+    script = (tmp_path / "venv" / "bin" / "deepbots").read_text()
+    assert "from deepbots_cli.cli import main" in script
+    done = subprocess.run([tmp_path / "venv" / "bin" / "python", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_editable_install_uses_the_data_of_its_checkout(tmp_path: Path) -> None:
+    """The environment that `make test` sets up is one."""
+    origin = json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}")
+    if not origin.get("dir_info", {}).get("editable"):
+        pytest.skip("the tests run on an installed wheel")
+    checkout = Path(url2pathname(urlsplit(origin["url"]).path))
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    script = "import deepbots_cli; from deepbots_cli.source import shipped; print(deepbots_cli.__file__, shipped.data_dir(), sep='\\n')"
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    package, data = map(Path, done.stdout.splitlines())
+    assert package.parent == checkout / "deepbots_cli"
+    assert data == checkout
+    command = [Path(sysconfig.get_path("scripts")) / "deepbots", "lint", "cartpole"]
+    assert subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False).returncode == 0
 
 
 def test_importing_the_package_loads_nothing_heavy(installed: Path, tmp_path: Path) -> None:

@@ -244,6 +244,14 @@ def test_any_amount_of_repetition_ends_in_one_finding(text: str) -> None:
     assert only(text).code in ("DB001", "DB005")
 
 
+def test_a_number_with_a_comma_in_braces_is_no_key_to_be_quoted() -> None:
+    (finding,) = read("{max_steps: 2,000}")[1]
+    assert (finding.code, finding.span.text) == ("DB103", "000")
+    assert "100_000" in (finding.help or "")
+    (finding,) = read("{3: a}")[1]
+    assert finding.help == 'put it in quotes: "3"'
+
+
 def test_64_levels_are_allowed_and_65_are_not() -> None:
     assert read("[" * 64 + "]" * 64)[1] == []
     assert only("[" * 65 + "]" * 65).code == "DB005"

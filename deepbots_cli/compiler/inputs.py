@@ -1,0 +1,84 @@
+"""The files that a scenario was made from, as a run keeps copies of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePath
+
+from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.errors import UsageError
+from deepbots_cli.source import Document, Entry, Node, Scalar, descend, shipped
+from deepbots_cli.source.merge import replace
+from deepbots_cli.source.text import write as to_yaml
+
+FOLDER = "inputs"
+"""Where the copies lie, beside the resolved scenario."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The files of one scenario: texts, robots and meshes."""
+
+    document: Document
+    robots: Mapping[str, RobotScene]
+
+    @cached_property
+    def names(self) -> dict[Path, str]:
+        """A relative path for the copy of each file, the scenario first."""
+        meshes = [Path(mesh) for robot in self.robots.values() for mesh in robot.file.meshes]
+        return copy_names([*self._texts, *meshes], (shipped.data_dir(), *self.document.roots))
+
+    @property
+    def _texts(self) -> dict[Path, str]:
+        main, files = self.document.source, self.document.files
+        first = next((path for path, source in files.items() if source is main), self.document.base / main.name)
+        robots = {robot.path: robot.file.source.text for robot in self.robots.values()}
+        return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
+
+    def contents(self) -> dict[str, bytes]:
+        """The bytes of every file by the name of its copy.
+
+        Raises:
+            UsageError: A mesh has gone since it was checked.
+        """
+        texts = self._texts
+        return {name: texts[file].encode() if file in texts else _bytes(file) for file, name in self.names.items()}
+
+    def resolved(self) -> str:
+        """The merged scenario as YAML, with the copies as its robot files."""
+        if self.document.root is None:
+            return ""
+        root: Node = self.document.root
+        for name, robot in self.robots.items():
+            path = ("robots", name, "urdf")
+            written, key, _ = descend(root, path)
+            if isinstance(written, Scalar) and key is not None:
+                text = f"{FOLDER}/{self.names[robot.path]}"
+                root = replace(root, path, Entry(key, Scalar(written.span, text, text)))
+        return to_yaml(root)
+
+
+def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:
+    """Names under which files of one home stand to each other as they did, so that a robot finds its meshes.
+
+    Those of the first file's home are at the top, the others in folders of their own.
+    """
+    groups: dict[Path, list[Path]] = {}
+    for file in dict.fromkeys(files):
+        groups.setdefault(next((home for home in homes if file.is_relative_to(home)), file.parent), []).append(file)
+    names: dict[Path, str] = {}
+    for number, members in enumerate(groups.values()):
+        top = os.path.commonpath([file.parent for file in members])
+        folder = f"elsewhere_{number}" if number else ""
+        names |= {file: PurePath(folder, file.relative_to(top)).as_posix() for file in members}
+    return names
+
+
+def _bytes(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error
