@@ -23,6 +23,9 @@ from deepbots_cli.source.nodes import Mapping, Node, Scalar, descend, to_data, w
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
 
+# Characters before a value in which its key stands.
+_LOOKED_BACK = 200
+
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,
@@ -180,7 +183,8 @@ def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) 
 
 def _is_about(span: Span, key: str) -> bool:
     """Whether a finding at `span` marks this key, or its value, or a file that was to be included and may have held it."""
-    before = span.source.text[: span.start].rstrip()
+    # Not all of the text before it: with tens of thousands of findings the copies took minutes.
+    before = span.source.text[max(0, span.start - _LOOKED_BACK) : span.start].rstrip()
     return span.text.strip("'\"") == key or before.endswith((f"{key}:", f"{key}':", f'{key}":', "include:"))
 
 
