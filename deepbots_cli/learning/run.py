@@ -29,6 +29,7 @@ from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning import interface
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
 from deepbots_cli.learning.record import Record, deepbots_version
+from deepbots_cli.urdf.soundness import is_sound, is_sound_shape
 
 ModelName = Literal["best", "last"]
 
@@ -117,6 +118,10 @@ class Run:
         linked = next((name for name in _MEMBERS if (path / name).is_symlink()), None)
         if linked:
             raise RunError(f"{path / linked} is a symbolic link, which no run of ours holds")
+        # Opening a pipe waits for ever.
+        odd = next((name for name in _MEMBERS if not _is_plain(path / name)), None)
+        if odd:
+            raise RunError(f"{path / odd} is neither a file nor a directory, which no run of ours holds")
         try:
             ir = canonical.from_json(read_bytes(path / _SCENARIO, _SCENARIO_LIMIT).decode())
         except (DeepbotsError, ValueError) as error:
@@ -124,14 +129,19 @@ class Run:
         if canonical.digest(ir) != record.digest or interface.digest(ir) != record.interface:
             raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
         if not _sensible(ir):
-            raise RunError(f"{path / _SCENARIO} holds figures that no scenario of ours does")
+            raise RunError(f"{path / _SCENARIO} holds figures or bodies that no scenario of ours does")
         return Run(path, record, ir)
 
 
+def _is_plain(path: Path) -> bool:
+    return path.is_file() or path.is_dir() or not path.exists()
+
+
 def _sensible(ir: CompiledScenario) -> bool:
-    """Whether the figures that learning itself computes with are in the range that compiling leaves them in."""
+    """Whether the figures that learning itself computes with, and the bodies, are such as compiling leaves them."""
     windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
-    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows)
+    bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(thing.shape, thing.mass) for thing in ir.world.objects]
+    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows) and all(bodies)
 
 
 def new_directory(wanted: Path | None, parent: Path, scenario: str, seed: int) -> Path:
