@@ -78,6 +78,12 @@ class Run:
     def model(self, name: ModelName) -> Path:
         return self.path / "models" / f"{name}.npz"
 
+    @property
+    def stillborn(self) -> bool:
+        """Whether the training was ended before its first step, so that going on means beginning."""
+        kept = (self.checkpoint, self.model("best"), self.model("last"))
+        return self.record.status != "finished" and not any(path.exists() for path in kept)
+
     def update(self, **changes: Any) -> None:
         """Change entries of the record, here and on disk."""
         self.record = self.record.changed(**changes)
