@@ -24,6 +24,11 @@ from deepbots_cli.urdf.model import Pose, RobotModel, Shape, Vector
 
 IR_VERSION = 1
 
+# What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
+MOST_BODIES = 500
+MOST_SUBSTEPS = 10_000
+MOST_SETTLING_STEPS = 100_000
+
 MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
 Timing = Literal["immediate", "paper"]
 Outcome = Literal["success", "failure"]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tempfile
+import threading
 import traceback
 from collections.abc import Callable
+from types import FrameType
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
@@ -17,6 +20,8 @@ FAILED, WRONG, FAULT, INTERRUPTED = 1, 2, 3, 130
 def guarded(run: Callable[[], object]) -> int:
     """Call `run`, tell what goes wrong, and return the exit code."""
     terminal.prepare()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _interrupt)
     try:
         code = _told(run)
         sys.stdout.flush()
@@ -25,6 +30,11 @@ def guarded(run: Callable[[], object]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = FAILED
     return code
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """SIGTERM ends a command as Ctrl-C does: what is open is closed, and a run knows that it was interrupted."""
+    raise KeyboardInterrupt
 
 
 def _told(run: Callable[[], object]) -> int:

@@ -36,7 +36,7 @@ from deepbots_cli.compiler.support import check_support
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.ir import Evaluation
+from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
 from deepbots_cli.lang import agree
 from deepbots_cli.lang.dimensions import TIME
 from deepbots_cli.lang.types import Context, Stage, Symbol
@@ -203,4 +203,8 @@ class _Pass:
         if abs(settle - round(settle / tick) * tick) > 1e-9 * settle:
             headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
             self.values.findings.add("DB308", self.values.span(path), headline, help="the world moves on in whole timesteps")
+        steps = settle / tick * self.spec.world.substeps
+        if steps > MOST_SETTLING_STEPS:
+            headline = f"a settling time of {settle:g} s, which is more than {MOST_SETTLING_STEPS:_} physics steps in every reset"
+            self.values.findings.add("DB105", self.values.span(path), headline, help="a few seconds are usual")
         return settle

@@ -32,6 +32,7 @@ class WorldBuilder:
 
     def build(self, robots: list[RobotScene]) -> ir.WorldModel:
         spec = self._spec.world
+        self._check_bodies()
         timestep = self._values.number(("world", "timestep"), spec.timestep, TIME, self._scope)
         if timestep is not None:
             self._check_timestep(timestep)
@@ -51,6 +52,13 @@ class WorldBuilder:
             tuple(ir.RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
             tuple(body for name, spec in self._spec.objects.items() if (body := self._object(name, spec)) is not None),
         )
+
+    def _check_bodies(self) -> None:
+        counts = {"robots": len(self._spec.robots), "objects": len(self._spec.objects)}
+        if sum(counts.values()) > ir.MOST_BODIES:
+            more = max(counts, key=lambda section: counts[section])
+            headline = f"the world has {sum(counts.values()):_} robots and objects, more than {ir.MOST_BODIES}"
+            self._values.findings.add("DB005", self._values.key_span((more,)), headline, help="an engine would take minutes to build it")
 
     def _check_timestep(self, timestep: float) -> None:
         code = None if _SHORT <= timestep <= _LONG else "DB505" if _SHORTEST <= timestep <= _LONGEST else "DB105"

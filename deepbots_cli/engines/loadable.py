@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from hashlib import sha256
+from hashlib import file_digest
 from pathlib import Path
 
 from deepbots_cli.errors import EngineError
@@ -11,6 +11,7 @@ from deepbots_cli.urdf.model import Geometry, Inertial, Joint, Limit, Mesh, Robo
 
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 NOWHERE = 1e9  # rad or m; the open end of a range with one end
+MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
 UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
 
 
@@ -18,12 +19,16 @@ def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
     """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
 
     Raises:
-        EngineError: A joint or a free base moves nothing that has mass, or is of a kind that is not supported.
+        EngineError: There are too many joints; a joint or a free base moves nothing that has mass, or is of a kind that is
+            not supported.
     """
+    if len(model.joints) > MOST_JOINTS:
+        raise EngineError(f"'{name}' has {len(model.joints)} joints, and PyBullet holds {MOST_JOINTS} at most, fixed ones included")
+    carried = _carried(model)
     for joint in model.joints:
         if joint.type in ("floating", "planar"):
             raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
-        if joint.moves and _carried(model, joint.child) <= 0.0:
+        if joint.moves and carried[joint.child] <= 0.0:
             raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):
@@ -31,10 +36,18 @@ def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
     return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
 
 
-def _carried(model: RobotModel, link: str) -> float:
-    """Mass (kg) of a link and of all that hangs on it."""
-    inertial = model.link(link).inertial
-    return (inertial.mass if inertial else 0.0) + sum(_carried(model, joint.child) for joint in model.joints if joint.parent == link)
+def _carried(model: RobotModel) -> dict[str, float]:
+    """Of each link by name, the mass (kg) of it and of all that hangs on it."""
+    mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in model.links}
+    below: dict[str, list[str]] = {name: [] for name in mass}
+    for joint in model.joints:
+        below[joint.parent].append(joint.child)
+    order = [model.root]
+    for link in order:  # parents first; a chain of links may be longer than Python's stack
+        order += below[link]
+    for link in reversed(order):
+        mass[link] += sum(mass[child] for child in below[link])
+    return mass
 
 
 def dressed(model: RobotModel) -> RobotModel:
@@ -71,8 +84,12 @@ def _closed(joint: Joint) -> Limit:
 def _require_unchanged(geometry: Geometry) -> None:
     mesh = geometry.shape
     if isinstance(mesh, Mesh):
+        path = Path(mesh.path)
+        if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
+            raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
         try:
-            digest = sha256(Path(mesh.path).read_bytes()).hexdigest()
+            with path.open("rb") as file:
+                digest = file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
         if digest != mesh.digest:

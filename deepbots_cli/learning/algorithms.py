@@ -5,9 +5,11 @@ Our defaults suit small networks and light worlds on a CPU; every other figure i
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
@@ -33,7 +35,9 @@ _ACTIVATIONS: Mapping[str, type[nn.Module]] = {
 }
 _WIDEST_LAYER = 8192
 _MOST_LAYERS = 16
+_MOST_WEIGHTS = 50_000_000  # of one network; with gradients and moments, actor and critic then take 1.6 GB
 _MOST_COPIES = 1024
+_BYTES_PER_COPY = 29_000_000  # of a cart-pole in PyBullet
 
 
 @dataclass(frozen=True)
@@ -121,8 +125,25 @@ def check(training: Training) -> None:
     hidden = training.policy.hidden
     if len(hidden) > _MOST_LAYERS or not all(1 <= width <= _WIDEST_LAYER for width in hidden):
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers of 1 to {_WIDEST_LAYER} units")
+    if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
+        raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:_} weights")
     if training.policy.activation not in _ACTIVATIONS:
         raise UsageError(_unknown("activation", training.policy.activation, _ACTIVATIONS))
+
+
+def check_memory(copies: int, memory: int | None = None) -> None:
+    """Whether so many worlds fit into this machine; `memory` in bytes, by default all that it has.
+
+    Raises:
+        UsageError: They do not.
+    """
+    if memory is None:
+        if not hasattr(os, "sysconf"):  # not on Windows
+            return
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    needed = copies * _BYTES_PER_COPY
+    if needed > memory:
+        raise UsageError(f"{copies} environments need about {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB")
 
 
 def _entry(name: str) -> Algorithm:

@@ -31,6 +31,7 @@ from deepbots_cli.learning import interface
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
 from deepbots_cli.learning.record import Record
 from deepbots_cli.urdf.model import Mesh
+from deepbots_cli.urdf.soundness import is_sound, is_sound_shape
 
 ModelName = Literal["best", "last"]
 
@@ -79,6 +80,12 @@ class Run:
     def model(self, name: ModelName) -> Path:
         return self.path / "models" / f"{name}.npz"
 
+    @property
+    def stillborn(self) -> bool:
+        """Whether the training was ended before its first step, so that going on means beginning."""
+        kept = (self.checkpoint, self.model("best"), self.model("last"))
+        return self.record.status != "finished" and not any(path.exists() for path in kept)
+
     def update(self, **changes: Any) -> None:
         """Change entries of the record, here and on disk."""
         self.record = self.record.changed(**changes)
@@ -119,6 +126,10 @@ class Run:
         linked = next((name for name in _MEMBERS if (path / name).is_symlink()), None)
         if linked:
             raise RunError(f"{path / linked} is a symbolic link, which no run of ours holds")
+        # Opening a pipe waits for ever.
+        odd = next((name for name in _MEMBERS if not _is_plain(path / name)), None)
+        if odd:
+            raise RunError(f"{path / odd} is neither a file nor a directory, which no run of ours holds")
         try:
             ir = canonical.from_json(read_bytes(path / _SCENARIO, _SCENARIO_LIMIT).decode())
         except (DeepbotsError, ValueError) as error:
@@ -126,7 +137,7 @@ class Run:
         if canonical.digest(ir) != record.digest or interface.digest(ir) != record.interface:
             raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
         if not _sensible(ir):
-            raise RunError(f"{path / _SCENARIO} holds figures that no scenario of ours does")
+            raise RunError(f"{path / _SCENARIO} holds figures or bodies that no scenario of ours does")
         return Run(path, record, _with_own_meshes(path, record, ir))
 
 
@@ -141,10 +152,15 @@ def _with_own_meshes(path: Path, record: Record, ir: CompiledScenario) -> Compil
     return canonical.with_meshes(ir, own)
 
 
+def _is_plain(path: Path) -> bool:
+    return path.is_file() or path.is_dir() or not path.exists()
+
+
 def _sensible(ir: CompiledScenario) -> bool:
-    """Whether the figures that learning itself computes with are in the range that compiling leaves them in."""
+    """Whether the figures that learning itself computes with, and the bodies, are such as compiling leaves them."""
     windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
-    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows)
+    bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(thing.shape, thing.mass) for thing in ir.world.objects]
+    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows) and all(bodies)
 
 
 def new_directory(wanted: Path | None, parent: Path, scenario: str, seed: int) -> Path:

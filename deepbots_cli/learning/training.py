@@ -159,14 +159,16 @@ def resume(
     known = Run.open(run)
     record = known.record
     training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
-    state = weights.read_state(known.checkpoint)
     statistics = Statistics(known.ir.world.timestep, known.ir.solved)
-    statistics.restore(state)
+    best = None
+    if not known.stillborn:
+        state = weights.read_state(known.checkpoint)
+        statistics.restore(state)
+        best = None if state.data.get("best_return") is None else state.number("best_return")
     if statistics.steps >= training.total_timesteps:
         raise UsageError(
             f"{run} has trained {statistics.steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
         )
-    best = None if state.data.get("best_return") is None else state.number("best_return")
     known.update(
         status="running",
         resumed_at=(*record.resumed_at, statistics.steps),
@@ -200,6 +202,7 @@ def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
     if training.total_timesteps < 1:
         raise UsageError(f"a training of {training.total_timesteps} steps teaches nothing; ask for at least 1")
     algorithms.check(training)
+    algorithms.check_memory(training.environments)
     return training
 
 
@@ -229,6 +232,9 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | Non
             keeper.keep_best(model)
             keeper.keep_last(model)
             told.update(watch.standing())
+    except KeyboardInterrupt:
+        # Before the first step, or while models were written: files are whole, so there is something to go on from.
+        status = "interrupted"
     finally:
         result = TrainingResult(
             run=run.path,

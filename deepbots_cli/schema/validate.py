@@ -24,6 +24,9 @@ from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, descend, to_d
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
 
+# Characters before a value in which its key stands.
+_LOOKED_BACK = 400
+
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,
@@ -181,7 +184,8 @@ def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) 
 
 def _is_about(span: Span, key: str) -> bool:
     """Whether a finding at `span` marks this key, its value or an item of it, or a file that was to be included and may have held it."""
-    before = span.source.text[max(0, span.start - 1000) : span.start].rstrip()
+    # Not all of the text before it: with tens of thousands of findings the copies took minutes.
+    before = span.source.text[max(0, span.start - _LOOKED_BACK) : span.start].rstrip()
     list_so_far = r"\s*(\[[^][{}:]*|-[^:]*)?$"
     return span.text.strip("'\"") == key or re.search(rf"\b({re.escape(key)}|include)['\"]?:{list_so_far}", before) is not None
 

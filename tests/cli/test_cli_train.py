@@ -121,6 +121,15 @@ def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
     assert json.loads(out)["training"]["status"] == "finished"
 
 
+def test_a_terminated_evaluation_ends_like_ctrl_c(trained, tmp_path):
+    command = [sys.executable, "-m", "deepbots_cli", "eval", "mine", "--episodes", "100000"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(6.0)
+    process.terminate()
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err.strip()) == (130, "interrupted")
+
+
 def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(tmp_path):
     command = [sys.executable, "-m", "deepbots_cli", "train", "cartpole", "--full", "--timesteps", "10000000", "--run", "mine"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

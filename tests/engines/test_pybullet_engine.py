@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import runpy
 import subprocess
@@ -208,6 +209,32 @@ def test_what_moves_without_mass_is_refused_by_name(worlds, build):
     for model, fixed, name in ((wheel, True, "axle"), (RobotModel("r", (Link("base"),), (), root="base"), False, "base")):
         with pytest.raises(EngineError, match=f"'{name}'"):
             build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=fixed),)))
+
+
+def robot_of(joints: int, kind: str) -> RobotModel:
+    """A chain of links, the last of which turns."""
+    links = tuple(Link(f"link{index}", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1)) for index in range(joints + 1))
+    chain = (Joint(f"joint{index}", kind, f"link{index - 1}", f"link{index}") for index in range(1, joints))
+    last = Joint("last", "continuous", f"link{joints - 1}", f"link{joints}")
+    return RobotModel("r", links, (*chain, last), root="link0")
+
+
+@pytest.mark.parametrize(("joints", "kind"), [(128, "fixed"), (128, "continuous"), (998, "continuous")])
+def test_a_robot_of_more_joints_than_pybullet_can_read_is_refused_by_name(build, joints, kind):
+    with pytest.raises(EngineError, match=f"'robot' has {joints} joints"):
+        build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", robot_of(joints, kind)),)))
+
+
+def test_a_robot_of_as_many_joints_as_pybullet_can_read_is_built(build):
+    engine = build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", robot_of(127, "fixed")),)))
+    assert engine.joint_states("robot", ["last"])()[0][:2] == (0.0, 0.0)
+
+
+def test_a_pipe_in_place_of_a_mesh_is_not_waited_for(tmp_path, build):
+    os.mkfifo(tmp_path / "stone.obj")
+    for path in (str(tmp_path / "stone.obj"), "/dev/zero", "a\0b"):
+        with pytest.raises(EngineError, match="cannot be read"):
+            build("pybullet", WorldModel(0.02, 4, objects=(ObjectBody("stone", Mesh(path, "0" * 64), mass=1.0),)))
 
 
 def test_a_mesh_is_loaded_only_while_it_is_the_one_that_was_checked(tmp_path, build):

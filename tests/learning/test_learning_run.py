@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api, canonical
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import Evaluation, Solved, WorldModel
+from deepbots_cli.ir import CompiledScenario, Evaluation, RobotBody, Solved, WorldModel
 from deepbots_cli.learning import TrainingResult, evaluate, interface, resume, train
 from deepbots_cli.learning.run import Run, inside, new_directory
 from deepbots_cli.source import shipped
+from deepbots_cli.urdf.model import Geometry, Inertial, Joint, Link, RobotModel, Sphere
 
 
 def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -> None:
@@ -100,8 +101,7 @@ def test_a_scenario_that_was_changed_after_the_training_is_refused(run_copy: Pat
 )
 def test_a_forged_scenario_with_senseless_figures_is_refused(run_copy: Path, changes: dict[str, object]) -> None:
     forged = replace(stand_in.scenario(), **changes)  # type: ignore[arg-type]
-    (run_copy / "scenario.ir.json").write_text(canonical.to_json(forged))
-    edit(run_copy, digest=canonical.digest(forged), interface=interface.digest(forged))
+    forge(run_copy, forged)
     with pytest.raises(RunError, match="figures"):
         Run.open(run_copy)
 
@@ -135,6 +135,42 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     with closing(api.build(run.ir)) as environment:
         environment.reset(seed=0)
     assert api.compile(tmp_path / "moved" / "resolved.yaml").digest == run.record.digest
+
+
+@pytest.mark.parametrize("name", ["monitor.csv", "models/last.npz"])
+def test_a_pipe_in_a_run_is_not_waited_for(run_copy: Path, name: str) -> None:
+    (run_copy / name).unlink()
+    os.mkfifo(run_copy / name)
+    with pytest.raises(RunError, match="neither a file nor a directory"):
+        Run.open(run_copy)
+
+
+LINK = Link("base", Inertial(1.0))
+HINGE = Joint("hinge", "continuous", "base", "arm")
+
+
+@pytest.mark.parametrize(
+    ("links", "joints", "root"),
+    [
+        ((LINK, Link("arm", Inertial(1.0))), (replace(HINGE, name="x" * 100_000),), "base"),
+        ((LINK, Link("arm\ud800", Inertial(1.0))), (replace(HINGE, child="arm\ud800"),), "base"),
+        ((LINK,), (HINGE,), "base"),
+        ((LINK, LINK), (), "base"),
+        ((LINK,), (), "arm"),
+        ((LINK,), (replace(HINGE, child="base"),), "base"),
+        ((Link("base", Inertial(-1.0)),), (), "base"),
+        ((Link("base", Inertial(1e308)),), (), "base"),
+        ((Link("base", Inertial(1.0), collisions=(Geometry(Sphere(-1.0)),)),), (), "base"),
+    ],
+    ids=["long name", "no text", "no child", "link twice", "no root", "circle", "negative mass", "huge mass", "negative size"],
+)
+def test_a_forged_robot_that_would_end_the_process_is_refused(
+    run_copy: Path, links: tuple[Link, ...], joints: tuple[Joint, ...], root: str
+) -> None:
+    world = WorldModel(0.02, 1, robots=(RobotBody("robot", RobotModel("robot", links, joints, root)),))
+    forge(run_copy, replace(stand_in.scenario(), world=world))
+    with pytest.raises(RunError, match="figures or bodies"):
+        Run.open(run_copy)
 
 
 VALUES = st.recursive(
@@ -187,6 +223,12 @@ def refusal(path: Path) -> str:
     except RunError as error:
         return str(error)
     return ""
+
+
+def forge(path: Path, scenario: CompiledScenario) -> None:
+    """Another scenario in the run, with digests that fit."""
+    (path / "scenario.ir.json").write_text(canonical.to_json(scenario))
+    edit(path, digest=canonical.digest(scenario), interface=interface.digest(scenario))
 
 
 def edit(path: Path, **changes: object) -> None:

@@ -21,7 +21,7 @@ from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.ir import Hyperparameter, Policy, Schedule, Solved, Training
-from deepbots_cli.learning import TrainingResult, evaluate, resume, train
+from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
 from deepbots_cli.learning.progress import Lines, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
@@ -317,3 +317,33 @@ def python(code: str, *arguments: str, folder: Path) -> str:
 def test_results_are_json_and_text(trained: TrainingResult) -> None:
     assert json.loads(json.dumps(to_json(trained)))["run"] == str(trained.run)
     assert str(trained.run) in training_text(trained)
+
+
+def test_networks_that_no_memory_holds_are_refused_before_they_are_built() -> None:
+    training = Training("PPO", 100, policy=Policy((8192,) * 16))
+    with pytest.raises(UsageError, match="weights"):
+        algorithms.check(training)
+
+
+def test_more_worlds_than_the_memory_holds_are_refused_before_they_are_built() -> None:
+    algorithms.check_memory(8, memory=10**9)
+    with pytest.raises(UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"):
+        algorithms.check_memory(1024, memory=8 * 10**9)
+
+
+def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_path: Path) -> None:
+    def interrupted(*arguments: Any, **settings: Any) -> Any:
+        raise KeyboardInterrupt
+
+    result = short(tmp_path, build=interrupted)
+    assert (result.status, result.steps) == ("interrupted", 0)
+    assert json.loads((result.run / "run.json").read_text())["status"] == "interrupted"
+    gone_on = resume(result.run, build=stand_in.build)
+    assert gone_on.weights_digest == short(tmp_path, build=stand_in.build).weights_digest
+
+
+def test_a_finished_run_without_its_checkpoint_is_damaged_and_not_begun_again(run_copy: Path) -> None:
+    for name in ("checkpoint.npz", "models/best.npz", "models/last.npz"):
+        (run_copy / name).unlink()
+    with pytest.raises(RunError, match="checkpoint"):
+        resume(run_copy, total_timesteps=100_000, build=stand_in.build)

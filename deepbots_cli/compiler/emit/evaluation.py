@@ -16,6 +16,8 @@ from deepbots_cli.ir import CompiledScenario, Ending, Observed
 from deepbots_cli.lang.emit import operand
 from deepbots_cli.lang.scalar import Name, World, names_in
 
+_SUMMANDS = 100
+
 
 class EvaluationPrinter:
     """Prints the evaluation of one scenario, for a tick or for the moment after a reset."""
@@ -109,8 +111,14 @@ class EvaluationPrinter:
             printer.line(f"{self.local('ended')} = self.terminated or self.truncated")
         for term in terms:
             printer.assign(f"self.term_{term.name}", term.value)
-        total = " + ".join(f"self.term_{term.name}" for term in terms) or "0.0"
-        printer.line(f"self.reward = reward = {total}")
+        # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
+        parts = [
+            " + ".join(f"self.term_{term.name}" for term in part)
+            for part in (terms[i : i + _SUMMANDS] for i in range(0, len(terms), _SUMMANDS))
+        ]
+        for index, part in enumerate(parts[:-1]):
+            printer.line(f"reward = {'reward + ' if index else ''}{part}")
+        printer.line(f"self.reward = reward = {'reward + ' if len(parts) > 1 else ''}{parts[-1] if parts else '0.0'}")
         printer.line("if not -1e300 < reward < 1e300:")
         printer.line("    self._not_finite()")
 

@@ -15,7 +15,7 @@ from dataclasses import fields, is_dataclass
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import Choices, CompiledScenario
+from deepbots_cli.ir import MOST_BODIES, MOST_SETTLING_STEPS, MOST_SUBSTEPS, Choices, CompiledScenario
 from deepbots_cli.lang.emit import PYTHON
 from deepbots_cli.lang.scalar import Draw, Name, Op, State, World
 from deepbots_cli.lang.state import RULES
@@ -67,6 +67,14 @@ def _require_figures(scenario: CompiledScenario) -> None:
     for seconds, what in spans:
         if not 0.0 <= seconds / timestep < _MOST_TICKS:
             raise CanonicalError(f"{what} of {seconds} s")
+    if not 1 <= scenario.world.substeps <= MOST_SUBSTEPS:
+        raise CanonicalError(f"{scenario.world.substeps} substeps")
+    if scenario.reset.settle / timestep * scenario.world.substeps > MOST_SETTLING_STEPS * (1 + 1e-9):
+        raise CanonicalError(f"settle of {scenario.reset.settle} s")
+    if len(scenario.world.robots) + len(scenario.world.objects) > MOST_BODIES:
+        raise CanonicalError(f"more than {MOST_BODIES} bodies")
+    if scenario.truncation.max_steps is None and scenario.truncation.max_time is None:
+        raise CanonicalError("episodes without a limit")
     for entry in scenario.observation:
         if not 1e-300 < entry.high - entry.low < 1e300:
             raise CanonicalError(f"'{entry.name[:40]}' is observed from {entry.low} to {entry.high}")
