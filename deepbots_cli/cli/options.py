@@ -17,6 +17,13 @@ def known_engine(name: str | None) -> str | None:
     return name
 
 
+def small_enough(seed: int | None) -> int | None:
+    """A callback: refuses a seed that a run could not record. As a bound of the option it would fill the help with its digits."""
+    if seed is not None and seed >= 2**63:
+        raise typer.BadParameter(f"{seed} is too large; the largest seed is {2**63 - 1}")
+    return seed
+
+
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A file, or the name of a scenario that comes with deepbots.")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value, such as fall_angle=10deg; may be repeated.")
@@ -26,7 +33,7 @@ AllowPaths = Annotated[
     typer.Option("--allow-path", metavar="DIR", help="A folder outside the project that may be read from; may be repeated."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, max=2**63 - 1, help="The root of every random number.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of every random number.")]
 Engine = Annotated[
     str, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet, or exact where equations are known.")
 ]

@@ -34,6 +34,10 @@ _KEPT = (
 )
 
 
+MOST_STEPS = 10**12
+"""A goal beyond any training; what is far larger could not be read back from the record of the run."""
+
+
 @dataclass(frozen=True)
 class TrainingResult:
     """How a training ended.
@@ -98,8 +102,8 @@ def train(
     """
     compiled = _compiled(scenario)
     training = _training_of(compiled.ir, total_timesteps)
-    if seed < 0:
-        raise UsageError(f"seed {seed} is negative; seeds count from 0")
+    if not 0 <= seed < 2**63:
+        raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     _rehearse(compiled.ir, training, build or default_build(engine))
     path = new_directory(run, runs, compiled.ir.name, seed)
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
@@ -201,6 +205,8 @@ def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
     training = ir.training if total_timesteps is None else replace(ir.training, total_timesteps=total_timesteps)
     if training.total_timesteps < 1:
         raise UsageError(f"a training of {training.total_timesteps} steps teaches nothing; ask for at least 1")
+    if training.total_timesteps > MOST_STEPS:
+        raise UsageError(f"a training of {training.total_timesteps} steps would never end; ask for at most {MOST_STEPS}")
     algorithms.check(training)
     algorithms.check_memory(training.environments)
     return training

@@ -85,6 +85,14 @@ def test_a_scenario_with_errors_is_shown_in_full_by_every_verb(deepbots, verb):
     assert "^^^^" in ran.err
 
 
+@pytest.mark.parametrize("words", [["run", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]])
+def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(deepbots, words):
+    ran = deepbots(*words, "--seed", 10**20)
+    assert (ran.code, ran.out) == (2, "")
+    assert "is too large" in ran.err
+    assert "9223372036854775807" not in deepbots(words[0], "--help").out
+
+
 def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

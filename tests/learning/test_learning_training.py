@@ -347,3 +347,10 @@ def test_a_finished_run_without_its_checkpoint_is_damaged_and_not_begun_again(ru
         (run_copy / name).unlink()
     with pytest.raises(RunError, match="checkpoint"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
+
+
+@pytest.mark.parametrize("figures", [{"seed": -1}, {"seed": 2**63}, {"total_timesteps": 10**20}])
+def test_a_run_whose_figures_could_not_be_read_back_is_refused_before_it_is_made(tmp_path: Path, figures: dict[str, int]) -> None:
+    with pytest.raises(UsageError, match=str(abs(next(iter(figures.values()))))):
+        train(stand_in.compiled(), runs=tmp_path, build=stand_in.build, **figures)
+    assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import AllowPaths, Json
+from deepbots_cli.cli.options import AllowPaths, Json, small_enough
 from deepbots_cli.learning import report
 
 
@@ -20,7 +20,8 @@ def command(
         int | None, typer.Option("--episodes", metavar="N", min=1, help="How many; the scenario's figure by default.")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", min=0, help="The root of the starts; the training's by default.")
+        int | None,
+        typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of the starts; the training's by default."),
     ] = None,
     last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best.")] = False,
     video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Film the first episode.")] = None,

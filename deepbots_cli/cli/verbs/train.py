@@ -11,7 +11,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.options import AllowPaths, Json, Sets, known_engine
+from deepbots_cli.cli.options import AllowPaths, Json, Sets, known_engine, small_enough
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 def command(
     scenario: Annotated[str | None, typer.Argument(metavar="SCENARIO", help="A file, or the name of a shipped scenario.")] = None,
     sets: Sets = None,
-    seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="The root of every random number; 0 by default.")] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of every random number; 0 by default.")
+    ] = None,
     timesteps: Annotated[int | None, typer.Option("--timesteps", metavar="N", min=1, help="Train for so many steps in all.")] = None,
     run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="The run directory to make; by default one in ./runs.")] = None,
     resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
