@@ -1,6 +1,7 @@
 # What there is to do here; `make help` lists it. The first use of a target sets up .venv, which takes a few minutes.
 
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+# Without either the name stays, so that what is missing can be told.
+PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
@@ -43,7 +44,7 @@ clean: ## remove .venv and what tools leave behind; runs stay
 	find deepbots_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/made:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || \
 		{ echo "Python 3.11 is needed, for which the simulator is built; name one with: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	@touch $@

@@ -1,0 +1,33 @@
+"""What `make` says on a machine that lacks what it needs."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+OTHER_PYTHON = "#!/bin/sh\nexit 1\n"
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
+@pytest.mark.parametrize("pythons", [(), ("python3",)], ids=["no python at all", "another python"])
+def test_without_python_3_11_make_says_so_in_one_sentence_and_begins_nothing(tmp_path: Path, pythons: tuple[str, ...]) -> None:
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / "sh").symlink_to("/bin/sh")
+    for name in pythons:
+        (tools / name).write_text(OTHER_PYTHON)
+        (tools / name).chmod(0o755)
+    (tmp_path / "pyproject.toml").write_text("")
+    make = shutil.which("make")
+    assert make is not None
+    command = [make, "-f", str(ROOT / "Makefile"), "train"]
+    done = subprocess.run(command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    first, *rest = done.stderr.splitlines()
+    assert first.startswith("Python 3.11 is needed")
+    assert len(rest) == 1  # make's own line on the target that failed
+    assert not (tmp_path / ".venv").exists()
