@@ -75,6 +75,8 @@ def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None
         return "a parenthesis that was never opened", None
     if token.kind is TokenKind.SIGN and token.text != "(":
         return f"`{shown}` in an odd place", _INSTEAD.get(token.text)
+    if token.text == "(" and stream[at - 1].kind is TokenKind.NAME:
+        return "an operator is missing before `(`", "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
     numbers = token.kind is TokenKind.NUMBER and stream[at - 1].kind is TokenKind.NUMBER
     help = "a vector within a larger expression is written `vector(a, b, c)`" if numbers else None
     return f"an operator is missing before `{shown}`", help

@@ -149,8 +149,14 @@ def _trouble(root: Mapping, data: Any, line: Any) -> _Trouble:
         return _Trouble(kind, path, headline, context["help"], context["missing"], at_key=at_key or kind in ("DB102", "DB107"))
     node = descend(root, path)[0]
     expected = context.get("expected") or expected_at(data, path)
-    help = context.get("help") or keys_of(spec_at(Scenario, data, path))
+    help = _glued_key(node) or context.get("help") or keys_of(spec_at(Scenario, data, path))
     return _Trouble("DB103", path, f"expected {expected}, found {describe(node)}", help, at_key=at_key)
+
+
+def _glued_key(node: Node) -> str | None:
+    """What to write in place of `key:value`, which YAML takes for one text."""
+    glued = re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", node.text) if isinstance(node, Scalar) and node.style == "plain" else None
+    return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`" if glued else None
 
 
 def _steps(root: Mapping, loc: Path) -> tuple[Path, bool]:

@@ -86,6 +86,7 @@ REFUSED = [
     ("x // 2", "//", "`/`"),
     ("x 1 2", "1", None),
     ("3 sin(angle)", "sin", None),
+    ("math.fabs(angle) > 1 deg", "(", "plain names"),
     ("x +", "", None),
     ("(x", "(", None),
     ("x)", ")", None),

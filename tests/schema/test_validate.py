@@ -42,6 +42,15 @@ FAULTS = [
         "expected a length with 2 components, found a list",
         "in one text, like `0.5 0.5 m`",
     ),
+    ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "followed by a space: `alive: 1`"),
+    (
+        "x:               -0.4 .. 0.4 m",
+        "x: [-0.4, 0.4]",
+        "DB103",
+        "[-0.4, 0.4]",
+        "expected a mapping or a range, found a list",
+        "like `-1 .. 1`",
+    ),
     ("alive: 1", "alive: [1]", "DB103", "[1]", "expected a mapping or an expression, found a list", None),
     (
         "fallen:    abs(cart.pole_angle) > fall_angle",
