@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -76,11 +77,16 @@ class Watch(BaseCallback):
         self.told = told
         self.interruption = interruption
         self.total = total
+        self._has_success = any(ending.outcome == "success" for ending in run.ir.endings)
         # A task that an earlier part of this run has solved is trained on for its own sake.
         self._until_solved = run.record.stop_when_solved and self.statistics.solved_at is None
         self._beat = max(1, min(2_000, total // 100))
         self._next_beat = self.statistics.steps
         self._next_checkpoint = 0.0
+
+    def _on_training_start(self) -> None:
+        if not self._has_success:
+            self.model.ep_success_buffer = deque(maxlen=0)  # or TensorBoard would show a success rate of 0 beside any return
 
     def standing(self) -> Standing:
         s = self.statistics

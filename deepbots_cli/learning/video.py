@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import gymnasium as gym
@@ -20,7 +21,7 @@ def check(path: Path) -> None:
 
     Raises:
         MissingExtraError: Without imageio and its ffmpeg.
-        UsageError: If the name does not end in .mp4, or its directory does not exist.
+        UsageError: If the name does not end in .mp4, or its directory does not exist or may not be written to.
     """
     if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
         raise MissingExtraError("train", "writing a video")
@@ -30,6 +31,11 @@ def check(path: Path) -> None:
         raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
     if path.is_dir():
         raise UsageError(f"{path} cannot be written: it is a directory")
+    try:
+        with TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:  # ffmpeg would say so at length, and name a file that nobody asked for
+        raise UsageError(f"{path} cannot be written: {(error.strerror or 'its directory cannot be used').lower()}") from error
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import stand_in
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import Solved
-from deepbots_cli.learning import TrainingResult, evaluate
+from deepbots_cli.learning import TrainingResult, evaluate, video
 from deepbots_cli.learning.evaluation import judge
 from deepbots_cli.learning.report import evaluation_text, to_json
 
@@ -108,6 +110,18 @@ def test_a_video_that_cannot_be_written_is_refused_before_anything_runs(
 ) -> None:
     with pytest.raises(UsageError, match=reason):
         evaluate(trained.run, video_to=tmp_path / name, build=stand_in.build)
+
+
+def test_a_video_in_a_folder_that_is_read_only_is_one_sentence_that_names_it(
+    trained: TrainingResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(**_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(video, "TemporaryFile", refuse)  # permissions do not bind the user that tests may run as
+    with pytest.raises(UsageError, match=r"out\.mp4 cannot be written: read-only file system"):
+        evaluate(trained.run, video_to=tmp_path / "out.mp4", build=stand_in.build)
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (-1, 0), (1, -1)])

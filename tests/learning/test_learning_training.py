@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ import stand_in
 from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
-from deepbots_cli.ir import Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.ir import Ending, Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.lang.scalar import Const
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
 from deepbots_cli.learning.progress import Lines, Standing
 from deepbots_cli.learning.report import to_json, training_text
@@ -84,19 +86,25 @@ def test_the_log_of_episodes_is_in_order_of_completion_and_complete(trained: Tra
     assert sum(int(row["l"]) for row in log) <= trained.steps
 
 
-def test_tensorboard_shows_returns_success_terms_and_simulated_time(trained: TrainingResult) -> None:
+def test_tensorboard_shows_returns_terms_and_simulated_time(trained: TrainingResult) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(trained.run / "tensorboard"))
     events.Reload()
-    assert {
-        "rollout/ep_rew_mean",
-        "rollout/success_rate",
-        "rollout/simulated_hours",
-        "reward/alive",
-        "reward/centre",
-        "time/fps",
-    } <= set(events.Tags()["scalars"])
+    tags = set(events.Tags()["scalars"])
+    assert {"rollout/ep_rew_mean", "rollout/simulated_hours", "reward/alive", "reward/centre", "time/fps"} <= tags
+    assert "rollout/success_rate" not in tags  # no episode of this task ends in success: 0 % would look like a failure
+
+
+def test_tensorboard_shows_a_success_rate_where_episodes_may_end_in_success(tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    task = stand_in.scenario()
+    task = replace(task, endings=(*task.endings, Ending("balanced", "success", Const(False))))
+    result = train(stand_in.CompiledStandIn(task), runs=tmp_path, build=stand_in.build, total_timesteps=1_000)
+    events = EventAccumulator(str(result.run / "tensorboard"))
+    events.Reload()
+    assert "rollout/success_rate" in events.Tags()["scalars"]
 
 
 def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None:
