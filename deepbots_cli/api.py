@@ -64,7 +64,12 @@ def locate(source: str | Path) -> tuple[Path, str]:
         return path, str(source)
     if found is not None:
         return found, found.name
-    raise UsageError(f"there is no file {source}, and no shipped scenario of that name; shipped are: {', '.join(shipped.scenario_names())}")
+    from difflib import get_close_matches  # only on the way to an error: its import costs 1 ms
+
+    names = shipped.scenario_names()
+    near = get_close_matches(Path(source).stem, names, 1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    raise UsageError(f"there is no file {source}, and no shipped scenario of that name{hint}; shipped are: {', '.join(names)}")
 
 
 def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> Checked:

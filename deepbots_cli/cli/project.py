@@ -100,7 +100,7 @@ def files(compiled: Compiled) -> Files:
         "task.py": _TASK.format(supervisor=f"{name}Supervisor"),
         "run.py": _RUN,
         "train.py": _TRAIN,
-        "requirements.txt": "deepbots-cli[train]\n",
+        "requirements.txt": f"deepbots-cli[train]=={deepbots_cli.__version__}\n",
     }
     texts |= {f"robots/{robot.name}.urdf": to_urdf(robot.model) for robot in ir.world.robots}
     return {PurePosixPath(path): text.encode() for path, text in texts.items()}

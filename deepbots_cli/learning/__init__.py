@@ -51,4 +51,4 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("deepbots_cli"):
             raise
-        raise MissingExtraError("train", "training") from error
+        raise MissingExtraError("train", "evaluating" if _HOMES[name] == "evaluation" else "training") from error

@@ -177,7 +177,7 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
     if solved is None:
         return None, "the scenario does not say what counts as solved"
     if episodes < solved.episodes:
-        return None, f"cannot be told from {episodes} episodes: the scenario asks for {solved.episodes}"
+        return None, f"cannot be told from {episodes} episode{'' if episodes == 1 else 's'}: the scenario asks for {solved.episodes}"
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is asked")

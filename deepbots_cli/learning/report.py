@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def training_text(result: TrainingResult) -> str:
         )
     lines = [f"training {result.status}", *_aligned(rows)]
     if result.interrupted:
-        lines.append(f"what was learned is kept; go on with: deepbots train --resume {result.run}")
+        lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.run))}")
     return "\n".join(lines)
 
 

@@ -7,12 +7,14 @@ import os
 import subprocess
 import sys
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.cli import health
 from deepbots_cli.cli.group import Verbs
 from deepbots_cli.cli.verbs import VERBS
 
@@ -83,6 +85,29 @@ def test_a_scenario_with_errors_is_shown_in_full_by_every_verb(deepbots, verb):
     assert "world.timestep=fast" in ran.err
     assert "1 error" in ran.err
     assert "^^^^" in ran.err
+
+
+def test_a_misspelt_scenario_is_suggested(deepbots):
+    assert "did you mean cartpole?" in deepbots("train", "cartpol.yaml").err
+
+
+@pytest.mark.parametrize(
+    ("gone", "said"),
+    [
+        ((), "everything works"),
+        (("torch",), "linting and simulating work; training needs the extra that is missing"),
+        (("pybullet", "torch"), "linting works; simulating and training need the extras that are missing"),
+    ],
+)
+def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(deepbots, monkeypatch, gone, said):
+    def version(name):
+        if name in gone:
+            raise PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(health, "version", version)
+    ran = deepbots("doctor")
+    assert (ran.code, ran.err) == (0, f"{said}\n")
 
 
 @pytest.mark.parametrize("words", [["run", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -30,4 +31,5 @@ def command(
         return
     for path in written:
         terminal.say(str(path))
-    terminal.note(f"change it, then: deepbots lint {written[0]}\nand train on it: deepbots train {written[0]}")
+    scenario = quote(str(written[0]))
+    terminal.note(f"change it, then: deepbots lint {scenario}\nand train on it: deepbots train {scenario}")

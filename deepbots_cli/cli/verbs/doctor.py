@@ -24,10 +24,22 @@ def command(as_json: Json = False) -> None:
     """
     found = [asdict(look) for look in health.looks()]
     broken = [look["what"] for look in found if look["state"] == "broken"]
+    missing = [look["what"].removeprefix("extra ") for look in found if look["what"].startswith("extra ") and look["state"] == "missing"]
     if as_json:
         terminal.show_json({"ok": not broken, "looks": found})
     else:
         terminal.say(table(found, indent=""))
-        terminal.note(f"broken: {', '.join(broken)}" if broken else "everything works")
+        terminal.note(_verdict(broken, missing))
     if broken:
         raise typer.Exit(FAILED)
+
+
+def _verdict(broken: list[str], missing: list[str]) -> str:
+    """The table in a sentence. Without an extra the rest works, and it is worth saying what does not."""
+    if broken:
+        return f"broken: {', '.join(broken)}"
+    if "sim" in missing:
+        return "linting works; simulating and training need the extras that are missing"
+    if "train" in missing:
+        return "linting and simulating work; training needs the extra that is missing"
+    return "everything works"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -37,4 +38,4 @@ def command(
         return
     for path in written:
         terminal.say(str(path))
-    terminal.note(f"run it: cd {folder} && python run.py")
+    terminal.note(f"run it: cd {quote(str(folder))} && python run.py")

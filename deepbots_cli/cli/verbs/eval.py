@@ -54,7 +54,9 @@ def command(
         terminal.say(report.evaluation_text(result))
     unmet = []
     if require_solved and not result.solved:
-        unmet.append("the task is not solved")
+        unmet.append(
+            "the task is not solved" if result.solved is False else f"it is not known whether the task is solved ({result.verdict})"
+        )
     if min_success is not None and result.success_rate < min_success:
         unmet.append(f"the success rate is {result.success_rate:.3g}, not {min_success:g}")
     if unmet:

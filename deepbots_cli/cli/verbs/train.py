@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -88,9 +89,10 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool) -> None:
         terminal.show_json({"training": report.to_json(result), "evaluation": report.to_json(evaluation)})
         return
     terminal.say(f"\n{report.evaluation_text(evaluation)}")
+    run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     terminal.note(
         f"\nnext:\n"
-        f"  deepbots eval {result.run} --video {result.run.name}.mp4\n"
-        f"  deepbots train --resume {result.run} --timesteps {2 * result.total_timesteps} --full\n"
-        f"  tensorboard --logdir {result.run / 'tensorboard'}"
+        f"  deepbots eval {run} --video {film}\n"
+        f"  deepbots train --resume {run} --timesteps {2 * result.total_timesteps} --full\n"
+        f"  tensorboard --logdir {logs}"
     )
