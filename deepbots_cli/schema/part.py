@@ -108,10 +108,13 @@ class Alternatives:
         index = self.index(value)
         return None if index is None else self.options[index]
 
-    def context(self) -> dict[str, str | int | float]:
-        """What a complaint may add: how the form that is a single value is written, if there is one."""
-        helps = (option.help_for(None) for option in self.options if isinstance(option, Leaf))
-        return {"help": help} if (help := next(helps, None)) else {}
+    def complaint(self) -> dict[str, str | int | float]:
+        """What is said of a value that has none of the forms; how the first that is a single value is written."""
+        told: dict[str, str | int | float] = {"expected": " or ".join(dict.fromkeys(noun_of(option) for option in self.options))}
+        hints = [hint for option in self.options if isinstance(option, Leaf) if (hint := option.help_for(None))]
+        if hints:
+            told["help"] = hints[0]
+        return told
 
 
 def _fits(spec: Spec, value: object) -> bool:
@@ -147,7 +150,7 @@ class Forms:
             discriminator=lambda value: spec.tag(spec.index(value)),
             custom_error_type="DB103",
             custom_error_message="{expected}",
-            custom_error_context={"expected": " or ".join(dict.fromkeys(noun_of(option) for option in spec.options))} | spec.context(),
+            custom_error_context=spec.complaint(),
         )
 
 
