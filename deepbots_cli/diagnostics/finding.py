@@ -142,6 +142,10 @@ class Findings:
     def __len__(self) -> int:
         return len(self._found)
 
+    def __repr__(self) -> str:
+        """A line for each, since a finding holds the whole text of its file."""
+        return f"Findings({[f'{finding.span.where}: {finding.code} {finding.headline}' for finding in self]})"
+
     @property
     def errors(self) -> list[Finding]:
         return [f for f in self if f.severity == "error"]

@@ -237,3 +237,8 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
     assert report["ok"]
     assert {"pybullet", "scenarios", "physics", "learning"} <= {look["what"] for look in report["looks"]}
     assert {look["state"] for look in report["looks"]} == {"ok"}
+
+
+def test_printed_findings_can_be_read():
+    found = api.load("cartpole", sets=["fall_angle=1lm"]).findings
+    assert repr(found) == "Findings(['--set fall_angle=1lm:1:13: DB501 unknown unit `lm`'])"
