@@ -19,6 +19,7 @@ support.py      what the language has and this version does not run yet
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -84,20 +85,41 @@ def check(document: Document) -> Checked:
 
 def _joined(findings: Findings) -> Findings:
     """A warning about a value that is in error anyway, or about how such a value is spelt, becomes a note of the error."""
-    errors = findings.errors
-    absorbed = {found.sort_key: about for found in findings if (about := [e for e in errors if _absorbs(e, found)])}
+    everything = list(findings)
+    warnings = [found for found in everything if found.severity == "warning"]
+    if not warnings or len(warnings) == len(everything):
+        return findings
+    errors: dict[str, list[Finding]] = {}
+    for found in everything:  # sorted by place, and so each list is
+        if found.severity == "error":
+            errors.setdefault(found.span.source.name, []).append(found)
+    notes: dict[int, list[str]] = {}
+    absorbed = set()
+    for warning in warnings:
+        error = _absorber(warning, errors.get(warning.span.source.name, []))
+        if error is not None:
+            notes.setdefault(id(error), []).append(warning.headline)
+            absorbed.add(id(warning))
     joined = Findings()
-    for finding in findings:
-        if finding.sort_key not in absorbed:
-            notes = [found.headline for found in findings if finding in absorbed.get(found.sort_key, [])[:1]]
-            joined.append(replace(finding, notes=(*finding.notes, *notes)))
+    for found in everything:
+        if id(found) not in absorbed:
+            joined.append(replace(found, notes=(*found.notes, *notes.get(id(found), ()))))
     return joined
 
 
-def _absorbs(error: Finding, warning: Finding) -> bool:
-    inner, outer = error.span, warning.span
-    spelling = warning.code in ("DB003", "DB004") and inner.source is outer.source and outer.start <= inner.start <= inner.end <= outer.end
-    return warning.severity == "warning" and (inner == outer or spelling)
+def _absorber(warning: Finding, errors: list[Finding]) -> Finding | None:
+    """The first error at the place of a warning, or, for one about spelling, within it; `errors` are sorted by place."""
+    outer = warning.span
+    at = bisect_left(errors, outer.start, key=lambda error: error.span.start)
+    while at < len(errors) and errors[at].span.start <= outer.end:
+        inner = errors[at].span
+        spelling = warning.code in ("DB003", "DB004") and inner.end <= outer.end
+        if inner == outer or spelling:
+            return errors[at]
+        if inner.start > outer.start and warning.code not in ("DB003", "DB004"):
+            return None
+        at += 1
+    return None
 
 
 class _Pass:
