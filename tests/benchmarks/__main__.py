@@ -53,6 +53,29 @@ PyBullet and numpy (`tests/benchmarks/layered.py`).
 |---|---|---|---|---|
 """
 
+CONTRACT_HEAD = """
+## What holds
+
+Over every shipped scenario and those of the tests, on every engine that can hold them.
+
+| what | measured | command |
+|---|---|---|
+"""
+CONTRACT = (
+    ("same seed, same bytes: two environments, and after episodes of any length", "same_seed or equals_a_fresh_one"),
+    ("same seed, same bytes: a fresh process", "fresh_process"),
+    ("same bytes in every exact message format, and without messages", "every_message_format"),
+    ("Gymnasium's and Stable-Baselines3's `check_env`, warnings as errors", "checker_has_nothing_to_say"),
+)
+
+
+def holds(expression: str) -> tuple[str, str]:
+    """What pytest says of these contract tests, and the command."""
+    command = f"pytest tests/contract -k '{expression}'"
+    run = [sys.executable, "-m", "pytest", "tests/contract", "-k", expression, "-o", "addopts=--import-mode=importlib", "-q"]
+    said = subprocess.run(run, capture_output=True, text=True, check=False, cwd=PAGE.parents[1]).stdout.strip().splitlines()
+    return (said[-1] if said else "nothing was said"), command
+
 
 def rows(module: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-m", f"tests.benchmarks.{module}", "--json"]
@@ -84,6 +107,10 @@ def page() -> str:
             measured = f"{row['measured']:.3g} {row['unit']}"
             met = "yes" if row["met"] else "**no**"
             text += f"| {row['what']} | {bar} | {measured} | {met} | `python -m tests.benchmarks.{module}` |\n"
+    text += CONTRACT_HEAD
+    for what, expression in CONTRACT:
+        said, command = holds(expression)
+        text += f"| {what} | {said} | `{command}` |\n"
     return text
 
 
