@@ -12,14 +12,14 @@ robots.py       robot files, overrides.py their changes, matching.py patterns an
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
 policy.py       action and observation
 scoring.py      signals, reward, endings, training
+resets.py       places and joints at the start; poses.py named positions of joints
 inputs.py       the files that it was made from, as a run keeps copies of them
-resets.py       places and joints at the start
 support.py      what the language has and this version does not run yet
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -50,6 +50,8 @@ from deepbots_cli.source.nodes import descend
 from deepbots_cli.task import Task, Valued
 
 __all__ = ["Checked", "check"]
+
+_SPELLING = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,17 +111,14 @@ def _joined(findings: Findings) -> Findings:
 
 def _absorber(warning: Finding, errors: list[Finding]) -> Finding | None:
     """The first error at the place of a warning, or, for one about spelling, within it; `errors` are sorted by place."""
-    outer = warning.span
-    at = bisect_left(errors, outer.start, key=lambda error: error.span.start)
-    while at < len(errors) and errors[at].span.start <= outer.end:
-        inner = errors[at].span
-        spelling = warning.code in ("DB003", "DB004") and inner.end <= outer.end
-        if inner == outer or spelling:
-            return errors[at]
-        if inner.start > outer.start and warning.code not in ("DB003", "DB004"):
-            return None
-        at += 1
-    return None
+    outer, within = warning.span, warning.code in _SPELLING
+    first = bisect_left(errors, outer.start, key=_start)
+    last = bisect_right(errors, outer.end if within else outer.start, lo=first, key=_start)
+    return next((found for found in errors[first:last] if found.span.end == outer.end or (within and found.span.end < outer.end)), None)
+
+
+def _start(finding: Finding) -> int:
+    return finding.span.start
 
 
 class _Pass:

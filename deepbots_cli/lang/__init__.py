@@ -5,7 +5,8 @@ report findings to. Read in this order:
 
 dimensions.py  what a quantity measures             units.py      the names behind numbers
 lexer.py       text to tokens                       syntax.py     the untyped tree
-parser.py      tokens to tree                       foreign.py    habits of other languages, refused kindly
+stream.py      the tokens one by one, quantities    parser.py     tokens to tree
+foreign.py     habits of other languages, refused kindly
 types.py       Type, Stage, Symbol, Subject, Scope  intervals.py  interval arithmetic
 functions.py   what an entry of the table says      table.py      the functions of the language
 typed.py       the typed tree                       check.py      tree to typed tree, with

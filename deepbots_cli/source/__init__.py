@@ -1,7 +1,8 @@
 """From text to nodes that know their place.
 
 files.py      bytes to text: size, encoding, characters
-parse.py      YAML text to nodes, within limits
+parse.py      YAML text to nodes, within limits; parsers.py what is used of PyYAML
+traps.py      text that is YAML, but not what was meant
 scalars.py    what a plain scalar means, and which ones look like something else
 places.py     where each character of a quoted or folded scalar stands in the file
 syntax.py     the wording of syntax errors
@@ -10,6 +11,7 @@ roots.py      which files a scenario may name
 shipped.py    the scenarios and robots that come with deepbots
 merge.py      two trees to one; dotted paths
 overrides.py  `--set path=value`
+text.py       nodes back to YAML text
 load.py       a file with all that it extends and includes, as one Document
 """
 

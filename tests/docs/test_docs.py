@@ -1,7 +1,8 @@
-"""What README and docs say is true: scenarios lint, Python runs, commands parse, links lead somewhere, tables are current."""
+"""What README and docs say is true: scenarios lint, Python runs, commands parse, links lead somewhere, tables and maps are current."""
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
@@ -24,6 +25,7 @@ from deepbots_cli.rules import run as run_rules
 from deepbots_cli.source import loads
 
 ROOT = Path(__file__).parents[2]
+PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 FORBIDDEN = re.compile(r"(?<![\w.:/)\]}*-])/[a-z]+/[A-Za-z]\w*|index-url|\bTODO\b")  # an absolute path is some machine's
@@ -150,6 +152,14 @@ def test_the_reference_says_which_algorithms_can_be_trained():
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "docs" / "build_reference.py"], ids=lambda page: page.name)
 def test_a_page_speaks_of_nothing_that_a_reader_cannot_see(page: Path):
     assert FORBIDDEN.findall(page.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
+    shown = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
+    modules = {path.name for path in package.glob("*.py")} - {"__init__.py", "__main__.py"}
+    named = {f"{verb}.py" for verb in VERBS} if package.name == "verbs" else set(re.findall(r"\b[a-z_]+\.py\b", shown))
+    assert named == modules
 
 
 def test_the_picture_is_small():

@@ -1,7 +1,7 @@
 """From the compiled scenario to readable Python.
 
 robot.py       a controller class per robot: use_message_data, create_message
-supervisor.py  the supervisor class: reset and one tick
+supervisor.py  the supervisor class: reset, one tick, and the paper's methods that read it
 evaluation.py  signals, endings, reward and observation inside that tick
 reads.py       which engine readers are bound, and how each number is taken from them
 guard.py       what may be printed at all
