@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli import rules
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.source import load as read
@@ -64,11 +65,9 @@ def locate(source: str | Path) -> tuple[Path, str]:
         return path, str(source)
     if found is not None:
         return found, found.name
-    from difflib import get_close_matches  # only on the way to an error: its import costs 1 ms
-
     names = shipped.scenario_names()
-    near = get_close_matches(Path(source).stem, names, 1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
+    near = nearest(Path(source).stem, names)
+    hint = f" (did you mean {near}?)" if near else ""
     raise UsageError(f"there is no file {source}, and no shipped scenario of that name{hint}; shipped are: {', '.join(names)}")
 
 
