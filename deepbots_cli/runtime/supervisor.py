@@ -31,8 +31,8 @@ class Supervisor(gym.Env[Observation, Any]):
     """Base of the generated supervisor classes.
 
     A generated class adds `bind` (readers from the engine), `_begin` (draws and placing at reset),
-    `_start` (what holds right after a reset) and `_advance` (one tick: all that is computed, once).
-    The paper's methods below only read what `_advance` left, so calling one twice changes nothing.
+    `_start` (what holds right after a reset), `_advance` (one tick: all that is computed, once) and the
+    paper's methods, which only read what these left, so calling one twice changes nothing.
     """
 
     CONTROLLERS: ClassVar[dict[str, type[RobotController]]] = {}
