@@ -36,6 +36,7 @@ from deepbots_cli.urdf.soundness import is_sound, is_sound_shape
 ModelName = Literal["best", "last"]
 
 _SCENARIO = "scenario.ir.json"
+_INPUTS = "inputs"  # as `resolved.yaml` calls it
 _SCENARIO_LIMIT = 64_000_000
 _MEMBERS = ("run.json", _SCENARIO, "monitor.csv", "tensorboard", "models", "models/best.npz", "models/last.npz", "checkpoint.npz")
 
@@ -99,10 +100,10 @@ class Run:
     @staticmethod
     def create(path: Path, record: Record, compiled: Compiled) -> Run:
         """Fill a new, empty directory (see `new_directory`)."""
-        for folder in ("inputs", "models", "tensorboard"):
+        for folder in (_INPUTS, "models", "tensorboard"):
             (path / folder).mkdir()
         for name, content in compiled.inputs.items():
-            copy = path / "inputs" / inside(name)
+            copy = path / _INPUTS / inside(name)
             copy.parent.mkdir(parents=True, exist_ok=True)
             with atomic(copy) as stream:
                 stream.write(content)
@@ -143,7 +144,7 @@ class Run:
 
 def _with_own_meshes(path: Path, record: Record, ir: CompiledScenario) -> CompiledScenario:
     """The scenario with the copies of its meshes in the run, which may have moved; the engine compares their digests."""
-    copies = {(digest, PurePosixPath(name).suffix): path / "inputs" / inside(name) for name, digest in record.inputs.items()}
+    copies = {(digest, PurePosixPath(name).suffix): path / _INPUTS / inside(name) for name, digest in record.inputs.items()}
 
     def own(mesh: Mesh) -> Mesh:
         copy = copies.get((mesh.digest, Path(mesh.path).suffix))
@@ -190,7 +191,7 @@ def new_directory(wanted: Path | None, parent: Path, scenario: str, seed: int) -
 
 
 def inside(name: str) -> PurePosixPath:
-    """A relative path without upward steps for an input's display name; each `..` becomes `_`."""
+    """A relative path without upward steps for the copy of an input, whose name may be anyone's; each `..` becomes `_`."""
     parts = PurePosixPath(name.replace("\\", "/").replace(":", "_").replace("\0", "_")).parts
     kept = ["_" if part == ".." else part for part in parts if part not in ("/", "//", ".")]
     return PurePosixPath(*kept) if kept else PurePosixPath("_")
