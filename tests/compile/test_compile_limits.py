@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.ir import MOST_SUBSTEPS
 
 
 def test_hundreds_of_bodies_are_refused_instead_of_built_for_minutes(workshop, rail) -> None:
@@ -16,6 +17,11 @@ def test_hundreds_of_bodies_are_refused_instead_of_built_for_minutes(workshop, r
 @pytest.mark.parametrize("settle", ["1e9 s", "1e300 s", "1 h"])
 def test_a_reset_that_settles_for_ever_is_refused(workshop, rail, settle: str) -> None:
     assert "DB105" in workshop.codes(f"{rail(('reset:', f'reset:{chr(10)}  settle: {settle}'))}")
+
+
+def test_substeps_have_one_bound_in_the_language_and_in_what_comes_back_from_a_run(workshop, rail) -> None:
+    assert workshop.codes(rail(("substeps: 4", f"substeps: {MOST_SUBSTEPS + 1}"))) == ["DB105"]
+    assert "DB105" not in workshop.codes(rail(("substeps: 4", f"substeps: {MOST_SUBSTEPS}")))
 
 
 def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> None:
