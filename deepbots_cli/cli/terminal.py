@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from shutil import get_terminal_size
 from typing import TextIO
 
@@ -48,7 +49,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
 def mention(warnings: Sequence[Finding], scenario: str) -> None:
     """Say on stderr that there are warnings, and how to see them."""
     if warnings:
-        note(f"{summary(warnings)}; see: deepbots lint {scenario}")
+        note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")
 
 
 def show_json(data: object) -> None:

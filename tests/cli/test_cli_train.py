@@ -79,6 +79,15 @@ def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, traine
     assert "0.9" in ran.err
 
 
+def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
+    deepbots("copy", "cartpole")
+    text = (tmp_path / "cartpole.yaml").read_text()
+    (tmp_path / "my cart.yaml").write_text(text.replace("termination:", "signals: {spare: abs(x)}\n\ntermination:"))
+    ran = deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1")
+    assert ran.code == 0
+    assert "1 warning; see: deepbots lint 'my cart.yaml'" in ran.err
+
+
 @pytest.mark.parametrize("verb", [["eval"], ["train", "--resume"]])
 def test_what_is_no_run_is_said_so_in_one_line(deepbots, tmp_path, verb):
     (tmp_path / "file").write_text("")

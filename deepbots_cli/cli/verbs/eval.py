@@ -46,7 +46,10 @@ def command(
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """
-    compiled = None if scenario is None else api.compile(scenario, allow_paths=allow_paths or ())
+    compiled = None
+    if scenario is not None:
+        compiled = api.compile(scenario, allow_paths=allow_paths or ())
+        terminal.mention(compiled.findings, scenario)
     result = learning.evaluate(run, episodes=episodes, seed=seed, model="last" if last else "best", scenario=compiled, video_to=video)
     if as_json:
         terminal.show_json(report.to_json(result))
