@@ -8,6 +8,7 @@ import json
 import random
 import tokenize
 from collections.abc import Iterator
+from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,20 @@ def test_odd_values_in_any_place_give_code_or_are_refused(source: str) -> None:
         code = code_of(replaced(text, path, rng.choice(OTHERS)))
         if code is not None:
             compile(code, "printed", "exec")
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: Path(source).stem)
+def test_lists_of_another_length_give_a_world_that_runs_or_are_refused(source: str) -> None:
+    text = canonical(source)
+    lists = {path[:end] for path in places(json.loads(text)) for end, key in enumerate(path) if isinstance(key, int)}
+    for path in sorted((path for path in lists if path[0] != "world"), key=str):  # bodies are looked at when a run is opened
+        items = json.loads(text)
+        for key in path:
+            items = items[key]
+        for others in ([], items[:-1], items * 2):
+            with suppress(DeepbotsError), closing(api.build(from_json(replaced(text, path, others)))) as world:
+                world.reset(seed=0)
+                world.step(world.action_space.sample())
 
 
 @pytest.mark.parametrize(

@@ -116,9 +116,9 @@ class EvaluationPrinter:
             " + ".join(f"self.term_{term.name}" for term in part)
             for part in (terms[i : i + _SUMMANDS] for i in range(0, len(terms), _SUMMANDS))
         ]
-        for index, part in enumerate(parts[:-1]):
-            printer.line(f"reward = {'reward + ' if index else ''}{part}")
-        printer.line(f"self.reward = reward = {'reward + ' if len(parts) > 1 else ''}{parts[-1] if parts else '0.0'}")
+        for index, part in enumerate(parts):
+            targets = "reward" if part is not parts[-1] else "self.reward = reward"
+            printer.line(f"{targets} = {'reward + ' if index else ''}{part}")
         printer.line("if not -1e300 < reward < 1e300:")
         printer.line("    self._not_finite()")
 

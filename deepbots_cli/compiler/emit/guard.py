@@ -24,6 +24,17 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 _DRAWS = frozenset({"uniform", "integer", "normal", "choice"})
 _BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended"))
 _MOST_TICKS = 1e12  # centuries
+# The least and the greatest number of arguments; what is not here takes one or more.
+_ARGUMENTS: dict[str, tuple[int, float]] = {
+    **dict.fromkeys(("neg", "not", "abs", "wrap", "sqrt", "exp", "log", "sin", "cos", "tan"), (1, 1)),
+    **dict.fromkeys(("running_max", "running_min", "integral", "duration", "rising"), (1, 1)),
+    **dict.fromkeys(("delta", "previous"), (1, 2)),
+    **dict.fromkeys(("sub", "mul", "div", "pow", "atan2", "hold", "smooth", "uniform", "integer", "normal"), (2, 2)),
+    **dict.fromkeys(("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"), (2, 2)),
+    **dict.fromkeys(("min", "max"), (2, math.inf)),
+    **dict.fromkeys(("where", "clamp"), (3, 3)),
+    "accumulate": (4, 4),
+}
 _FACTS: dict[str, tuple[str | None, ...]] = {
     **dict.fromkeys(("position", "velocity", "angular_velocity"), ("x", "y", "z")),
     "orientation": ("x", "y", "z", "w"),
@@ -42,6 +53,7 @@ def check_printable(scenario: CompiledScenario) -> None:
         if not _NAME.fullmatch(name):
             raise CanonicalError(f"{name[:40]!r} is no name that a scenario may define")
     for node in _nodes(scenario):
+        _require_arguments(node)
         match node:
             case Op(op=word) if word != "pow" and word not in PYTHON:
                 raise CanonicalError(f"{word[:40]!r} is no operation")
@@ -55,7 +67,37 @@ def check_printable(scenario: CompiledScenario) -> None:
                     raise CanonicalError(f"{word[:40]!r} of {str(subjects)[:60]} is nothing that an engine can tell")
 
     _require_figures(scenario)
+    _require_counts(scenario)
     _require_known_names(scenario)
+
+
+def _require_arguments(node: Op | State | Draw | World | Name) -> None:
+    """As many arguments as the operation, stateful function or draw takes; an unknown one is refused by its name."""
+    match node:
+        case Op(op=word, args=args) | State(function=word, args=args) | Draw(distribution=word, args=args):
+            least, most = _ARGUMENTS.get(word, (1, math.inf))
+            if not least <= len(args) <= most:
+                raise CanonicalError(f"{word[:40]!r} of {len(args)} arguments")
+
+
+def _require_counts(scenario: CompiledScenario) -> None:
+    """A value for each component, variable, joint and field of a message."""
+    robots = scenario.robots
+    named = [*scenario.parameters, *scenario.signals, *(entry for robot in robots for entry in (*robot.emit, *robot.receive))]
+    pairs = [(entry.name, len(entry.values), len(entry.components or (None,))) for entry in named]
+    for part in scenario.action:
+        if isinstance(part, Choices):
+            pairs += [(option.name, len(option.values), len(part.variables)) for option in part.options]
+            pairs.append((part.name, len(part.options), max(1, len(part.options))))
+    for robot in robots:
+        driven = {actuator.name: len(actuator.joints) for actuator in robot.actuators}
+        pairs += [(entry.name, len(entry.values), driven.get(entry.name, 0)) for entry in robot.apply]
+        pairs += [(a.name, len(limits), len(a.joints)) for a in robot.actuators for limits in (a.max_torque, a.max_velocity)]
+        told = ((robot.to_robot, robot.receive), (robot.from_robot, robot.emit))
+        pairs += [(robot.name, len(flat(values)), len(layout.fields)) for layout, values in told]
+    for name, given, wanted in pairs:
+        if given != wanted:
+            raise CanonicalError(f"'{name[:40]}' has {given} values where {wanted} are wanted")
 
 
 def _require_figures(scenario: CompiledScenario) -> None:
@@ -75,6 +117,8 @@ def _require_figures(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"more than {MOST_BODIES} bodies")
     if scenario.truncation.max_steps is None and scenario.truncation.max_time is None:
         raise CanonicalError("episodes without a limit")
+    if not scenario.reward:
+        raise CanonicalError("no term of a reward")
     for entry in scenario.observation:
         if not 1e-300 < entry.high - entry.low < 1e300:
             raise CanonicalError(f"'{entry.name[:40]}' is observed from {entry.low} to {entry.high}")

@@ -200,10 +200,10 @@ class SupervisorPrinter:
     def _readings(self) -> list[list[str]]:
         scenario = self._scenario
         seen = sentence_list(list(dict.fromkeys(entry.name for entry in scenario.observation)))
-        summands = sentence_list([term.name for term in scenario.reward]) or "nothing"
+        summands = sentence_list([term.name for term in scenario.reward])
         ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
         limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
-        ends += [f"a limit cut the episode short ({sentence_list(limits, 'or')})"] if limits else []
+        ends.append(f"a limit cut the episode short ({sentence_list(limits, 'or')})")
         terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.reward)
         info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
         return [
@@ -214,7 +214,7 @@ class SupervisorPrinter:
             block("def get_reward(self) -> float:", [*docstring(f"The sum of {summands}."), "return self.reward"]),
             block(
                 "def is_done(self) -> tuple[bool, bool]:",
-                [*docstring(f"Whether {', and whether '.join(ends) or 'the episode is over'}."), "return self.terminated, self.truncated"],
+                [*docstring(f"Whether {', and whether '.join(ends)}."), "return self.terminated, self.truncated"],
             ),
             block(
                 "def get_info(self) -> dict[str, Any]:",
