@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.canonical import from_json, to_json
+from deepbots_cli.canonical import CanonicalError, from_json, to_json
 from deepbots_cli.compiler.emit import emit
 from deepbots_cli.errors import DeepbotsError
 
@@ -109,6 +109,24 @@ def test_lists_of_another_length_give_a_world_that_runs_or_are_refused(source: s
             with suppress(DeepbotsError), closing(api.build(from_json(replaced(text, path, others)))) as world:
                 world.reset(seed=0)
                 world.step(world.action_space.sample())
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("endings", 0, "name"), "near"),  # which its own condition names
+        (("world", "timestep"), 1e-320),
+        (("robots", 0, "to_robot", "stamp"), -1),
+        (("robots", 0, "from_robot", "stamp"), 10**30),
+        (("reward",), []),
+        (("reward", 0, "value"), {"is": "Op", "op": "min", "args": [{"is": "Const", "value": 1.0}]}),
+    ],
+    ids=str,
+)
+def test_what_would_fail_while_the_code_is_printed_or_run_is_refused_before(path: tuple[Any, ...], value: Any) -> None:
+    text = canonical(str(DATA / "drawn.yaml"))
+    with pytest.raises(CanonicalError):
+        emit(from_json(replaced(text, path, value)))
 
 
 @pytest.mark.parametrize(

@@ -92,8 +92,6 @@ class EvaluationPrinter:
         if limits.max_time is not None:
             # a limit of a whole number of ticks must not gain one by rounding
             ticks.append((math.ceil(limits.max_time / self._scenario.world.timestep - 1e-9), "max_time"))
-        if not ticks:
-            return
         count, name = min(ticks)
         word = "elif" if self._scenario.endings else "if"
         printer.line(f"{word} self.step_count >= {count}:")

@@ -11,11 +11,12 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
+from graphlib import CycleError, TopologicalSorter
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import MOST_BODIES, MOST_SETTLING_STEPS, MOST_SUBSTEPS, Choices, CompiledScenario
+from deepbots_cli.ir import MOST_BODIES, MOST_SETTLING_STEPS, MOST_SUBSTEPS, Choices, CompiledScenario, Ending
 from deepbots_cli.lang.emit import PYTHON
 from deepbots_cli.lang.scalar import Draw, Name, Op, State, World
 from deepbots_cli.lang.state import RULES
@@ -69,6 +70,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     _require_figures(scenario)
     _require_counts(scenario)
     _require_known_names(scenario)
+    _require_order(scenario.endings)
 
 
 def _require_arguments(node: Op | State | Draw | World | Name) -> None:
@@ -81,10 +83,11 @@ def _require_arguments(node: Op | State | Draw | World | Name) -> None:
 
 
 def _require_counts(scenario: CompiledScenario) -> None:
-    """A value for each component, variable, joint and field of a message."""
+    """A value for each component, variable, joint and field of a message; at least one option and one reward; stamps of 32 bits."""
     robots = scenario.robots
     named = [*scenario.parameters, *scenario.signals, *(entry for robot in robots for entry in (*robot.emit, *robot.receive))]
     pairs = [(entry.name, len(entry.values), len(entry.components or (None,))) for entry in named]
+    pairs.append(("reward", len(scenario.reward), max(1, len(scenario.reward))))
     for part in scenario.action:
         if isinstance(part, Choices):
             pairs += [(option.name, len(option.values), len(part.variables)) for option in part.options]
@@ -93,6 +96,8 @@ def _require_counts(scenario: CompiledScenario) -> None:
         driven = {actuator.name: len(actuator.joints) for actuator in robot.actuators}
         pairs += [(entry.name, len(entry.values), driven.get(entry.name, 0)) for entry in robot.apply]
         pairs += [(a.name, len(limits), len(a.joints)) for a in robot.actuators for limits in (a.max_torque, a.max_velocity)]
+        if not all(0 <= layout.stamp < 2**32 for layout in (robot.to_robot, robot.from_robot)):
+            raise CanonicalError(f"a stamp in messages of '{robot.name}' that is not of 32 bits")
         told = ((robot.to_robot, robot.receive), (robot.from_robot, robot.emit))
         pairs += [(robot.name, len(flat(values)), len(layout.fields)) for layout, values in told]
     for name, given, wanted in pairs:
@@ -104,7 +109,7 @@ def _require_figures(scenario: CompiledScenario) -> None:
     """What is divided by, or counted in, while the code is printed."""
     timestep = scenario.world.timestep
     spans = [(scenario.reset.settle, "settle"), (scenario.truncation.max_time or 0.0, "max_time")]
-    if not 0.0 < timestep < math.inf:
+    if not 1e-9 < timestep < 1e6:
         raise CanonicalError(f"a timestep of {timestep} s")
     for seconds, what in spans:
         if not 0.0 <= seconds / timestep < _MOST_TICKS:
@@ -117,8 +122,6 @@ def _require_figures(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"more than {MOST_BODIES} bodies")
     if scenario.truncation.max_steps is None and scenario.truncation.max_time is None:
         raise CanonicalError("episodes without a limit")
-    if not scenario.reward:
-        raise CanonicalError("no term of a reward")
     for entry in scenario.observation:
         if not 1e-300 < entry.high - entry.low < 1e300:
             raise CanonicalError(f"'{entry.name[:40]}' is observed from {entry.low} to {entry.high}")
@@ -139,6 +142,16 @@ def _require_known_names(scenario: CompiledScenario) -> None:
         sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]
         _require_in([robot.emit], set(sensed))
         _require_in([robot.apply], {*sensed, *flat(robot.receive)})
+
+
+def _require_order(endings: tuple[Ending, ...]) -> None:
+    """Endings may name each other, but not in a circle."""
+    names = {ending.name for ending in endings}
+    used = {ending.name: {node.name for node in _nodes(ending.condition) if isinstance(node, Name)} & names for ending in endings}
+    try:
+        TopologicalSorter(used).prepare()
+    except CycleError:
+        raise CanonicalError("endings that wait for each other") from None
 
 
 def _require_in(expressions: Iterable[object], known: set[tuple[str, str | None]]) -> None:
