@@ -4,6 +4,7 @@ verbs/       one thin module per verb, imported when that verb is asked for
 group.py     how the verbs hang together
 options.py   arguments that several verbs share
 terminal.py  what goes to stdout and stderr, and when in colour
+outlets.py   stdout and stderr whose reader may be gone
 tables.py    aligned columns
 exits.py     from exceptions to exit codes
 anatomy.py   what `inspect` shows          measure.py  what `bench` times

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -12,24 +13,22 @@ from collections.abc import Callable
 from types import FrameType
 
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.outlets import outlets
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 
 FAILED, WRONG, FAULT, INTERRUPTED = 1, 2, 3, 130
 
+_DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
+
 
 def guarded(run: Callable[[], object]) -> int:
-    """Call `run`, tell what goes wrong, and return the exit code."""
-    terminal.prepare()
+    """Call `run`, tell what goes wrong, and return the exit code, which does not depend on whether anyone reads the output."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
-    try:
+    with outlets():
         code = _told(run)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # Whoever read the output has seen enough; what is left to flush goes nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = FAILED
-    return code
+        # What is left in the buffer may still fail to be written.
+        return _told(sys.stdout.flush) or code
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -50,12 +49,11 @@ def _told(run: Callable[[], object]) -> int:
         return WRONG if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:
-        raise
     except OSError as error:
-        if error.filename is None:
+        # Of a failed write (in contrast to opening) the system does not say in which file.
+        if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
-        terminal.complain(f"{error.filename}: {(error.strerror or 'cannot be used').lower()}")
+        terminal.complain(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
         return WRONG
     except Exception as error:  # noqa: BLE001  # the last handler: what arrives here is a fault of ours
         return _fault(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import os
@@ -15,13 +14,6 @@ from typing import TextIO
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render, summary
-
-
-def prepare() -> None:
-    """Let no character fail to be printed: a terminal of another encoding shows an escape instead."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def say(text: str = "") -> None:

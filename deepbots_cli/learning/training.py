@@ -22,6 +22,7 @@ from deepbots_cli.learning import algorithms, interface, weights
 from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
 from deepbots_cli.learning.environments import BuildWorld, Copies
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
+from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.interruption import listening
 from deepbots_cli.learning.progress import Reporter, reporter
 from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
@@ -130,9 +131,10 @@ def train(
         kept=_KEPT,
         result=None,
     )
-    new = Run.create(path, record, compiled)
-    statistics = Statistics(compiled.ir.world.timestep, compiled.ir.solved)
-    return _learn(new, training, Keeper(new, statistics), build, reporter(progress))
+    with sole_trainer(path):
+        new = Run.create(path, record, compiled)
+        statistics = Statistics(compiled.ir.world.timestep, compiled.ir.solved)
+        return _learn(new, training, Keeper(new, statistics), build, reporter(progress))
 
 
 def resume(
@@ -158,9 +160,17 @@ def resume(
 
     Raises:
         RunError: No run, or one that is damaged; else as for `train`.
-        UsageError: The run has already reached its goal.
+        UsageError: The run has already reached its goal, or another training is at work in it.
     """
-    known = Run.open(run)
+    Run.open(run)  # a folder that is no run is told so, whoever is at work in it
+    with sole_trainer(run):
+        # Only now: a training that has just ended in there has changed the record.
+        return _go_on(Run.open(run), total_timesteps, stop_when_solved, reporter(progress), build)
+
+
+def _go_on(
+    known: Run, total_timesteps: int | None, stop_when_solved: bool | None, told: Reporter, build: BuildWorld | None
+) -> TrainingResult:
     record = known.record
     training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
     statistics = Statistics(known.ir.world.timestep, known.ir.solved)
@@ -171,7 +181,7 @@ def resume(
         best = None if state.data.get("best_return") is None else state.number("best_return")
     if statistics.steps >= training.total_timesteps:
         raise UsageError(
-            f"{run} has trained {statistics.steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
+            f"{known.path} has trained {statistics.steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
         )
     known.update(
         status="running",
@@ -179,7 +189,7 @@ def resume(
         total_timesteps=training.total_timesteps,
         stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
     )
-    return _learn(known, training, Keeper(known, statistics, best), build, reporter(progress))
+    return _learn(known, training, Keeper(known, statistics, best), build, told)
 
 
 def _compiled(scenario: Compiled | str | Path) -> Compiled:

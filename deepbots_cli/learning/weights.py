@@ -17,7 +17,7 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
@@ -27,6 +27,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from gymnasium.spaces import Discrete
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -41,18 +42,21 @@ _STATE_LIMIT = 4_000_000
 _OVERHEAD_LIMIT = 8_000_000
 # Of version 1.0, in C order. Numpy's own reader evaluates the header as Python and may fail in a dozen ways.
 _HEADER = re.compile(rb"\{'descr': '(?P<dtype>[<|][a-zA-Z]\d{0,2})', 'fortran_order': False, 'shape': \((?P<shape>[\d, ]{0,80})\), \} *\n")
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq", "square_avg", "momentum_buffer", "grad_avg")
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 @dataclass(frozen=True)
 class Slot:
-    """Where an array belongs; `rows` lets the first axis be shorter than it is in `shape`."""
+    """Where an array belongs.
+
+    `rows` lets the first axis be shorter than it is in `shape`; of the arrays of one `group` there are all or none.
+    """
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
     required: bool
     rows: bool = False
+    group: str = ""
 
     @property
     def size(self) -> int:
@@ -133,7 +137,9 @@ def read(path: Path, model: BaseAlgorithm) -> dict[str, Array]:
     """
     slots = _slots(model)
     with _opened(path, sum(slot.size for slot in slots.values())) as archive:
-        return _arrays(archive, path, slots)
+        arrays = _arrays(archive, path, slots)
+    _check_meaning(arrays, model, path)
+    return arrays
 
 
 def read_state(path: Path) -> Entries:
@@ -166,6 +172,8 @@ def _arrays(archive: zipfile.ZipFile, path: Path, slots: Mapping[str, Slot]) -> 
     members = {item.filename.removesuffix(".npy"): item for item in archive.infolist() if item.filename != _STATE}
     missing = next((name for name, slot in slots.items() if slot.required and name not in members), None)
     strange = next((name for name in members if name not in slots), None)
+    groups = {slots[name].group for name in members if name in slots}
+    missing = missing or next((name for name, slot in slots.items() if slot.group and slot.group in groups and name not in members), None)
     if missing or strange:
         what = f"lacks '{missing}'" if missing else f"holds '{str(strange)[:80]}', which the scenario's policy has no place for"
         raise RunError(f"{path} {what}")
@@ -200,23 +208,44 @@ def _read_array(member: IO[bytes], slot: Slot, where: str) -> Array:
     return array
 
 
+def _check_meaning(arrays: Mapping[str, Array], model: BaseAlgorithm, path: Path) -> None:
+    """Refuse numbers on which an update would fail: a count below zero, a choice that the agent does not have."""
+    for name, array in arrays.items():
+        if name.endswith("/step") and array < 0:
+            raise RunError(f"{path}: '{name}' counts below zero")
+    taken, space = arrays.get("replay/actions"), model.action_space
+    if taken is not None and isinstance(space, Discrete) and not ((taken >= space.start) & (taken < space.start + space.n)).all():
+        raise RunError(f"{path}: 'replay/actions' holds actions that the scenario does not have")
+
+
 def _slots(model: BaseAlgorithm) -> dict[str, Slot]:
     """Every array that a file for this model may hold."""
     slots = {name: Slot(array.dtype, array.shape, required=True) for name, array in networks(model).items()}
     for name, optimiser in _optimisers(model):
+        moments = _moments(optimiser)
         parameters = [p for group in optimiser.param_groups for p in group["params"]]
         for index, parameter in enumerate(parameters):
-            for moment in _MOMENTS:
+            for moment in moments:
                 shape = () if moment == "step" else tuple(parameter.shape)
-                slots[f"{name}/{index}/{moment}"] = Slot(np.dtype(np.float32), shape, required=False)
+                slots[f"{name}/{index}/{moment}"] = Slot(np.dtype(np.float32), shape, required=False, group=f"{name}/{index}")
     for name, tensor in _variables(model):
         slots[f"variable/{name}"] = Slot(_array(tensor).dtype, tuple(tensor.shape), required=False)
     replay = _replay(model)
     if replay is not None:
         for name in _REPLAY:
             array = getattr(replay, name)
-            slots[f"replay/{name}"] = Slot(array.dtype, array.shape, required=False, rows=True)
+            slots[f"replay/{name}"] = Slot(array.dtype, array.shape, required=False, rows=True, group="replay")
     return slots
+
+
+def _moments(optimiser: torch.optim.Optimizer) -> list[str]:
+    """What an optimiser remembers of each parameter, found out with a parameter of no concern."""
+    probe = torch.nn.Parameter(torch.zeros(1))
+    probe.grad = torch.zeros(1)
+    build: Callable[..., torch.optim.Optimizer] = type(optimiser)
+    likewise = build([{**optimiser.param_groups[0], "params": [probe]}])
+    likewise.step()
+    return list(likewise.state[probe])
 
 
 def _optimisers(model: BaseAlgorithm) -> Iterator[tuple[str, torch.optim.Optimizer]]:

@@ -257,7 +257,8 @@ def _usual(space: gym.Space[Any], action: Any) -> Any:
     try:
         array = np.asarray(action)
         if isinstance(space, gym.spaces.Box):
-            return array if array.shape == space.shape and np.isfinite(array.astype(float)).all() else None
+            fits = array.shape == space.shape and np.isrealobj(array) and np.isfinite(array.astype(float)).all()
+            return array if fits else None
         if isinstance(space, gym.spaces.Discrete):
             return array.item() if array.ndim == 0 and space.contains(array.item()) else None
         return array if space.contains(array) else None

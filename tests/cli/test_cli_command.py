@@ -242,3 +242,45 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
 def test_printed_findings_can_be_read():
     found = api.load("cartpole", sets=["fall_angle=1lm"]).findings
     assert repr(found) == "Findings(['--set fall_angle=1lm:1:13: DB501 unknown unit `lm`'])"
+
+
+def _in_shell(line: str) -> str:
+    command = f"{sys.executable} -m deepbots_cli"
+    return subprocess.run(
+        ["bash", "-c", line.replace("deepbots", command, 1)], capture_output=True, text=True, check=False, timeout=60
+    ).stdout
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
+@pytest.mark.parametrize("verb", ["inspect cartpole", "compile cartpole --ir", "lint cartpole", "list", "--help"])
+def test_the_exit_code_is_the_same_when_nobody_reads_the_output(verb):
+    told = _in_shell(f"deepbots {verb} 2>&1 | true; echo ${{PIPESTATUS[0]}}")
+    assert told == "0\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
+def test_findings_count_when_nobody_reads_them(tmp_path):
+    (tmp_path / "empty.yaml").touch()
+    assert _in_shell(f"deepbots lint {tmp_path / 'empty.yaml'} 2>&1 | true; echo ${{PIPESTATUS[0]}}") == "1\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell's redirections")
+@pytest.mark.parametrize("closed", [">&-", "2>&- >/dev/null", ">&- 2>&-"])
+def test_streams_that_were_closed_from_the_start_are_no_failure(closed):
+    assert _in_shell(f"(deepbots inspect cartpole {closed}; echo $? >&9) 9>&1") == "0\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("verb", ["schema >/dev/full", "--help >/dev/full", "compile cartpole -o /dev/full"])
+def test_a_full_disk_is_one_clear_line(verb):
+    message, code = _in_shell(f"(deepbots {verb}) 2>&1; echo $?").splitlines()
+    assert (message.startswith("error: "), message.endswith("no space left on device"), code) == (True, True, "2")
+
+
+def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    before = (tmp_path / "cartpole.yaml").read_bytes()
+    ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
+    assert (ran.code, ran.out) == (2, "")
+    assert "cartpole.yaml holds a file that the scenario is read from" in ran.err
+    assert (tmp_path / "cartpole.yaml").read_bytes() == before

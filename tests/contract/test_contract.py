@@ -189,7 +189,7 @@ def test_a_closed_environment_refuses_to_go_on(make: Make) -> None:
 
 BAD_ACTIONS = [None, float("nan"), "forward", [], {}, np.zeros((2, 2, 2)), np.full(9, 0), object(), [[1], [1, 2]], 1 + 2j]
 NO_CHOICE = [-1, 2, 99, 1.5, np.int64(-1), np.array(2), np.array([0])]
-NO_INTERVAL = [np.array([np.nan], np.float32), np.array([[0.5]]), np.array([0.5, 0.5]), 0.5, np.array(0.5), [float("inf")]]
+NO_INTERVAL = [np.array([np.nan], np.float32), np.array([[0.5]]), np.array([0.5, 0.5]), 0.5, np.array(0.5), [float("inf")], np.array([1j])]
 NO_CHOICES = [np.array([0]), np.array([0, 0, 0]), [0, 2], [-1, 0], [0.5, 0], np.array(0), 0, [0, [1]]]
 
 

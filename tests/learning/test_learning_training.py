@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.ir import Ending, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.lang.scalar import Const
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
+from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.progress import Lines, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
@@ -367,3 +369,26 @@ def test_a_run_whose_figures_could_not_be_read_back_is_refused_before_it_is_made
     with pytest.raises(UsageError, match=str(abs(next(iter(figures.values()))))):
         train(stand_in.compiled(), runs=tmp_path, build=stand_in.build, **figures)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="directories cannot be locked")
+def test_a_run_that_is_being_trained_is_not_resumed_by_a_second_process(run_copy: Path) -> None:
+    before = {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()}
+    with sole_trainer(run_copy), pytest.raises(UsageError, match="another training is at work in"):
+        resume(run_copy, total_timesteps=3_000, build=stand_in.build)
+    assert {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()} == before
+    assert resume(run_copy, total_timesteps=2_100, stop_when_solved=False, build=stand_in.build).steps >= 2_100
+
+
+def test_a_replay_buffer_with_actions_that_do_not_exist_is_refused(tmp_path: Path) -> None:
+    settings = Training("DQN", 300, environments=1, hyperparameters=hyper(learning_starts=50, buffer_size=500))
+    done = train(stand_in.compiled(training=settings), runs=tmp_path, build=stand_in.build)
+    checkpoint = done.run / "checkpoint.npz"
+    with zipfile.ZipFile(checkpoint) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    content["replay/actions.npy"] = content["replay/actions.npy"][:-8] + (99).to_bytes(8, "little")
+    with zipfile.ZipFile(checkpoint, "w") as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    with pytest.raises(RunError, match="'replay/actions' holds actions that the scenario does not have"):
+        resume(done.run, total_timesteps=600, build=stand_in.build)

@@ -141,3 +141,18 @@ def test_a_damaged_checkpoint_is_refused_and_the_models_stay(run_copy: Path) -> 
     with pytest.raises(RunError, match="damaged"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
     assert evaluate(run_copy, episodes=1, build=stand_in.build).episodes == 1
+
+
+@pytest.mark.parametrize("moment", ["step", "exp_avg", "exp_avg_sq"])
+def test_a_checkpoint_whose_optimiser_lacks_an_array_is_refused(run_copy: Path, moment: str) -> None:
+    path = run_copy / "checkpoint.npz"
+    rewrite(path, {name: data for name, data in members(path).items() if name != f"policy.optimizer/2/{moment}.npy"})
+    with pytest.raises(RunError, match=f"lacks 'policy.optimizer/2/{moment}'"):
+        resume(run_copy, total_timesteps=3_000, build=stand_in.build)
+
+
+def test_an_optimiser_that_counts_below_zero_is_refused(run_copy: Path) -> None:
+    path = run_copy / "checkpoint.npz"
+    rewrite(path, members(path) | {"policy.optimizer/0/step.npy": npy(np.array(-1.0, np.float32))})
+    with pytest.raises(RunError, match=r"'policy\.optimizer/0/step' counts below zero"):
+        resume(run_copy, total_timesteps=3_000, build=stand_in.build)

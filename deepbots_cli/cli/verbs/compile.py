@@ -33,6 +33,8 @@ def command(
     if ir and as_json:
         raise UsageError("--ir and --json exclude each other: the former is JSON already")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
+        raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
     terminal.mention(compiled.findings, scenario)
     if as_json:
         data = {"name": compiled.ir.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}

@@ -25,7 +25,7 @@ def command(
     scenario: Scenario,
     sets: Sets = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode.")
+        Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode; the file is replaced.")
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
