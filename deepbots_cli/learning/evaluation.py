@@ -168,7 +168,7 @@ def _summary(
         solved=solved,
         verdict=verdict,
         video=video_to,
-        notes=tuple(run.notes()),
+        notes=(*run.notes(), *interface.other_conditions(run.ir, ir)),
     )
 
 

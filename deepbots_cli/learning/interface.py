@@ -44,6 +44,15 @@ def differences(run: CompiledScenario, scenario: CompiledScenario) -> list[str]:
     return lines
 
 
+def other_conditions(run: CompiledScenario, scenario: CompiledScenario) -> list[str]:
+    """One line for each circumstance that a policy bears, but was not trained under: how often and how late it acts."""
+    circumstances = (
+        ("timing", run.timing, scenario.timing),
+        ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
+    )
+    return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
+
+
 def _range(low: float, high: float, unit: str) -> str:
     return f"{low:g} .. {high:g} {unit}".rstrip()
 

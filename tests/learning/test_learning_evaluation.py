@@ -128,3 +128,10 @@ def test_a_video_in_a_folder_that_is_read_only_is_one_sentence_that_names_it(
 def test_senseless_figures_are_refused(trained: TrainingResult, episodes: int, seed: int) -> None:
     with pytest.raises(UsageError):
         evaluate(trained.run, episodes=episodes, seed=seed, build=stand_in.build)
+
+
+def test_an_evaluation_under_another_timing_says_so(trained: TrainingResult) -> None:
+    later = stand_in.altered(stand_in.compiled(), timing="paper")
+    result = evaluate(trained.run, episodes=3, scenario=later, build=stand_in.build)
+    assert "trained with timing immediate, evaluated with paper" in evaluation_text(result)
+    assert evaluate(trained.run, episodes=3, build=stand_in.build).notes == ()
