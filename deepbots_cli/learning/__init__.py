@@ -6,6 +6,7 @@ rollout.py       episodes of a trained policy
 run.py           the run directory: what is kept, written atomically, read with suspicion
 record.py        run.json: who, what, when, with which versions
 atomic.py        whole files, and JSON read with suspicion
+exclusive.py     one training at a time in a run
 weights.py       networks and optimisers as plain arrays; no pickle is ever loaded
 algorithms.py    the table of algorithms and our defaults
 environments.py  copies of one world, stepped in turn in one process
