@@ -47,7 +47,7 @@ COST_HEAD = """## What it costs
 
 Steps of the environment against bare physics: the same engine, world, substeps and motion, resets apart.
 "Layered by hand" is an ordinary environment with a supervisor, a robot and messages, written directly upon
-PyBullet and numpy (`tests/benchmarks/layered.py`).
+PyBullet and numpy; `tests/benchmarks/layered.py` says in which style, and what other styles take.
 
 | what | bar | measured | met | command |
 |---|---|---|---|---|
