@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -27,7 +28,7 @@ Info = dict[str, Any]
 _CLOSED = "the environment is closed; make a new one"
 
 
-class Supervisor(gym.Env[Observation, Any]):
+class Supervisor(gym.Env[Observation, Any], ABC):
     """Base of the generated supervisor classes.
 
     A generated class adds `bind` (readers from the engine), `_begin` (draws and placing at reset),
@@ -157,30 +158,33 @@ class Supervisor(gym.Env[Observation, Any]):
     def bind(self, engine: Engine) -> None:
         """Take readers from the engine."""
 
+    @abstractmethod
     def get_observations(self) -> Observation:
         """What the policy sees, float32 in [-1, 1]; a copy."""
-        raise NotImplementedError
 
+    @abstractmethod
     def get_reward(self) -> float:
         """The reward of the last step: the sum of its terms."""
-        raise NotImplementedError
 
+    @abstractmethod
     def is_done(self) -> tuple[bool, bool]:
         """Whether the task ended (success or failure), and whether a limit cut the episode short."""
-        raise NotImplementedError
 
+    @abstractmethod
     def get_info(self) -> Info:
         """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms` by name."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _begin(self) -> None:
-        raise NotImplementedError
+        """Draw what the episode varies, and put the world where it begins."""
 
+    @abstractmethod
     def _start(self) -> None:
-        raise NotImplementedError
+        """Receive the first messages and compute what the first observation needs."""
 
+    @abstractmethod
     def _advance(self, action: Any) -> None:
-        raise NotImplementedError
+        """One tick: act, let the world go on, receive, and compute all that is read afterwards."""
 
     # The end of an episode, and failures: off the fast path
 
