@@ -5,8 +5,9 @@ The way of the data, and the packages along it:
     text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ IR ─▶ generated Python ─▶ environment ─▶ run
     source      schema     compiler (with lang, urdf)             ir       compiler.emit     runtime      learning
 
-ir.py         the compiled scenario       canonical.py  its JSON and its digest
+ir/           the compiled scenario       canonical.py  its JSON and its digest
 task.py       the checked task, before    port.py       what the runtime asks of an engine
+frames.py     rotations and frames
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree

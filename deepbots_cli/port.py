@@ -13,7 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+
+from deepbots_cli.frames import Frame, Quaternion, Triple
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
     Image = NDArray[np.uint8]
 
 Capability = Literal["contacts", "rendering"]
-Triple = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+Part = tuple[str, str | None]
+"""A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
 JointReader = Callable[[], JointStates]
 """One item per joint: position (rad or m) at index 0, velocity (rad/s or m/s) at index 1; what follows is the engine's."""
@@ -40,6 +42,29 @@ MotorWriter = Callable[[Sequence[float]], object]
 
 The limits that a motor is bound with are infinite where a joint has none.
 """
+
+
+STILL: Triple = (0.0, 0.0, 0.0)
+Pusher = Callable[[Triple, Triple], object]
+"""Takes a force (N) and a torque (N m)."""
+ContactReader = Callable[[], bool]
+ForceReader = Callable[[], float]
+GapReader = Callable[[], float]
+RayReader = Callable[[], Sequence[float]]
+Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
+
+
+class Sight(NamedTuple):
+    """One picture: `colours` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis;
+    `bodies` int32 (height, width), the place of each pixel's body in `names`, -1 for none."""
+
+    colours: Image
+    depth: NDArray[np.float32]
+    bodies: NDArray[np.int32]
+    names: tuple[str, ...]
+
+
+CameraReader = Callable[[], Sight]
 
 
 @dataclass(frozen=True)
@@ -69,11 +94,93 @@ class Engine(Protocol):
         What follows is bit for bit what follows in a world that was just built.
         """
 
-    def place(self, body: str, position: Triple, orientation: Quaternion) -> None:
-        """Put the origin of a body's root link there, at rest. Meant between `reset` and the first step."""
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+    ) -> None:
+        """Put the origin of a body's root link there, moving so (world frame). Meant between `reset` and the first step.
+
+        A pooled body is absent after a reset, touching nothing and seen by nobody, until it is placed.
+        """
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         """Put a joint there (rad or m; rad/s or m/s). Meant between `reset` and the first step."""
+
+    def choose(self, body: str, variant: str) -> None:
+        """Let a pooled body take the form of one of its variants. Meant between `reset` and `place`."""
+
+    # Figures that an episode may vary; meant between `reset` and `place`, and in force until the next reset,
+    # which brings back those of the world model. `link` None is the root link.
+
+    def set_mass(self, body: str, link: str | None, mass: float) -> None:
+        """Mass in kg; the inertia scales along."""
+
+    def set_friction(
+        self,
+        body: str,
+        link: str | None,
+        *,
+        lateral: float | None = None,
+        spinning: float | None = None,
+        rolling: float | None = None,
+        restitution: float | None = None,
+    ) -> None: ...
+
+    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+        """In N m s/rad or N s/m."""
+
+    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
+        """In N m or N."""
+
+    def set_gravity(self, gravity: Triple) -> None:
+        """In m/s^2, world frame."""
+
+    def set_colour(self, body: str, link: str | None, colour: tuple[float, float, float, float]) -> None:
+        """Red, green, blue and opacity, 0 to 1."""
+
+    def set_light(self, brightness: float) -> None:
+        """Of pictures; 1 is ordinary."""
+
+    # What acts or looks in every engine step; bound at build, called in the order of binding
+
+    def before_substep(self, act: Callable[[], object]) -> None:
+        """Call `act` before each engine step of `step`."""
+
+    def after_substep(self, look: Callable[[], object]) -> None:
+        """Call `look` after each engine step of `step`."""
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        """Pushes a link in the next engine step alone, at its origin; the axes are those of the world or of the link."""
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
+
+        `others` None stands for all bodies besides its own. `ground` says whether plane and terrain count among them.
+        """
+
+    def contact_force(self, one: Part) -> ForceReader:
+        """The sum of normal forces (N) on `one` from everything that it touches, in the last engine step."""
+
+    def gap(self, one: Part, other: Part) -> GapReader:
+        """The distance between two surfaces, m: 0 where they touch, and infinite to a body that is absent."""
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+        """Rays along the x axis of frames in the frame of a link: how far (m) each is free, at most `reach`.
+
+        Its own body is not seen, nor what is not solid.
+        """
+
+    def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
+        """Looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
+
+        Raises:
+            EngineError: The engine cannot draw.
+        """
+
+    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
+        """Positions of the joints (rad or m) that bring the origin of a link somewhere, in a certain attitude or in any (None).
+
+        The same call in the same state of the world gives the same bits.
+        """
 
     def step(self, substeps: int) -> None:
         """Advance by `substeps` engine steps of `timestep / substeps` of the world model each."""

@@ -96,6 +96,20 @@ class JointStart:
 
 
 @dataclass(frozen=True, eq=False)
+class Varied:
+    """A figure that every episode draws anew: an `ir.Variation` in the making.
+
+    A vector has `components`; a single figure with `spread` is drawn anew for each of these.
+    """
+
+    what: str
+    of: tuple[str, ...]
+    value: Valued
+    components: Components | None = None
+    spread: Components | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Task:
     """One checked scenario. `order` lists augmentation and signals so that each comes after what it is made of."""
 
@@ -120,3 +134,5 @@ class Task:
     training: ir.Training | None
     evaluation: ir.Evaluation
     augmented: frozenset[str]
+    variations: tuple[Varied, ...] = ()
+    agent: ir.Agent = ir.Agent()

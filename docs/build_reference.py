@@ -32,7 +32,9 @@ _LATER = "*Not run yet.*"
 
 Route = tuple[str, ...]
 
-_KEYS_LATER: dict[Route, tuple[str, ...]] = dict(support.LATER)
+_KEYS_LATER: dict[Route, tuple[str, ...]] = {
+    route: tuple(key for other, key in support.LATER if other == route) for route, _ in support.LATER
+}
 _KINDS_RUN: dict[Route, frozenset[str]] = {
     ("train",): support.TRAINED,
     ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),

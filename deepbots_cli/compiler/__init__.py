@@ -6,6 +6,7 @@
 
 namespace.py    one flat namespace, each name typed when first asked for
 scopes.py       what an expression may see from its place
+variations.py   figures that every episode draws anew
 values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
 world.py        timestep, ground, arena, objects
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
@@ -24,6 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
+from deepbots_cli import ir
 from deepbots_cli.compiler.controllers import Controller
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
@@ -183,6 +185,8 @@ class _Pass:
             training(spec, values, action),
             Evaluation(spec.evaluation.episodes),
             frozenset(spec.augment),
+            tuple(namespace.variations),
+            ir.Agent(spec.agent.repeat, spec.agent.stack),
         )
 
     def _define_parameters(self) -> None:

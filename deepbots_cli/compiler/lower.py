@@ -9,7 +9,7 @@ from deepbots_cli import ir
 from deepbots_cli.lang import lower as lang
 from deepbots_cli.lang.fold import op
 from deepbots_cli.lang.scalar import Const, Draw, Name, Scalar, walk
-from deepbots_cli.task import Command, Coordinate, JointStart, ObservedValue, Placement, Task, TaskRobot, Valued
+from deepbots_cli.task import Command, Coordinate, JointStart, ObservedValue, Placement, Task, TaskRobot, Valued, Varied
 
 
 def lower(task: Task) -> ir.CompiledScenario:
@@ -33,10 +33,12 @@ def lower(task: Task) -> ir.CompiledScenario:
             tuple(_place(placement) for placement in task.placements),
             tuple(start for joints in task.joint_starts for start in _joint_starts(joints)),
             task.settle,
+            tuple(_variation(varied) for varied in task.variations),
         ),
         task.solved,
         task.training,
         task.evaluation,
+        task.agent,
     )
 
 
@@ -127,6 +129,12 @@ def _layout(robot: str, direction: ir.Direction, fields: tuple[ir.Field, ...]) -
 
 
 # Resets
+
+
+def _variation(varied: Varied) -> ir.Variation:
+    values = _scalars(varied.value, varied.spread)
+    count = len(varied.components or varied.spread or ("",))
+    return ir.Variation(varied.what, varied.of, values * count if len(values) == 1 else values)
 
 
 def _place(placement: Placement) -> ir.Place:

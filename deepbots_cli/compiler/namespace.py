@@ -15,6 +15,7 @@ from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.types import Kind, Subject, Symbol
 from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Varied
 
 _SHOWN = 12
 
@@ -57,6 +58,8 @@ class Namespace:
         self.robots: dict[str, RobotScene | None] = {}
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
+        self.variations: list[Varied] = []
+        """Figures that are drawn anew in every episode, in the order in which they were found."""
         self._open: list[Definition] = []
 
     def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:

@@ -12,7 +12,6 @@ lump.py      links that do not move against each other, as one body
 solids.py    objects and walls as one-link robots
 servo.py     springs and dampers on joints
 lookup.py    things by name
-frames.py    rotations and frames, in plain floats
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
 `deepbots_cli.engines`: a name, and the `module:attribute` of an `EngineFactory`.

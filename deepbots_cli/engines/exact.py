@@ -14,7 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from deepbots_cli.engines import frames, solids
+from deepbots_cli import frames
+from deepbots_cli.engines import solids
 from deepbots_cli.engines.lookup import find
 from deepbots_cli.engines.lump import joined
 from deepbots_cli.engines.motion import CartPole, Drive, RigidBody
@@ -22,19 +23,9 @@ from deepbots_cli.engines.servo import Servo
 from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
+    from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.ir import RobotBody, WorldModel
-    from deepbots_cli.port import (
-        Capability,
-        Image,
-        JointReader,
-        MotorWriter,
-        PoseReader,
-        Quaternion,
-        TorqueReader,
-        Triple,
-        VelocityReader,
-        View,
-    )
+    from deepbots_cli.port import Capability, Image, JointReader, MotorWriter, PoseReader, TorqueReader, VelocityReader, View
 
 
 class ExactEngine:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deepbots_cli.engines import frames
-from deepbots_cli.engines.frames import HERE, Frame, cross, dot, rotate, scaled, subtract
+from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import Triple
+from deepbots_cli.frames import HERE, Frame, Triple, cross, dot, rotate, scaled, subtract
 from deepbots_cli.urdf import inertia, rotation
 from deepbots_cli.urdf.model import RobotModel
 from deepbots_cli.urdf.rotation import Matrix

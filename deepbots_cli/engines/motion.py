@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, cos, isfinite, sin
 
-from deepbots_cli.engines import frames
-from deepbots_cli.engines.frames import HERE, Frame, add, cross, dot, inverse, multiply, rotate, scaled, subtract
+from deepbots_cli import frames
 from deepbots_cli.engines.lump import Lump
 from deepbots_cli.engines.servo import SERVO_TIME
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import Quaternion, Triple
+from deepbots_cli.frames import HERE, Frame, Quaternion, Triple, add, cross, dot, inverse, multiply, rotate, scaled, subtract
 from deepbots_cli.urdf.model import Joint
 
 FINE = 5e-4  # s; keeps the energy of a pendulum that goes round to 1e-10 over 10 s

@@ -29,7 +29,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepbots_cli.engines import frames, loadable, solids
+from deepbots_cli import frames
+from deepbots_cli.engines import loadable, solids
 from deepbots_cli.engines.backdrop import axes, backdrop, smoothed
 from deepbots_cli.engines.lookup import find
 from deepbots_cli.engines.lump import held_by
@@ -45,19 +46,9 @@ with hushed():  # the library prints the time of its build
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.ir import WorldModel
-    from deepbots_cli.port import (
-        Capability,
-        Image,
-        JointReader,
-        MotorWriter,
-        PoseReader,
-        Quaternion,
-        TorqueReader,
-        Triple,
-        VelocityReader,
-        View,
-    )
+    from deepbots_cli.port import Capability, Image, JointReader, MotorWriter, PoseReader, TorqueReader, VelocityReader, View
 
 STILL: Triple = (0.0, 0.0, 0.0)
 BASE = -1  # PyBullet's number for the root link

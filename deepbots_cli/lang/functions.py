@@ -64,7 +64,19 @@ class Param(NamedTuple):
 
 # In the language, and understood here, but not yet run by this version.
 UNSUPPORTED = frozenset(
-    {"path_distance", "reachable", "visible", "beside", "along", "length", "age", "fresh", "gap", "contact", "collided"}
+    {
+        "path_distance",
+        "reachable",
+        "visible",
+        "beside",
+        "along",
+        "length",
+        "age",
+        "fresh",
+        "gap",
+        "contact",
+        "collided",
+    }
 )
 
 DimensionRule = Callable[[Dimension], Dimension]

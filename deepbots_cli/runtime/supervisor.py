@@ -46,6 +46,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     ended_by: str | None
     endings: tuple[str, ...]
     step_count: int
+    tick_count: int
 
     def __init__(self, scenario: CompiledScenario, engine: Engine, render_mode: str | None = None) -> None:
         """Takes over `engine`, which holds the scenario's world, and closes it with itself.
@@ -202,7 +203,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.endings = (limit,)
 
     def _forget(self) -> None:
-        self.step_count = 0
+        self.step_count = self.tick_count = 0
         self.reward = 0.0
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None

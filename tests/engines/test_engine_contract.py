@@ -8,7 +8,8 @@ from math import isclose, pi, sqrt
 
 import pytest
 
-from deepbots_cli.engines import ENGINES, frames
+from deepbots_cli import frames
+from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
 from deepbots_cli.urdf.rotation import quaternion
 

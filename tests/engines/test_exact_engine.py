@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.engines import frames
+from deepbots_cli import frames
 from deepbots_cli.engines.lump import joined
 from deepbots_cli.engines.motion import CartPole, RigidBody
 from deepbots_cli.errors import EngineError

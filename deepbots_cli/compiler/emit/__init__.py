@@ -1,10 +1,13 @@
 """From the compiled scenario to readable Python.
 
 robot.py       a controller class per robot: use_message_data, create_message
-supervisor.py  the supervisor class: reset, one tick, and the paper's methods that read it
-evaluation.py  signals, endings, reward and observation inside that tick
+supervisor.py  the supervisor class, whose methods are printed by
+  reset.py       what an episode varies and how it begins; variations.py the statement of each such figure
+  step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py), observation.py
+  readings.py    the paper's methods, which read what a step left
+workspace.py   what these share: names and readers
 reads.py       which engine readers are bound, and how each number is taken from them
-guard.py       what may be printed at all
+guard/         what may be printed at all
 printer.py     statements and the memory of stateful functions; names.py identifiers; text.py, wrap.py layout
 
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
@@ -17,7 +20,7 @@ from deepbots_cli.canonical import digest
 from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.robot import RobotPrinter
-from deepbots_cli.compiler.emit.supervisor import SupervisorPrinter
+from deepbots_cli.compiler.emit.supervisor import supervisor
 from deepbots_cli.compiler.emit.wrap import wrapped
 from deepbots_cli.ir import CompiledScenario
 
@@ -34,7 +37,7 @@ def emit(scenario: CompiledScenario) -> str:
     classes: list[str] = []
     for robot in scenario.robots:
         classes += ["", "", *RobotPrinter(scenario, robot).text()]
-    classes += ["", "", *SupervisorPrinter(scenario).text()]
+    classes += ["", "", *supervisor(scenario)]
     body = [line for long in _trim_blank_lines(classes) for line in wrapped(long)]
     return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
 

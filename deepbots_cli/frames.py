@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from math import cos, hypot, sin
 
-from deepbots_cli.port import Quaternion, Triple
 from deepbots_cli.urdf.model import Pose
 from deepbots_cli.urdf.rotation import quaternion
+
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Frame = tuple[Triple, Quaternion]
+"""Where something is in something else: its origin there (m), and how it is turned."""
 
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -68,8 +72,6 @@ def rotate(q: Quaternion, v: Triple) -> Triple:
     return (v[0] + w * tx + y * tz - z * ty, v[1] + w * ty + z * tx - x * tz, v[2] + w * tz + x * ty - y * tx)
 
 
-Frame = tuple[Triple, Quaternion]
-"""Where something is in something else: its origin there (m), and how it is turned."""
 HERE: Frame = ((0.0, 0.0, 0.0), UPRIGHT)
 
 

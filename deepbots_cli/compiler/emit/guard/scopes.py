@@ -1,0 +1,48 @@
+"""Each name in an expression is defined, in the scope of the expression."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from graphlib import CycleError, TopologicalSorter
+
+from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.compiler.emit.guard.expressions import nodes
+from deepbots_cli.compiler.emit.text import action_variables, flat
+from deepbots_cli.compiler.sensors import SENSOR_KINDS
+from deepbots_cli.ir import CompiledScenario, Ending
+from deepbots_cli.lang.scalar import Name
+
+_BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended"))
+
+
+def require_known_names(scenario: CompiledScenario) -> None:
+    """Each name in an expression is one that the scenario defines, in the scope of the expression."""
+    sent = [(f"{robot.name}.{name}", component) for robot in scenario.robots for name, component in flat(robot.emit)]
+    acted = [pair for part in scenario.action for pair in action_variables(part)]
+    endings = [(ending.name, None) for ending in scenario.endings]
+    known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
+    supervisor = [scenario.parameters, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
+    _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
+    for robot in scenario.robots:
+        for sensor in robot.sensors:
+            if sensor.kind not in SENSOR_KINDS or not sensor.subjects:
+                raise CanonicalError(f"{sensor.kind[:40]!r} is no sensor kind")
+        sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]
+        _require_in([robot.emit], set(sensed))
+        _require_in([robot.apply], {*sensed, *flat(robot.receive)})
+
+
+def require_order(endings: tuple[Ending, ...]) -> None:
+    """Endings may name each other, but not in a circle."""
+    names = {ending.name for ending in endings}
+    used = {ending.name: {node.name for node in nodes(ending.condition) if isinstance(node, Name)} & names for ending in endings}
+    try:
+        TopologicalSorter(used).prepare()
+    except CycleError:
+        raise CanonicalError("endings that wait for each other") from None
+
+
+def _require_in(expressions: Iterable[object], known: set[tuple[str, str | None]]) -> None:
+    for node in (node for value in expressions for node in nodes(value)):
+        if isinstance(node, Name) and (node.name, node.component) not in known:
+            raise CanonicalError(f"{node.name[:40]!r} is not defined")

@@ -1,0 +1,19 @@
+"""The limits that cut an episode short, in ticks."""
+
+from __future__ import annotations
+
+import math
+
+from deepbots_cli.compiler.emit.workspace import Workspace
+
+
+def tick_limit(space: Workspace) -> tuple[int, str] | None:
+    """The number of ticks at which an episode is cut short within a step, and the name of that limit."""
+    limits = space.scenario.truncation
+    ticks = []
+    if limits.max_steps is not None and not space.repeats:
+        ticks.append((limits.max_steps, "max_steps"))
+    if limits.max_time is not None:
+        # a limit of a whole number of ticks must not gain one by rounding
+        ticks.append((math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9), "max_time"))
+    return min(ticks) if ticks else None

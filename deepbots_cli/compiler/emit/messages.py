@@ -1,0 +1,62 @@
+"""Prints how supervisor and robots talk: one message to each robot per step, one from each per tick."""
+
+from __future__ import annotations
+
+from deepbots_cli.compiler.emit.printer import Printer, outer_states
+from deepbots_cli.compiler.emit.robot import decode_lines, keeps_state
+from deepbots_cli.compiler.emit.text import flat, targets_code
+from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.ir import Robot
+from deepbots_cli.lang.scalar import names_in
+
+
+def print_sending(space: Workspace, printer: Printer, robot: Robot) -> None:
+    """The message of this step, sent and, where it has arrived, acted on."""
+    values = [printer.value(value) for entry in robot.receive for value in entry.values]
+    controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
+    if space.scenario.format == "none":
+        printer.line(f"{controller}.apply({', '.join(values)})")
+        return
+    printer.line(f"{channel}.send(self.encode_to_{robot.name}({', '.join(values)}))")
+    if space.scenario.timing == "paper":
+        printer.line(f"message = {channel}.receive()")
+        printer.line("if message is not None:")
+        printer.line(f"    {controller}.use_message_data(message)")
+    else:
+        printer.line(f"{controller}.use_message_data({channel}.receive())")
+
+
+def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: bool) -> None:
+    """Messages of one robot into local variables; the first of an episode arrives at once."""
+    controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
+    targets = [space.local(f"{robot.name}.{name}", component) for name, component in flat(robot.emit)]
+    if keeps_state(robot) and not first:
+        printer.line(f"{controller}.observe()")
+    if space.scenario.format == "none":
+        printer.line(f"{targets_code(targets)} = {controller}.sense()" if targets else "")
+        return
+    if space.scenario.timing == "paper" and first:
+        printer.line(f"message = {controller}.create_message()")
+        printer.line(f"{channel}.send(message)")
+    else:
+        printer.line(f"{channel}.send({controller}.create_message())")
+        printer.line(f"message = {channel}.receive()")
+    error = f"self._rejected({controller}.spec.from_robot, message)"
+    printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.stamp, error)
+
+
+def print_first_telling(space: Workspace, printer: Printer) -> None:
+    """Begin what the values sent to robots remember; such a value begins with an action of 0."""
+    states = [state for value in space.sent for state in outer_states(value)]
+    if states:
+        used = {leaf.name for state in states for leaf in names_in(state)}
+        zeros = [v for v in space.variables if v[0] in used and not space.uses(v[0])]
+        printer.lines += [f"{space.local(*variable)} = 0.0" for variable in zeros]
+        printer.lines += [line for line in space.reads.call_lines(states) if line not in printer.lines]
+        printer.remember(space.sent)
+    print_keeping(space, printer)
+
+
+def print_keeping(space: Workspace, printer: Printer) -> None:
+    """Store what the next message to a robot tells of this tick."""
+    printer.lines += [f"self.told_{local} = {local}" for local in space.told()]

@@ -1,0 +1,35 @@
+"""Prints the paper's methods: they read what `_advance` left, and change nothing."""
+
+from __future__ import annotations
+
+from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list
+from deepbots_cli.ir import CompiledScenario
+
+
+def readings(scenario: CompiledScenario) -> list[list[str]]:
+    seen = sentence_list(list(dict.fromkeys(entry.name for entry in scenario.observation)))
+    summands = sentence_list([term.name for term in scenario.reward])
+    ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
+    limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
+    ends.append(f"a limit cut the episode short ({sentence_list(limits, 'or')})")
+    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.reward)
+    info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
+    return [
+        block(
+            "def get_observations(self) -> Any:",
+            [*docstring(f"What the policy sees, float32 in [-1, 1]: {seen}."), "return self.observed.copy()"],
+        ),
+        block("def get_reward(self) -> float:", [*docstring(f"The sum of {summands}."), "return self.reward"]),
+        block(
+            "def is_done(self) -> tuple[bool, bool]:",
+            [*docstring(f"Whether {', and whether '.join(ends)}."), "return self.terminated, self.truncated"],
+        ),
+        block(
+            "def get_info(self) -> dict[str, Any]:",
+            [
+                *docstring("How the episode ended, if it has, and the terms of the last reward."),
+                f"terms = {{{terms}}}",
+                f'return {{{info}, "reward_terms": terms}}',
+            ],
+        ),
+    ]

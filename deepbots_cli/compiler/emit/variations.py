@@ -1,0 +1,52 @@
+"""The figures that an episode may vary, and the statement that sets each.
+
+One entry per word of `ir.Variation`: how many names say whose figure it is, and how the code reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from deepbots_cli.compiler.emit.text import quoted
+from deepbots_cli.ir import Variation
+
+Code = Callable[[Sequence[str], Sequence[str]], str]
+
+
+class Setter(NamedTuple):
+    """`names` is the length of `of`; `values` that of `values`, None for any; `code` prints the statement from both."""
+
+    names: int
+    values: int | None
+    code: Code
+
+
+def _engine(method: str) -> Code:
+    """A call of the engine with the names, quoted, and the values."""
+    return lambda of, values: f"self.engine.{method}({', '.join([*map(quoted, of), *values])})"
+
+
+def _body(of: str, link: str) -> str:
+    return f"{quoted(of)}, {quoted(link) if link else None}"
+
+
+def _friction(which: str) -> Code:
+    return lambda of, values: f"self.engine.set_friction({_body(of[0], of[1])}, {which}={values[0]})"
+
+
+SETTERS: Mapping[str, Setter] = {
+    "mass": Setter(2, 1, lambda of, values: f"self.engine.set_mass({_body(of[0], of[1])}, {values[0]})"),
+    **{f"{which}_friction": Setter(2, 1, _friction(which)) for which in ("lateral", "spinning", "rolling")},
+    "restitution": Setter(2, 1, _friction("restitution")),
+    "joint_damping": Setter(2, 1, lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
+    "joint_friction": Setter(2, 1, lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
+    "gravity": Setter(0, 3, lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))"),
+    "light": Setter(0, 1, _engine("set_light")),
+}
+"""A link is named by body and link, the root link of an object by an empty link."""
+
+
+def setting(variation: Variation, values: Sequence[str]) -> str:
+    """The statement that sets the figure to `values`, which are code."""
+    return SETTERS[variation.what].code(variation.of, values)

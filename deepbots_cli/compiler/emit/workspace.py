@@ -1,0 +1,74 @@
+"""What all parts of the printed supervisor share: its scenario, the names in its code, and what it reads from the engine."""
+
+from __future__ import annotations
+
+from deepbots_cli.compiler.emit.names import Names
+from deepbots_cli.compiler.emit.printer import Printer
+from deepbots_cli.compiler.emit.reads import Reads
+from deepbots_cli.compiler.emit.text import action_variables, flat
+from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.lang.scalar import Name, Scalar, World, names_in
+
+
+class Workspace:
+    """One per printed supervisor.
+
+    `evaluated` are the expressions of every tick; `sent` those of messages to robots, which tell of the
+    tick before.
+    """
+
+    def __init__(self, scenario: CompiledScenario) -> None:
+        self.scenario = scenario
+        self.names = Names()
+        self.evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.values]
+        self.evaluated += [ending.condition for ending in scenario.endings]
+        self.evaluated += [term.value for term in scenario.reward]
+        self.evaluated += [entry.value for entry in scenario.observation]
+        self.sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
+        self.reads = Reads([*self.evaluated, *self.sent], self.names)
+        self.variables = [variable for part in scenario.action for variable in action_variables(part)]
+        self._used = {leaf.name for expression in self.evaluated for leaf in names_in(expression)}
+        self._parameters = {entry.name for entry in scenario.parameters}
+
+    @property
+    def repeats(self) -> bool:
+        """Whether a step of the agent has several ticks, which are then a method of their own."""
+        return self.scenario.agent.repeat > 1
+
+    @property
+    def tick(self) -> str:
+        """Code that counts the ticks of the episode."""
+        return "self.tick_count" if self.repeats else "self.step_count"
+
+    def uses(self, name: str) -> bool:
+        """Whether an expression of every tick reads the named value."""
+        return name in self._used
+
+    def local(self, name: str, component: str | None = None) -> str:
+        """The local variable that holds a named value during a tick."""
+        return self.names(name, component)
+
+    def parameter(self, name: str, component: str | None = None) -> str:
+        """The attribute that holds a drawn parameter."""
+        return f"self.{self.names('parameter', name, component)}"
+
+    def told(self) -> list[str]:
+        """Locals of one tick that the messages of the next one tell: signals, and fields that robots sent."""
+        robots = self.scenario.robots
+        kept = [*flat(self.scenario.signals), *((f"{r.name}.{name}", component) for r in robots for name, component in flat(r.emit))]
+        told = {(leaf.name, leaf.component) for value in self.sent for leaf in names_in(value)}
+        return [self.local(name, component) for name, component in kept if (name, component) in told]
+
+    def printer(self, *, starting: bool = False) -> Printer:
+        return Printer(self._resolve, self.names, self.scenario.world.timestep, starting=starting)
+
+    def _resolve(self, leaf: Name | World) -> str:
+        if isinstance(leaf, World):
+            return self.reads.code(leaf)
+        if leaf.name == "time":
+            return f"({self.tick} * {self.scenario.world.timestep!r})"
+        if leaf.name == "step":
+            return "self.step_count"
+        if leaf.name in self._parameters:
+            return self.parameter(leaf.name, leaf.component)
+        return self.names(leaf.name, leaf.component)

@@ -1,0 +1,52 @@
+"""Figures that a scenario may draw anew in every episode: the nominal value now, an expression for each reset."""
+
+from __future__ import annotations
+
+import math
+
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.lang.dimensions import Dimension
+from deepbots_cli.lang.types import Components, Scope, Stage
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Valued, Varied
+
+
+def figure(
+    namespace: Namespace, path: Path, given: object, dimension: Dimension, scope: Scope, what: str, of: tuple[str, ...]
+) -> float | None:
+    """The SI value of a figure that an episode may vary; None where none is given, and after a finding.
+
+    `what` is its entry in the table of variations (`emit.variations`), `of` whose it is. A drawn figure
+    is noted there, and its middle returned.
+    """
+    found = figures(namespace, path, given, dimension, scope, what, of)
+    return found[0] if found else None
+
+
+def figures(
+    namespace: Namespace,
+    path: Path,
+    given: object,
+    dimension: Dimension,
+    scope: Scope,
+    what: str,
+    of: tuple[str, ...],
+    components: Components | None = None,
+    spread: Components | None = None,
+) -> tuple[float, ...] | None:
+    """The same for a vector of `components`, or for one figure that is drawn anew for each of `spread`."""
+    if given is None:
+        return None
+    values = namespace.values
+    text, called = values.text(path, given), f"`{path[-1]}`"
+    typed = values.quantity(text, called, scope, dimension, components or spread, Stage.EPISODE)
+    if typed is None:
+        return None
+    count = len(components or spread or ("",))
+    if typed.type.stage is Stage.FIXED:
+        fixed = values.fixed(typed, text, called)
+        return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
+    owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of)
+    namespace.variations.append(Varied(what, of, Valued(str(path[-1]), text.span, text.text, typed, owner), components, spread))
+    reach = typed.type.interval
+    return ((reach.low + reach.high) / 2 if math.isfinite(reach.low) and math.isfinite(reach.high) else 0.0,) * count

@@ -1,0 +1,119 @@
+"""The compiled scenario: frozen, in SI units, free of YAML, of pydantic and of any engine.
+
+    CompiledScenario
+    ├── world         what an engine builds: timestep, ground, arena, robots as data, objects
+    ├── robots        controllers: sensors, what they emit, what they apply, message layouts
+    ├── parameters    values drawn per episode (fixed ones are folded into the expressions)
+    ├── action, agent what the agent chooses, which variables that sets, for how many ticks
+    ├── signals       augmentation and helpers, in order of evaluation
+    ├── observation   one entry per number that the policy sees
+    ├── reward, endings, truncation, reset
+    └── training, evaluation, solved
+
+world.py     what an engine builds               robots.py    controllers and their messages
+task.py      action to endings                   resets.py    how an episode begins, what it varies
+training.py  how the policy is trained and judged
+
+Expressions are scalar trees (`lang.scalar`). `deepbots_cli.canonical` writes all of it as canonical JSON, whose
+digest identifies the scenario.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deepbots_cli.ir.resets import Place, Reset, SetJoint, Variation
+from deepbots_cli.ir.robots import (
+    Actuator,
+    ActuatorKind,
+    Direction,
+    Field,
+    MessageFormat,
+    MessageLayout,
+    NamedValues,
+    Robot,
+    Sensor,
+    Timing,
+)
+from deepbots_cli.ir.task import Agent, Choices, Ending, Interval, Observed, Option, Outcome, Term, Truncation
+from deepbots_cli.ir.training import Evaluation, Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.ir.world import (
+    MOST_BODIES,
+    MOST_SETTLING_STEPS,
+    MOST_SUBSTEPS,
+    Arena,
+    Ground,
+    ObjectBody,
+    RobotBody,
+    WorldModel,
+)
+
+__all__ = [
+    "IR_VERSION",
+    "MOST_BODIES",
+    "MOST_SETTLING_STEPS",
+    "MOST_SUBSTEPS",
+    "Actuator",
+    "ActuatorKind",
+    "Agent",
+    "Arena",
+    "Choices",
+    "CompiledScenario",
+    "Direction",
+    "Ending",
+    "Evaluation",
+    "Field",
+    "Ground",
+    "Hyperparameter",
+    "Interval",
+    "MessageFormat",
+    "MessageLayout",
+    "NamedValues",
+    "ObjectBody",
+    "Observed",
+    "Option",
+    "Outcome",
+    "Place",
+    "Policy",
+    "Reset",
+    "Robot",
+    "RobotBody",
+    "Schedule",
+    "Sensor",
+    "SetJoint",
+    "Solved",
+    "Term",
+    "Timing",
+    "Training",
+    "Truncation",
+    "Variation",
+    "WorldModel",
+]
+
+IR_VERSION = 2
+
+
+@dataclass(frozen=True)
+class CompiledScenario:
+    """One scenario, ready to be printed as Python and run."""
+
+    name: str
+    summary: str
+    language: int
+    world: WorldModel
+    robots: tuple[Robot, ...]
+    format: MessageFormat
+    timing: Timing
+    parameters: tuple[NamedValues, ...]
+    action: tuple[Choices | Interval, ...]
+    signals: tuple[NamedValues, ...]
+    observation: tuple[Observed, ...]
+    reward: tuple[Term, ...]
+    endings: tuple[Ending, ...]
+    truncation: Truncation
+    reset: Reset
+    solved: Solved | None
+    training: Training | None
+    evaluation: Evaluation = Evaluation()
+    agent: Agent = Agent()
+    version: int = IR_VERSION

@@ -1,0 +1,52 @@
+"""How the policy is trained and judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What counts as solved, over `episodes` consecutive episodes."""
+
+    episodes: int
+    mean_return: float | None = None
+    success_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Hidden layers of actor and critic, and their activation."""
+
+    hidden: tuple[int, ...] = (64, 64)
+    activation: str = "tanh"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A figure that goes linearly from `start` to `end` over the training."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Hyperparameter:
+    """A figure of the algorithm, under the algorithm's own name for it."""
+
+    name: str
+    value: bool | int | float | str | Schedule | None
+
+
+@dataclass(frozen=True)
+class Training:
+    algorithm: str
+    total_timesteps: int
+    environments: int = 1
+    hyperparameters: tuple[Hyperparameter, ...] = ()
+    policy: Policy = Policy()
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    episodes: int = 100
