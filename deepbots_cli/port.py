@@ -205,11 +205,16 @@ class Engine(Protocol):
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: float | None, damping: float | None
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
     ) -> MotorWriter:
         """Drive joints towards target positions (rad or m).
 
-        With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m) the torque is
+        With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m), one per joint, the torque is
         `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
         None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
         `engines.servo.SERVO_TIME`, as far as the limit allows, and `damping` means nothing.

@@ -110,12 +110,17 @@ class ExactEngine:
         return self._motor(robot, joints, max_torque, lambda target, limit: Drive(torque=min(max(target, -limit), limit)))
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: float | None, damping: float | None
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
     ) -> MotorWriter:
         if stiffness is None:
             return self._motor(robot, joints, max_torque, lambda target, limit: Drive(position=target, limit=limit))
         exert = self.torque_motor(robot, joints, max_torque)
-        self._servos.append(servo := Servo(self.joint_states(robot, joints), exert, stiffness, damping or 0.0))
+        self._servos.append(servo := Servo(self.joint_states(robot, joints), exert, stiffness, damping))
         return servo.aim
 
     def render(self, view: View) -> Image:

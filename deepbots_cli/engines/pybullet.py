@@ -291,11 +291,16 @@ class PyBulletEngine:
         return exert_all
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: float | None, damping: float | None
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
     ) -> MotorWriter:
         if stiffness is not None:
             exert = self.torque_motor(robot, joints, max_torque)
-            servo = Servo(self.joint_states(robot, joints), exert, stiffness, damping or 0.0)
+            servo = Servo(self.joint_states(robot, joints), exert, stiffness, damping)
             self._servos.append(servo)
             self._each_substep.append(servo.act)
             return servo.aim

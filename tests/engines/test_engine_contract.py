@@ -53,7 +53,7 @@ def test_motors_exert_nothing_after_a_reset(engine_name, worlds, build):
     writers = (
         engine.torque_motor("robot", ["slide"], [8.0]),
         engine.velocity_motor("robot", ["slide"], [8.0]),
-        engine.position_motor("robot", ["slide"], [8.0], 50.0, 1.0),
+        engine.position_motor("robot", ["slide"], [8.0], [50.0], [1.0]),
         engine.position_motor("robot", ["slide"], [8.0], None, None),
     )
     for write in writers:
@@ -200,7 +200,7 @@ def test_torques_are_limited(engine_name, worlds, build):
 def test_a_spring_swings_at_its_own_frequency(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=20))
     engine.velocity_motor("robot", ["hinge"], [1e6])([0.0])
-    engine.position_motor("robot", ["slide"], [1e3], 40.0, 0.0)([0.0])
+    engine.position_motor("robot", ["slide"], [1e3], [40.0], [0.0])([0.0])
     engine.set_joint("robot", "slide", 0.1, 0.0)
     half_period = pi / sqrt(40.0 / 1.1)
     ticks = round(half_period / 0.01)

@@ -168,5 +168,9 @@ def _writer_code(robot: Robot, actuator: Actuator) -> str:
     limits = tuple_code([repr(limit) if limit is not None else "inf" for limit in actuator.max_torque])
     arguments = f"{quoted(robot.name)}, {quoted_tuple(actuator.joints)}, {limits}"
     if actuator.kind == "position_motor":
-        arguments += f", {actuator.stiffness!r}, {actuator.damping!r}"
+        gains = [
+            tuple_code([repr(gain)] * len(actuator.joints)) if gain is not None else "None"
+            for gain in (actuator.stiffness, actuator.damping)
+        ]
+        arguments += f", {', '.join(gains)}"
     return f"{actuator.kind}({arguments})"
