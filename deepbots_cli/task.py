@@ -51,12 +51,23 @@ class TaskRobot:
 
 
 @dataclass(frozen=True, eq=False)
+class ObservedNoise:
+    """The standard deviation of what is added to an entry, per component or for all; `relative` to the value or in its unit."""
+
+    deviation: Valued
+    relative: bool
+
+
+@dataclass(frozen=True, eq=False)
 class ObservedValue:
     """An entry of the observation: its value, and the fixed bounds of each component in SI units."""
 
     value: Valued
     low: tuple[float, ...]
     high: tuple[float, ...]
+    history: int = 1
+    clip: bool = True
+    noise: ObservedNoise | None = None
 
 
 @dataclass(frozen=True, eq=False)

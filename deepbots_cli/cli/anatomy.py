@@ -10,7 +10,7 @@ from collections.abc import Mapping as Dictionary
 
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
-from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageFormat, MessageLayout
+from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageFormat, MessageLayout, viewed
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
 
@@ -61,7 +61,7 @@ def _scenario(scenario: CompiledScenario, digest: str) -> Row:
         "gravity": list(world.gravity),
         "messages": scenario.format,
         "message_timing": scenario.timing,
-        "observation_space": f"Box({len(scenario.observation)})",
+        "observation_space": f"Box({len(viewed(scenario.observation, scenario.agent.stack))})",
         "action_space": _space(scenario),
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
@@ -233,16 +233,20 @@ def _signals(scenario: CompiledScenario, root: Node) -> list[Row]:
 
 
 def _observation(scenario: CompiledScenario) -> list[Row]:
+    """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
+    seen = [(scenario.observation[index], ago) for index, ago in viewed(scenario.observation, scenario.agent.stack)]
+    remembers = any(ago for _, ago in seen)
     return [
         {
             "index": index,
             "name": entry.full_name,
+            **({"steps_ago": ago} if remembers else {}),
             "low": entry.low,
             "high": entry.high,
             "unit": entry.unit,
-            "seen_as": "0 or 1" if entry.truth else "-1 .. 1",
+            "seen_as": "0 or 1" if entry.truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped",
         }
-        for index, entry in enumerate(scenario.observation)
+        for index, (entry, ago) in enumerate(seen)
     ]
 
 

@@ -11,7 +11,7 @@ values.py       texts to typed trees, findings at their places; lost.py names th
 world.py        timestep, ground, arena, objects
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
-policy.py       action and observation
+actions.py      what the agent decides; observations.py what it sees
 scoring.py      signals, reward, endings, training
 resets.py       places and joints at the start; poses.py named positions of joints
 inputs.py       the files that it was made from, as a run keeps copies of them
@@ -26,11 +26,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.actions import Actions
 from deepbots_cli.compiler.controllers import Controller
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.policy import Actions, Observations
+from deepbots_cli.compiler.observations import Observations
 from deepbots_cli.compiler.resets import joint_starts, placements
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scopes import ParameterScope

@@ -9,7 +9,7 @@ from deepbots_cli import ir
 from deepbots_cli.lang import lower as lang
 from deepbots_cli.lang.fold import op
 from deepbots_cli.lang.scalar import Const, Draw, Name, Scalar, walk
-from deepbots_cli.task import Command, Coordinate, JointStart, ObservedValue, Placement, Task, TaskRobot, Valued, Varied
+from deepbots_cli.task import Command, Coordinate, JointStart, ObservedNoise, ObservedValue, Placement, Task, TaskRobot, Valued, Varied
 
 
 def lower(task: Task) -> ir.CompiledScenario:
@@ -54,10 +54,20 @@ def _observed(observed: ObservedValue) -> list[ir.Observed]:
     value = observed.value
     known = value.typed.type
     components = known.components or (None,)
-    rows = zip(components, _scalars(value), observed.low, observed.high, strict=True)
+    noise = _noise(observed.noise, known.components)
+    rows = zip(components, _scalars(value), observed.low, observed.high, noise or (None,) * len(components), strict=True)
+    unit, history, clip = str(known.dimension), observed.history, observed.clip
     return [
-        ir.Observed(value.name, component, scalar, low, high, str(known.dimension), known.boolean) for component, scalar, low, high in rows
+        ir.Observed(value.name, component, scalar, low, high, unit, known.boolean, history, clip, added)
+        for component, scalar, low, high, added in rows
     ]
+
+
+def _noise(noise: ObservedNoise | None, components: tuple[str, ...] | None) -> tuple[ir.Noise, ...]:
+    """One for each component; a deviation that is drawn is drawn anew for each."""
+    if noise is None:
+        return ()
+    return tuple(ir.Noise(deviation, noise.relative) for deviation in _scalars(noise.deviation, components))
 
 
 # Robots and their messages

@@ -60,6 +60,8 @@ class Namespace:
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[Varied] = []
         """Figures that are drawn anew in every episode, in the order in which they were found."""
+        self.built_in: dict[str, Callable[[], Symbol]] = {}
+        """Names that the language gives, and whose type the scenario decides."""
         self._open: list[Definition] = []
 
     def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:

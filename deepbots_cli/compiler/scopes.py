@@ -16,7 +16,9 @@ from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol, Type
 
 _ENDLESS = Interval(0.0, float("inf"))
 _FLAGS = ("terminated", "truncated", "ended")
-_LATER = ("episode_return", "previous_action", "previous_reward", "goal_reached")
+_LATER = ("goal_reached",)
+_ACCOUNTS = ("previous_reward", "episode_return")
+_BUILT_IN = ("time", "step", "previous_action", *_ACCOUNTS, *_FLAGS, *_LATER)
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,12 @@ class SupervisorScope:
             return Symbol(name, Type(TIME, interval=_ENDLESS, stage=Stage.STEP))
         if name == "step":
             return Symbol(name, Type(NUMBER, interval=_ENDLESS, stage=Stage.STEP))
+        if name in _ACCOUNTS:
+            return Symbol(name, Type(NUMBER, stage=Stage.STEP))
+        if name in self.namespace.built_in:
+            if self.context is Context.RECEIVE:
+                return Symbol(name, None, refused="it arrives with the action; use the action variable")
+            return self.namespace.built_in[name]()
         if name in _FLAGS:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
             return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
@@ -82,7 +90,7 @@ class SupervisorScope:
     def names(self) -> Iterable[str]:
         known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
         endings = [Origin.ENDING] if self.context in (Context.REWARD, Context.ENDING) else []
-        return [*self.namespace.named(*known, *endings), "time", "step"]
+        return [*self.namespace.named(*known, *endings), "time", "step", *_ACCOUNTS, *self.namespace.built_in]
 
     def subjects(self) -> Iterable[str]:
         return self.namespace.subjects()
@@ -109,7 +117,7 @@ class RobotScope:
             return symbol
         if origin is Origin.ACTION:
             return Symbol(name, None, refused="it arrives with a message; use it in `apply`")
-        if name in ("time", "step", *_FLAGS, *_LATER) or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
+        if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
             return Symbol(name, None, refused=f"robot `{self.robot}` sees only its own sensors; send it under `receive` if it must know")
         return self.namespace.symbol(name)
 

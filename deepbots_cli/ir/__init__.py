@@ -6,7 +6,7 @@
     ├── parameters    values drawn per episode (fixed ones are folded into the expressions)
     ├── action, agent what the agent chooses, which variables that sets, for how many ticks
     ├── signals       augmentation and helpers, in order of evaluation
-    ├── observation   one entry per number that the policy sees
+    ├── observation   one entry per number of a frame of what the policy sees
     ├── reward, endings, truncation, reset
     └── training, evaluation, solved
 
@@ -35,7 +35,21 @@ from deepbots_cli.ir.robots import (
     Sensor,
     Timing,
 )
-from deepbots_cli.ir.task import Agent, Choices, Ending, Interval, Observed, Option, Outcome, Term, Truncation
+from deepbots_cli.ir.task import (
+    MOST_SEEN,
+    Agent,
+    Choices,
+    Ending,
+    Interval,
+    Noise,
+    Observed,
+    Option,
+    Outcome,
+    Term,
+    Truncation,
+    own_action,
+    viewed,
+)
 from deepbots_cli.ir.training import Evaluation, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.ir.world import (
     MOST_BODIES,
@@ -51,6 +65,7 @@ from deepbots_cli.ir.world import (
 __all__ = [
     "IR_VERSION",
     "MOST_BODIES",
+    "MOST_SEEN",
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
     "Actuator",
@@ -69,6 +84,7 @@ __all__ = [
     "MessageFormat",
     "MessageLayout",
     "NamedValues",
+    "Noise",
     "ObjectBody",
     "Observed",
     "Option",
@@ -88,6 +104,8 @@ __all__ = [
     "Truncation",
     "Variation",
     "WorldModel",
+    "own_action",
+    "viewed",
 ]
 
 IR_VERSION = 2

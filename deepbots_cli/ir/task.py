@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Literal
 
 from deepbots_cli.lang.scalar import Scalar
 
 Outcome = Literal["success", "failure"]
+
+# What one observation may hold; a network with more inputs is no small one.
+MOST_SEEN = 100_000
 
 
 @dataclass(frozen=True)
@@ -39,8 +44,19 @@ class Interval:
 
 
 @dataclass(frozen=True)
+class Noise:
+    """Gaussian noise: its standard deviation, in the unit of the value or as a share of the value."""
+
+    deviation: Scalar
+    relative: bool = False
+
+
+@dataclass(frozen=True)
 class Observed:
-    """One number of the observation, mapped from [low, high] to [-1, 1] and clipped; a truth value is 0 or 1."""
+    """One number of the observation, mapped from [low, high] to [-1, 1] and clipped; a truth value is 0 or 1.
+
+    `history` is how many values in a row the policy sees; noise is added before the mapping.
+    """
 
     name: str
     component: str | None
@@ -49,10 +65,42 @@ class Observed:
     high: float
     unit: str
     truth: bool = False
+    history: int = 1
+    clip: bool = True
+    noise: Noise | None = None
 
     @property
     def full_name(self) -> str:
         return self.name if self.component is None else f"{self.name}.{self.component}"
+
+
+def viewed(observation: Sequence[Observed], stack: int = 1) -> tuple[tuple[int, int], ...]:
+    """Of every number that the policy sees, in its order: the index of the entry, and how many steps ago.
+
+    The frames of the stack come oldest first; in each, the named values in file order, each with its
+    history, oldest first, and within that its components.
+    """
+    named = [list(group) for _, group in groupby(range(len(observation)), key=lambda index: observation[index].name)]
+    return tuple(
+        (index, back + ago)
+        for back in reversed(range(stack))
+        for group in named
+        for ago in reversed(range(observation[group[0]].history))
+        for index in group
+    )
+
+
+def own_action(action: Sequence[Choices | Interval]) -> tuple[str, ...]:
+    """The names of the numbers that the agent itself gives: an option of each choice (one-hot), a component of each range.
+
+    Those of several parts carry the name of their part; where that makes two alike, all are numbered from 1.
+    """
+    names: list[str] = []
+    for part in action:
+        inner = [option.name for option in part.options] if isinstance(part, Choices) else list(part.components)
+        alone = len(action) == 1 or not inner
+        names += [part.name] if not inner else inner if alone else [f"{part.name}_{name}" for name in inner]
+    return tuple(names) if len(set(names)) == len(names) else tuple(str(number + 1) for number in range(len(names)))
 
 
 @dataclass(frozen=True)

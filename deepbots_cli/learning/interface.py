@@ -9,16 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 
-from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageLayout
+from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageLayout, Observed
 
 
 def interface(ir: CompiledScenario) -> dict[str, str]:
     """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
     items = {}
     for observed in ir.observation:
-        items[f"observation.{observed.full_name}"] = (
-            "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
-        )
+        items[f"observation.{observed.full_name}"] = _observed(observed)
+    if ir.agent.stack > 1:
+        items["agent.stack"] = f"{ir.agent.stack} observations in a row"
     for part in ir.action:
         items[f"action.{part.name}"] = _action(part)
     for robot in ir.robots:
@@ -55,6 +55,12 @@ def other_conditions(run: CompiledScenario, scenario: CompiledScenario) -> list[
 
 def _range(low: float, high: float, unit: str) -> str:
     return f"{low:g} .. {high:g} {unit}".rstrip()
+
+
+def _observed(observed: Observed) -> str:
+    text = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
+    text += "" if observed.clip or observed.truth else ", not clipped"
+    return f"{text}, {observed.history} in a row" if observed.history > 1 else text
 
 
 def _action(part: Choices | Interval) -> str:

@@ -13,7 +13,7 @@ Nothing here reads YAML or knows an engine beyond the port.
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
 from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.supervisor import Supervisor, clipped
+from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.urdf.rotation import quaternion
 
-__all__ = ["MALFORMED", "RobotController", "Supervisor", "clipped", "load_module", "quaternion"]
+__all__ = ["MALFORMED", "RobotController", "Supervisor", "clipped", "load_module", "quaternion", "unbounded"]

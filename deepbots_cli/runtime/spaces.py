@@ -1,4 +1,4 @@
-"""Gymnasium spaces of a compiled scenario."""
+"""Gymnasium spaces of a compiled scenario, and which numbers of the last steps an observation is made of."""
 
 from __future__ import annotations
 
@@ -9,14 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.ir import Choices, CompiledScenario, Interval
+from deepbots_cli.ir import Choices, CompiledScenario, Interval, viewed
 
 
 def observation_space(scenario: CompiledScenario) -> gym.Space[NDArray[np.float32]]:
-    """One float32 per observed number: [-1, 1], or [0, 1] for a truth value."""
-    low = np.array([0.0 if entry.truth else -1.0 for entry in scenario.observation], np.float32)
-    box: gym.Space[Any] = gym.spaces.Box(low, np.ones_like(low), dtype=np.float32)
+    """One float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value, without bounds if it is not clipped."""
+    entries = [scenario.observation[index] for index, _ in viewed(scenario.observation, scenario.agent.stack)]
+    low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
+    high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
+    box: gym.Space[Any] = gym.spaces.Box(low, high, dtype=np.float32)
     return box
+
+
+def views(scenario: CompiledScenario) -> NDArray[np.intp]:
+    """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p.
+
+    There are as many rows as frames are needed for the longest history.
+    """
+    seen = np.array(viewed(scenario.observation, scenario.agent.stack), np.intp).reshape(-1, 2)
+    depth = 1 + int(seen[:, 1].max(initial=0))
+    newest = np.arange(depth)[:, None]
+    return (newest - seen[:, 1]) % depth * len(scenario.observation) + seen[:, 0]
 
 
 def action_space(scenario: CompiledScenario) -> gym.Space[Any]:

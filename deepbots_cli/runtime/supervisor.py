@@ -18,7 +18,7 @@ from deepbots_cli.port import Engine
 from deepbots_cli.runtime.channel import Channel
 from deepbots_cli.runtime.messages import codec, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.spaces import action_space, observation_space
+from deepbots_cli.runtime.spaces import action_space, observation_space, views
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.view import overview
 
@@ -39,7 +39,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     CONTROLLERS: ClassVar[dict[str, type[RobotController]]] = {}
 
     observed: NDArray[np.float32]
+    frames: NDArray[np.float32]
+    newest: int
     reward: float
+    previous_reward: float
+    episode_return: float
     terminated: bool
     truncated: bool
     is_success: bool
@@ -69,6 +73,9 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.action_space = action_space(scenario)
         self.streams = Streams(None)
         self.observed = np.zeros(len(scenario.observation), np.float32)
+        self.views = views(scenario)
+        self.depth = len(self.views)
+        self.frames = np.zeros(self.depth * len(scenario.observation), np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self._closed = False
@@ -202,9 +209,15 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.ended_by = limit
         self.endings = (limit,)
 
+    def fill_frames(self) -> None:
+        """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
+        self.newest = 0
+        width = len(self.observed)
+        self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
+
     def _forget(self) -> None:
         self.step_count = self.tick_count = 0
-        self.reward = 0.0
+        self.reward = self.previous_reward = self.episode_return = 0.0
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None
         self.endings = ()
@@ -280,3 +293,12 @@ def clipped(value: float) -> float:
     if value != value:
         raise FloatingPointError("not a number")
     return 1.0 if value > 0.0 else -1.0
+
+
+def unbounded(value: float) -> None:
+    """Refuses an observation that is not clipped and not finite, or too large for a float32.
+
+    Raises:
+        FloatingPointError: Always.
+    """
+    raise FloatingPointError(f"an observation of {value}")

@@ -61,8 +61,8 @@ class Observed(Part):
         description="What is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes what is known."
     )
     history: Small = Field(default=1, description="How many values in a row the policy sees, newest last.")
-    noise: Annotated[Scalar, Quantity("any", stage="episode", relative=True)] = Field(
-        default=0, description="Standard deviation of what is added to it."
+    noise: Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)] = Field(
+        default=0, description="Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value."
     )
     clip: OnOff = Field(default=True, description="Whether values outside the range are clipped to it.")
 

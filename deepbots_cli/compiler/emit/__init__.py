@@ -45,7 +45,7 @@ def emit(scenario: CompiledScenario) -> str:
 def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
     words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
     used_math = [name for name in _MATH if name in words]
-    runtime = [name for name in ("MALFORMED", "RobotController", "Supervisor", "clipped", "quaternion") if name in words]
+    runtime = [name for name in ("MALFORMED", "RobotController", "Supervisor", "clipped", "quaternion", "unbounded") if name in words]
     lines = [
         f'"""{class_name(scenario.name)}, compiled by deepbots; scenario {digest(scenario)[:12]}.',
         "",

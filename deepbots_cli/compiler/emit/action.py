@@ -3,45 +3,62 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import targets_code, tuple_code
+from deepbots_cli.compiler.emit.text import action_variables, targets_code, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import Choices, CompiledScenario, Interval
+from deepbots_cli.ir import Choices, Interval
 
 
-def choice_tables(scenario: CompiledScenario) -> list[str]:
-    """What each choice sets, as one dictionary per discrete part of the action."""
+def choice_tables(space: Workspace) -> list[str]:
+    """What each choice sets, as one dictionary per discrete part of the action; and itself as one-hot where that is read."""
     lines = []
-    for part in _choices(scenario):
-        entries = ", ".join(
-            f"{index}: {tuple_code([repr(v) for v in option.values]) if len(part.variables) > 1 else repr(option.values[0])}"
-            for index, option in enumerate(part.options)
-        )
+    choices, intervals = _parts(space)
+    hot = ("1.0", "0.0") if intervals else ("True", "False")
+    for part in choices:
+        rows = [[repr(value) for value in option.values] for option in part.options]
         comment = ", ".join(option.name for option in part.options)
-        lines.append(f"CHOICES_{part.name} = {{{entries}}}  # {comment}")
+        lines.append(f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}  # {comment}")
+        if space.taken:
+            size = range(len(part.options))
+            lines.append(f"TAKEN_{part.name} = {_table([tuple_code([hot[index != other] for other in size]) for index in size])}")
     return lines
+
+
+def _table(rows: list[str]) -> str:
+    return f"{{{', '.join(f'{index}: {row}' for index, row in enumerate(rows))}}}"
 
 
 def print_decoding(space: Workspace, printer: Printer) -> None:
     """Statements that set the action variables from `action`."""
-    choices = _choices(space.scenario)
+    choices, intervals = _parts(space)
+    given = _own_action(space)
     picks = ["action"] if len(choices) == 1 else [space.names(f"{part.name} pick") for part in choices]
     if len(picks) > 1:
         printer.line(f"{', '.join(picks)} = action")
     for part, pick in zip(choices, picks, strict=True):
-        targets = ", ".join(space.local(variable) for variable in part.variables)
-        printer.line(f"{targets} = self.CHOICES_{part.name}[{pick}]")
-    intervals = [part for part in space.scenario.action if isinstance(part, Interval)]
-    targets_of = [(part, component) for part in intervals for component in (part.components or (None,))]
-    if targets_of:
-        locals_ = [space.local(part.name, component) for part, component in targets_of]
-        printer.line(f"{targets_code(locals_)} = action.tolist()")
-        for (interval, _), name in zip(targets_of, locals_, strict=True):
+        printer.line(f"{', '.join(space.local(variable) for variable in part.variables)} = self.CHOICES_{part.name}[{pick}]")
+        if given:
+            printer.line(f"{targets_code(given[part.name])} = self.TAKEN_{part.name}[{pick}]")
+    if intervals:
+        printer.line(f"{targets_code([space.local(*v) for part in intervals for v in action_variables(part)])} = action.tolist()")
+    for interval in intervals:
+        half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
+        for index, variable in enumerate(action_variables(interval)):
+            name = space.local(*variable)
             printer.line(f"if not -1.0 <= {name} <= 1.0:")
             printer.line(f"    {name} = clipped({name})")
-            half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
+            if given:
+                printer.line(f"{given[interval.name][index]} = {name}")
             if (half, middle) != (1.0, 0.0):
                 printer.line(f"{name} = {middle!r} + {half!r} * {name}" if middle else f"{name} = {half!r} * {name}")
 
 
-def _choices(scenario: CompiledScenario) -> list[Choices]:
-    return [part for part in scenario.action if isinstance(part, Choices)]
+def _own_action(space: Workspace) -> dict[str, list[str]]:
+    """The locals that hold what the agent itself gave, by part; empty where nothing reads them."""
+    names = iter(space.taken)
+    sizes = {part.name: len(part.options) if isinstance(part, Choices) else max(1, len(part.components)) for part in space.scenario.action}
+    return {part: [space.local(*next(names)) for _ in range(size)] for part, size in sizes.items()} if space.taken else {}
+
+
+def _parts(space: Workspace) -> tuple[list[Choices], list[Interval]]:
+    action = space.scenario.action
+    return [part for part in action if isinstance(part, Choices)], [part for part in action if isinstance(part, Interval)]

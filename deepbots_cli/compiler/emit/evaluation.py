@@ -82,6 +82,8 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
         printer.line("self.reward += reward")
     printer.line("if not -1e300 < reward < 1e300:")
     printer.line("    self._not_finite()")
+    if space.uses("episode_return"):
+        printer.line("self.episode_return += reward")
 
 
 def _print_first_rewards(space: Workspace, printer: Printer) -> None:

@@ -10,7 +10,7 @@ import re
 _TAKEN = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "stamp", "reward", "terminated", "truncated", "ended", "Any", "Struct"}
-    | {"clipped", "quaternion", "wrap", "Supervisor", "RobotController", "MALFORMED", "copysign"}
+    | {"clipped", "unbounded", "quaternion", "wrap", "Supervisor", "RobotController", "MALFORMED", "copysign"}
 )
 
 

@@ -1,25 +1,82 @@
-"""Prints the observation: every entry mapped to [-1, 1], clipped, and packed as float32."""
+"""Prints the observation: every entry mapped to [-1, 1], clipped, and packed as float32.
+
+Where the policy sees several steps in a row, the numbers of a step are one row of a ring, and what it
+sees is gathered from there.
+"""
 
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.printer import Printer
+from deepbots_cli.compiler.emit.text import quoted, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import Observed
+from deepbots_cli.ir import Noise, Observed
 from deepbots_cli.lang.emit import operand
+from deepbots_cli.lang.scalar import Const, Name
 
 
 def print_observation(space: Workspace, printer: Printer) -> None:
+    noise = _print_noise(space, printer)
     packed = []
     for entry in space.scenario.observation:
         name = space.names(f"seen {entry.name}", entry.component)  # the blank keeps it apart from a signal called `seen`
         if entry.truth:
             packed.append(f"1.0 if {printer.value(entry.value)} else 0.0")
             continue
-        printer.line(f"{name} = {_normalised(printer.value(entry.value), entry)}")
-        printer.line(f"if not -1.0 <= {name} <= 1.0:")
-        printer.line(f"    {name} = clipped({name})")
+        code = _value(printer, entry)
+        if entry.noise is not None:
+            printer.line(f"{name} = {code}")
+            code = f"{name} + {_noise(space, entry.noise, entry, name)} * {noise[entry.full_name]}"
+        printer.line(f"{name} = {_normalised(code, entry)}")
+        if entry.clip:
+            printer.line(f"if not -1.0 <= {name} <= 1.0:")
+            printer.line(f"    {name} = clipped({name})")
+        else:
+            printer.line(f"if not -1e30 < {name} < 1e30:")
+            printer.line(f"    unbounded({name})")
         packed.append(name)
-    printer.line(f"self.pack({', '.join(['self.observed', '0', *packed])})")
+    if not space.remembers:
+        printer.line(f"self.pack({', '.join(['self.observed', '0', *packed])})")
+        return
+    place = "0" if printer.starting else f"self.newest * {4 * len(packed)}"
+    printer.line(f"self.pack({', '.join(['self.frames', place, *packed])})")
+    if printer.starting:
+        printer.line("self.fill_frames()")
+
+
+def print_next_frame(space: Workspace, printer: Printer) -> None:
+    """Make room for what the policy sees after this step."""
+    if space.remembers:
+        printer.line("self.newest = (self.newest + 1) % self.depth")
+
+
+def deviation(space: Workspace, entry: Observed) -> str:
+    """The attribute that holds a standard deviation which every episode draws."""
+    return f"self.{space.names('deviation', entry.name, entry.component)}"
+
+
+def _value(printer: Printer, entry: Observed) -> str:
+    # the reward of this step is known here; everywhere else the name means that of the step before
+    return "self.reward" if entry.value == Name("previous_reward") else printer.value(entry.value)
+
+
+def _print_noise(space: Workspace, printer: Printer) -> dict[str, str]:
+    """Standard normal numbers for all entries that want them, from one stream per name; the local of each full name."""
+    groups: dict[str, list[Observed]] = {}
+    for entry in space.scenario.observation:
+        if entry.noise is not None:
+            groups.setdefault(entry.name, []).append(entry)
+    locals_: dict[str, str] = {}
+    for name, entries in groups.items():
+        targets = [space.names(f"noise {entry.name}", entry.component) for entry in entries]
+        printer.line(f"{targets_code(targets)} = self.streams[{quoted(f'observation.{name}')}].standard_normal({len(entries)}).tolist()")
+        locals_ |= {entry.full_name: target for entry, target in zip(entries, targets, strict=True)}
+    return locals_
+
+
+def _noise(space: Workspace, noise: Noise, entry: Observed, name: str) -> str:
+    """Code of the standard deviation."""
+    figure = repr(noise.deviation.value) if isinstance(noise.deviation, Const) else deviation(space, entry)
+    return f"{figure} * {name}" if noise.relative else figure
 
 
 def _normalised(code: str, entry: Observed) -> str:

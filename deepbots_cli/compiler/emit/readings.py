@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list
+from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.ir import CompiledScenario
 
 
-def readings(scenario: CompiledScenario) -> list[list[str]]:
-    seen = sentence_list(list(dict.fromkeys(entry.name for entry in scenario.observation)))
+def readings(space: Workspace) -> list[list[str]]:
+    scenario = space.scenario
+    seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in _histories(scenario).items()])
+    seen += f"; {scenario.agent.stack} times in a row" if scenario.agent.stack > 1 else ""
+    code = "self.frames.take(self.views[self.newest])" if space.remembers else "self.observed.copy()"
     summands = sentence_list([term.name for term in scenario.reward])
     ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
     limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
@@ -17,7 +21,7 @@ def readings(scenario: CompiledScenario) -> list[list[str]]:
     return [
         block(
             "def get_observations(self) -> Any:",
-            [*docstring(f"What the policy sees, float32 in [-1, 1]: {seen}."), "return self.observed.copy()"],
+            [*docstring(f"What the policy sees, float32 in [-1, 1]: {seen}."), f"return {code}"],
         ),
         block("def get_reward(self) -> float:", [*docstring(f"The sum of {summands}."), "return self.reward"]),
         block(
@@ -33,3 +37,8 @@ def readings(scenario: CompiledScenario) -> list[list[str]]:
             ],
         ),
     ]
+
+
+def _histories(scenario: CompiledScenario) -> dict[str, int]:
+    """How many values in a row the policy sees of each name."""
+    return {entry.name: entry.history for entry in scenario.observation}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deepbots_cli.compiler.emit.observation import deviation
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
 from deepbots_cli.compiler.emit.variations import setting
@@ -17,6 +18,9 @@ def begin(space: Workspace) -> list[str]:
     for entry in scenario.parameters:
         for component, value in zip(entry.components or (None,), entry.values, strict=True):
             printer.assign(space.parameter(entry.name, component), value)
+    for observed in scenario.observation:
+        if observed.noise is not None and not isinstance(observed.noise.deviation, Const):
+            printer.assign(deviation(space, observed), observed.noise.deviation)
     printer.line("self.engine.reset()")
     for variation in reset.variations:
         printer.line(setting(variation, [printer.value(value) for value in variation.values]))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.action import print_decoding
 from deepbots_cli.compiler.emit.evaluation import print_evaluation
 from deepbots_cli.compiler.emit.messages import print_first_telling, print_keeping, print_receiving, print_sending
+from deepbots_cli.compiler.emit.observation import print_next_frame
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block
 from deepbots_cli.compiler.emit.workspace import Workspace
@@ -18,7 +19,7 @@ def start(space: Workspace) -> list[str]:
     """The method that runs right after a reset."""
     printer = space.printer(starting=True)
     printer.line('"""Receive the first messages and compute what the first observation needs."""')
-    zeros = [space.local(*variable) for variable in space.variables if space.uses(variable[0])]
+    zeros = _acting(space)
     if zeros:
         printer.line(" = ".join([*zeros, "0.0"]))
     for robot in space.scenario.robots:
@@ -39,6 +40,8 @@ def advance(space: Workspace) -> list[str]:
     repeat, acting = space.scenario.agent.repeat, _acting(space)
     printer.line(f'"""Hold an action for {repeat} ticks; the reward is the sum over them."""')
     _print_acting(space, printer)
+    if space.uses("previous_reward"):
+        printer.line("self.previous_reward = self.reward")
     printer.line(f"self.reward = {' = '.join(f'self.term_{term.name}' for term in space.scenario.reward)} = 0.0")
     printer.line(f"for _ in range({repeat}):")
     printer.line(f"    self._tick({', '.join(acting)})")
@@ -60,14 +63,15 @@ def advance(space: Workspace) -> list[str]:
 
 
 def _acting(space: Workspace) -> list[str]:
-    """The action variables that the expressions of a tick read."""
-    return [space.local(*variable) for variable in space.variables if space.uses(variable[0])]
+    """What the expressions of a tick read of the action: variables, and what the agent itself gave."""
+    return [space.local(*variable) for variable in [*(v for v in space.variables if space.uses(v[0])), *space.taken]]
 
 
 def _print_acting(space: Workspace, printer: Printer) -> None:
     """What happens once per step: the action, and the messages that carry it."""
     print_decoding(space, printer)
     printer.line("self.step_count += 1")
+    print_next_frame(space, printer)
     printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
     printer.lines += space.reads.call_lines(space.sent)
     for robot in space.scenario.robots:

@@ -18,8 +18,8 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
     space = Workspace(scenario)
     controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
     lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
-    lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *choice_tables(scenario), ""])
-    for method in (_bind(space), begin(space), start(space), advance(space), *readings(scenario)):
+    lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *choice_tables(space), ""])
+    for method in (_bind(space), begin(space), start(space), advance(space), *readings(space)):
         lines += indent(method)
     return lines
 

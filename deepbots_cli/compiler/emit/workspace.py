@@ -6,7 +6,7 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.ir import CompiledScenario, own_action
 from deepbots_cli.lang.scalar import Name, Scalar, World, names_in
 
 
@@ -34,6 +34,16 @@ class Workspace:
     def repeats(self) -> bool:
         """Whether a step of the agent has several ticks, which are then a method of their own."""
         return self.scenario.agent.repeat > 1
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the policy sees more than the numbers of the last step."""
+        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
+
+    @property
+    def taken(self) -> list[tuple[str, str]]:
+        """What the agent itself gave, number by number, where an expression of every tick reads it."""
+        return [("previous_action", name) for name in own_action(self.scenario.action)] if self.uses("previous_action") else []
 
     @property
     def tick(self) -> str:
@@ -69,6 +79,10 @@ class Workspace:
             return f"({self.tick} * {self.scenario.world.timestep!r})"
         if leaf.name == "step":
             return "self.step_count"
+        if leaf.name == "episode_return":
+            return "self.episode_return"
+        if leaf.name == "previous_reward":
+            return "self.previous_reward" if self.repeats else "self.reward"
         if leaf.name in self._parameters:
             return self.parameter(leaf.name, leaf.component)
         return self.names(leaf.name, leaf.component)

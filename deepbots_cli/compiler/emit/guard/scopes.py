@@ -9,10 +9,10 @@ from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import CompiledScenario, Ending
+from deepbots_cli.ir import CompiledScenario, Ending, own_action
 from deepbots_cli.lang.scalar import Name
 
-_BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended"))
+_BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended", "previous_reward", "episode_return"))
 
 
 def require_known_names(scenario: CompiledScenario) -> None:
@@ -21,6 +21,7 @@ def require_known_names(scenario: CompiledScenario) -> None:
     acted = [pair for part in scenario.action for pair in action_variables(part)]
     endings = [(ending.name, None) for ending in scenario.endings]
     known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
+    known |= {("previous_action", component) for component in own_action(scenario.action)}
     supervisor = [scenario.parameters, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
     _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
     for robot in scenario.robots:

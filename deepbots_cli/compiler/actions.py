@@ -1,24 +1,19 @@
-"""What the agent decides and what it sees: action, augmentation, observation."""
+"""What the agent decides: the parts of the action, and the variables that they set."""
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.matching import expand
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.compiler.values import Text
-from deepbots_cli.lang import syntax
+from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.typed import Typed
 from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.schema.task import ContinuousAction, DiscreteAction
 from deepbots_cli.source.nodes import Path
-from deepbots_cli.task import ObservedValue, Valued
 
 
 class Actions:
@@ -33,11 +28,25 @@ class Actions:
                 self._define_choices(name, part)
             else:
                 self._define_interval(name, part)
+        namespace.built_in["previous_action"] = self._own_action
 
     def parts(self) -> tuple[ir.Choices | ir.Interval, ...]:
         for name in self._namespace.named(Origin.ACTION):
             self._namespace.settle(name)
         return tuple(part for part in self._parts.values() if part is not None)
+
+    def _own_action(self) -> Symbol:
+        """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
+        name = "previous_action"
+        parts = self.parts()
+        if not parts:
+            return Symbol(name, None, refused=None if self._parts else "the agent does nothing in this scenario")
+        if len(parts) < len(self._parts):
+            return Symbol(name, None)
+        components = ir.own_action(parts)
+        if all(isinstance(part, ir.Choices) for part in parts):
+            return Symbol(name, Type(NUMBER, components, boolean=True, stage=Stage.STEP))
+        return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), stage=Stage.STEP))
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Each option sets the variable called like the action, or the variables that it lists."""
@@ -106,62 +115,3 @@ class Actions:
 
 def _itself(symbol: Symbol) -> Symbol:
     return symbol
-
-
-class Observations:
-    """The entries of the observation, in file order."""
-
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
-        self._namespace = namespace
-        self._values = namespace.values
-
-    def entries(self) -> tuple[ObservedValue, ...]:
-        return tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
-
-    def _entry(self, key: str, spec: Observed | str) -> ObservedValue | None:
-        place: Path = ("observation", key)
-        text = self._values.key_text(place)
-        typed = self._observed(key, text)
-        range_place = place if isinstance(spec, str) else (*place, "range")
-        range_text = self._values.text(range_place, spec if isinstance(spec, str) else spec.range)
-        if typed is None:
-            if range_text.text != "auto":
-                self._values.range(range_text, ParameterScope(self._namespace, Context.FIXED))
-            return None
-        bounds = self._bounds(typed, range_text)
-        if bounds is None:
-            return None
-        return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds)
-
-    def _observed(self, key: str, text: Text) -> Typed | None:
-        tree = self._values.parsed(text)
-        if tree is None:
-            return None
-        if not isinstance(tree, syntax.Name):
-            self._values.findings.add(
-                "DB103",
-                text.span,
-                "an expression where a name is needed",
-                help="name the expression under `augment`, and observe that name",
-            )
-            return None
-        return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
-
-    def _bounds(self, typed: Typed, text: Text) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        count = len(typed.type.components or ("",))
-        if typed.type.boolean:
-            if text.text != "auto":
-                self._values.findings.add("DB403", text.span, "a range for a truth value", help="write `auto`: it is seen as 0 or 1")
-                return None
-            return (0.0,) * count, (1.0,) * count
-        if text.text == "auto":
-            low, high = typed.type.interval.low, typed.type.interval.high
-            if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                self._values.findings.add("DB102", text.span, "the range of this value is not known", help="give it: `lo .. hi unit`")
-                return None
-            return (low,) * count, (high,) * count
-        scope = ParameterScope(self._namespace, Context.FIXED)
-        components = typed.type.components or None
-        ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
-        return (ends.low, ends.high) if ends else None

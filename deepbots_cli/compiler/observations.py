@@ -1,0 +1,110 @@
+"""What the policy sees: the entries of the observation, in file order."""
+
+from __future__ import annotations
+
+import math
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
+from deepbots_cli.compiler.values import Text
+from deepbots_cli.lang import syntax
+from deepbots_cli.lang.dimensions import NUMBER
+from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.typed import Typed, zero
+from deepbots_cli.lang.types import Context, Stage
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.schema.task import Observed
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import ObservedNoise, ObservedValue, Valued
+
+Bounds = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+class Observations:
+    """Reads the entries of the observation."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._values = namespace.values
+
+    def entries(self) -> tuple[ObservedValue, ...]:
+        found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
+        self._check_size(found)
+        return found
+
+    def _entry(self, key: str, given: Observed | str) -> ObservedValue | None:
+        place: Path = ("observation", key)
+        spec = Observed.model_construct(range=given) if isinstance(given, str) else given
+        text = self._values.key_text(place)
+        typed = self._observed(text)
+        range_text = self._values.text(place if isinstance(given, str) else (*place, "range"), spec.range)
+        if typed is None:
+            if range_text.text != "auto":
+                self._values.range(range_text, ParameterScope(self._namespace, Context.FIXED))
+            return None
+        bounds = self._bounds(typed, range_text)
+        noise = self._noise(typed, place, spec)
+        if bounds is None:
+            return None
+        return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, noise)
+
+    def _observed(self, text: Text) -> Typed | None:
+        tree = self._values.parsed(text)
+        if tree is None:
+            return None
+        if not isinstance(tree, syntax.Name):
+            self._values.findings.add(
+                "DB103",
+                text.span,
+                "an expression where a name is needed",
+                help="name the expression under `augment`, and observe that name",
+            )
+            return None
+        return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
+
+    def _bounds(self, typed: Typed, text: Text) -> Bounds | None:
+        count = len(typed.type.components or ("",))
+        if typed.type.boolean:
+            if text.text != "auto":
+                self._values.findings.add("DB403", text.span, "a range for a truth value", help="write `auto`: it is seen as 0 or 1")
+                return None
+            return (0.0,) * count, (1.0,) * count
+        if text.text == "auto":
+            low, high = typed.type.interval.low, typed.type.interval.high
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                self._values.findings.add("DB102", text.span, "the range of this value is not known", help="give it: `lo .. hi unit`")
+                return None
+            return (low,) * count, (high,) * count
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        components = typed.type.components or None
+        ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
+        return (ends.low, ends.high) if ends else None
+
+    def _noise(self, typed: Typed, place: Path, spec: Observed) -> ObservedNoise | None:
+        """Its standard deviation: in the unit of the value, or a share of the value, which is written with `%`."""
+        if "noise" not in spec.model_fields_set:
+            return None
+        path: Path = (*place, "noise")
+        text = self._values.text(path, spec.noise)
+        if typed.type.boolean:
+            self._values.findings.add("DB403", text.span, "noise on a truth value", help="take it out, or observe the number behind it")
+            return None
+        scope = ParameterScope(self._namespace, Context.FIELD)
+        components = typed.type.components
+        noise = self._values.quantity(text, "the noise", scope, None, components, Stage.EPISODE)
+        if noise is None or zero(noise):
+            return None
+        relative = noise.type.dimension == NUMBER and (typed.type.dimension != NUMBER or "%" in text.text)
+        if not relative:
+            noise = expect(noise, self._values.report(text), "the noise", dimension=typed.type.dimension, components=components)
+        owner = ".".join(map(str, path))
+        return ObservedNoise(Valued("noise", text.span, text.text, noise, owner), relative) if noise else None
+
+    def _check_size(self, entries: tuple[ObservedValue, ...]) -> None:
+        seen = self._spec.agent.stack * sum(len(entry.low) * entry.history for entry in entries)
+        if seen > ir.MOST_SEEN:
+            span = self._values.key_span(("observation",))
+            headline = f"an observation of {seen} numbers, which is more than {ir.MOST_SEEN}"
+            self._values.findings.add("DB105", span, headline, help="shorten its histories, or the stack of the agent")

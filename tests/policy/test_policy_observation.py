@@ -1,0 +1,161 @@
+"""What the policy sees of a cart on a rail: histories, its own action, accounts, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deepbots_cli.errors import EvaluationError
+from deepbots_cli.runtime import Supervisor
+
+Small = Callable[..., Supervisor]
+CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)
+
+
+def observe(small: Small, observation: str, *sets: str, sections: str = "reward: {pay: drive}\n", steps: Any = (1.0, -0.5, 0.25)) -> Any:
+    """The observations of the reset and of one step per action, as lists."""
+    environment = small(sections, f"observation={observation}", *sets)
+    seen = [environment.reset(seed=1)[0]]
+    for step in steps:
+        action = np.array([step], np.float32) if isinstance(step, float) else step
+        seen.append(environment.step(action)[0])
+        assert environment.observation_space.contains(seen[-1])
+    return [[round(float(number), 6) for number in row] for row in seen]
+
+
+def test_a_history_begins_with_the_first_value_and_ends_with_the_newest(small: Small) -> None:
+    sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
+    seen = observe(small, "{at: {range: 0 .. 10, history: 3}}", sections=sections)
+    assert seen == [[-1, -1, -1], [-1, -1, -0.8], [-1, -0.8, -0.6], [-0.8, -0.6, -0.4]]
+
+
+def test_a_history_of_a_vector_keeps_its_components_together(small: Small) -> None:
+    sections = "signals:\n  at: vector(step, 10 - step, 0)\naugment: [at]\nreward: {pay: drive}\n"
+    seen = observe(small, "{at: {range: 0 .. 10, history: 2}}", sections=sections)
+    assert seen[1] == [-1, 1, -1, -0.8, 0.8, -1]
+
+
+def test_a_stack_repeats_whole_frames_oldest_first(small: Small) -> None:
+    sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
+    seen = observe(small, "{at: {range: 0 .. 10, history: 2}, previous_action: auto}", "agent={stack: 2}", sections=sections)
+    assert seen[0] == [-1, -1, 0, -1, -1, 0]
+    assert seen[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
+
+
+def test_histories_do_not_reach_over_a_reset(small: Small) -> None:
+    environment = small("reward: {pay: drive}\n", "observation={cart.place: {range: -1 .. 1 m, history: 5}, previous_action: auto}")
+    first, _ = environment.reset(seed=3)
+    for _ in range(7):
+        environment.step(np.array([1.0], np.float32))
+    again, _ = environment.reset(seed=3)
+    np.testing.assert_array_equal(first, again)
+
+
+def test_the_previous_action_is_what_the_agent_gave_and_not_what_it_meant(small: Small) -> None:
+    seen = observe(small, "{previous_action: auto}", "action.drive=2 .. 4", steps=(1.0, -0.5, 3.0))
+    assert seen == [[0], [1], [-0.5], [1]]
+
+
+def test_a_previous_choice_is_one_hot_and_nothing_before_the_first(small: Small) -> None:
+    seen = observe(small, "{previous_action: auto}", *CHOICES, steps=(0, 2, np.int64(1)))
+    assert seen == [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]]
+
+
+def test_several_choices_are_one_hots_in_a_row(small: Small) -> None:
+    pair = "action={drive: {choices: {ahead: 1, back: -1}}, lamp: {choices: {on: 1, off: 0}}}"
+    sections = "reward: {pay: drive + lamp}\n"
+    seen = observe(small, "{previous_action: auto}", pair, sections=sections, steps=(np.array([0, 1]), np.array([1, 0])))
+    assert seen == [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]]
+
+
+def test_one_option_of_the_previous_action_can_be_seen_alone(small: Small) -> None:
+    assert observe(small, "{previous_action.back: auto}", *CHOICES, steps=(1, 0)) == [[0], [1], [0]]
+
+
+def test_an_expression_may_use_the_previous_action(small: Small) -> None:
+    sections = "reward: {pay: previous_action.drive, more: 1 when previous_action.drive > 0}\n"
+    environment = small(sections, "action.drive=0 .. 0.5")
+    environment.reset(seed=0)
+    assert environment.step(np.array([0.5], np.float32))[1] == 1.5
+
+
+def test_the_previous_reward_is_that_of_this_step_when_it_is_observed_and_else_that_of_the_last(small: Small) -> None:
+    sections = "signals: {last: previous_reward}\naugment: [last]\nreward: {pay: drive}\n"
+    seen = observe(small, "{previous_reward: -1 .. 1, last: -1 .. 1}", sections=sections)
+    assert seen == [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]]
+
+
+def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Small) -> None:
+    environment = small("reward: {pay: drive}\n", "observation={episode_return: -4 .. 4}")
+    for _ in range(2):
+        assert environment.reset(seed=0)[0] == [0.0]
+        assert [environment.step(np.array([1.0], np.float32))[0].item() for _ in range(3)] == [0.25, 0.5, 0.75]
+
+
+def test_time_and_steps_can_be_seen(small: Small) -> None:
+    assert observe(small, "{time: 0 .. 0.2 s, step: 0 .. 10}")[2] == [-0.6, -0.6]
+
+
+# Noise and clipping
+
+
+def noisy(small: Small, noise: str, count: int = 4000, seed: int = 1) -> Any:
+    """A value of 0.5 m with noise, once per step."""
+    observation = f"observation={{at: {{range: -1 .. 1 m, noise: {noise}, clip: false}}}}"
+    sections = "signals: {at: 0.5 m + 0 m * step}\naugment: [at]\nreward: {pay: drive}\n"
+    environment = small(sections, observation, "truncation.max_steps=100_000")
+    rows = [environment.reset(seed=seed)[0].item()]
+    rows += [environment.step(np.zeros(1, np.float32))[0].item() for _ in range(count)]
+    return np.array(rows)
+
+
+def test_noise_has_the_deviation_that_is_given(small: Small) -> None:
+    found = noisy(small, "0.02 m")
+    assert found.mean() == pytest.approx(0.5, abs=4 * 0.02 / len(found) ** 0.5)
+    assert found.std() == pytest.approx(0.02, rel=0.05)
+
+
+def test_noise_in_percent_is_a_share_of_the_value(small: Small) -> None:
+    assert noisy(small, "2 %").std() == pytest.approx(0.01, rel=0.05)
+
+
+def test_noise_may_be_drawn_for_an_episode(small: Small) -> None:
+    deviations = [noisy(small, "uniform(0.01 .. 0.05 m)", count=800, seed=seed).std() for seed in (1, 2, 3)]
+    assert all(0.009 < deviation < 0.055 for deviation in deviations)
+    assert np.ptp(deviations) > 0.002
+
+
+def test_noise_is_the_same_for_the_same_seed(small: Small) -> None:
+    np.testing.assert_array_equal(noisy(small, "1 cm", count=20), noisy(small, "1 cm", count=20))
+
+
+def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
+    sections = "reward: {pay: drive}\nreset: {set: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
+    plain = observe(small, "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}}", sections=sections)
+    more = observe(
+        small,
+        "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}, cart.rate: {range: -1 .. 1 m/s, noise: 5 %}}",
+        sections=sections,
+    )
+    assert [row[:2] for row in more] == plain
+
+
+def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Small) -> None:
+    environment = small("reward: {pay: drive}\n", "observation={step: {range: 0 .. 1, clip: false}, time: 0 .. 1 s}")
+    assert environment.observation_space.low.tolist() == [-np.inf, -1]
+    environment.reset(seed=0)
+    for _ in range(3):
+        observation = environment.step(np.zeros(1, np.float32))[0]
+    assert observation[0] == 5.0
+
+
+def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(small: Small) -> None:
+    environment = small(
+        "signals: {wild: exp(400 * step)}\naugment: [wild]\nreward: {pay: drive}\n", "observation={wild: {range: 0 .. 1, clip: false}}"
+    )
+    environment.reset(seed=0)
+    with pytest.raises(EvaluationError, match="observation of"):
+        environment.step(np.zeros(1, np.float32))
