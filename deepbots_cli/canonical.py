@@ -46,7 +46,11 @@ def with_meshes(scenario: ir.CompiledScenario, change: Callable[[model.Mesh], mo
     """The scenario with each of its meshes changed."""
     world = _with_meshes(scenario.world, change)
     assert isinstance(world, ir.WorldModel)  # as it was
-    return replace(scenario, world=world)
+    if not (scenario.cases or scenario.curriculum):
+        return replace(scenario, world=world)
+    cases = tuple(replace(case, scenario=with_meshes(case.scenario, change)) for case in scenario.cases)
+    curriculum = tuple(replace(stage, scenario=with_meshes(stage.scenario, change)) for stage in scenario.curriculum)
+    return replace(scenario, world=world, cases=cases, curriculum=curriculum)
 
 
 def _with_meshes(value: object, change: Callable[[model.Mesh], model.Mesh]) -> object:

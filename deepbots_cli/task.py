@@ -147,3 +147,23 @@ class Task:
     augmented: frozenset[str]
     variations: tuple[Varied, ...] = ()
     agent: ir.Agent = ir.Agent()
+    cases: tuple[TaskCase, ...] = ()
+    curriculum: tuple[TaskStage, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class TaskCase:
+    """The task under the settings of a case of the evaluation."""
+
+    name: str
+    episodes: int
+    task: Task
+
+
+@dataclass(frozen=True, eq=False)
+class TaskStage:
+    """The task in a stage of the curriculum."""
+
+    name: str
+    until: ir.Criterion | None
+    task: Task

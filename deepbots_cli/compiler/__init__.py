@@ -13,6 +13,7 @@ robots.py       robot files, overrides.py their changes, matching.py patterns an
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
 actions.py      what the agent decides; observations.py what it sees
 scoring.py      signals, reward, endings, training
+cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       places and joints at the start; poses.py named positions of joints
 inputs.py       the files that it was made from, as a run keeps copies of them
 support.py      what the language has and this version does not run yet
@@ -59,7 +60,10 @@ _SPELLING = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """A document that was checked; `task` is None where findings at error level left nothing to compile."""
+    """A document that was checked; `task` is None where findings at error level left nothing to compile.
+
+    `variants` are the same for the scenario under the settings of each case and stage.
+    """
 
     document: Document
     findings: Findings
@@ -67,6 +71,7 @@ class Checked:
     task: Task | None = None
     robots: Mapping[str, RobotScene] | None = None
     namespace: Namespace | None = None
+    variants: tuple[Checked, ...] = ()
 
     @property
     def inputs(self) -> Inputs:
@@ -76,6 +81,16 @@ class Checked:
 
 def check(document: Document) -> Checked:
     """Run all passes that can run; every problem ends up in `findings`."""
+    checked = _check(document)
+    if checked.task is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
+        return checked
+    from deepbots_cli.compiler.cases import with_cases  # brings the back end, which most linting does without
+
+    variants, task = with_cases(document, checked.spec, checked.task, checked.findings, _check)
+    return replace(checked, task=None if checked.findings.errors else task, variants=variants)
+
+
+def _check(document: Document) -> Checked:
     findings = document.findings
     if document.root is None:
         return Checked(document, findings)

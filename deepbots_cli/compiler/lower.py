@@ -39,6 +39,8 @@ def lower(task: Task) -> ir.CompiledScenario:
         task.training,
         task.evaluation,
         task.agent,
+        tuple(ir.Case(case.name, case.episodes, lower(case.task)) for case in task.cases),
+        tuple(ir.Stage(stage.name, stage.until, lower(stage.task)) for stage in task.curriculum),
     )
 
 

@@ -63,7 +63,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("reset", "place", "*"), "at_most"),
     (("reset", "place", "*"), "velocity"),
     (("reset", "place", "*"), "angular_velocity"),
-    (("evaluation",), "cases"),
     (("train",), "replay"),
     (("train",), "action_noise"),
 )

@@ -8,7 +8,8 @@
     ├── signals       augmentation and helpers, in order of evaluation
     ├── observation   one entry per number of a frame of what the policy sees
     ├── reward, endings, truncation, reset
-    └── training, evaluation, solved
+    ├── training, evaluation, solved
+    └── cases, curriculum   the whole once more for each case of the evaluation and each stage of the curriculum
 
 world.py     what an engine builds               robots.py    controllers and their messages
 task.py      action to endings                   resets.py    how an episode begins, what it varies
@@ -22,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from deepbots_cli.errors import UsageError
 from deepbots_cli.ir.resets import Place, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
     Actuator,
@@ -50,7 +52,7 @@ from deepbots_cli.ir.task import (
     own_action,
     viewed,
 )
-from deepbots_cli.ir.training import Evaluation, Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.ir.training import Criterion, Evaluation, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.ir.world import (
     MOST_BODIES,
     MOST_SETTLING_STEPS,
@@ -72,8 +74,10 @@ __all__ = [
     "ActuatorKind",
     "Agent",
     "Arena",
+    "Case",
     "Choices",
     "CompiledScenario",
+    "Criterion",
     "Direction",
     "Ending",
     "Evaluation",
@@ -98,6 +102,7 @@ __all__ = [
     "Sensor",
     "SetJoint",
     "Solved",
+    "Stage",
     "Term",
     "Timing",
     "Training",
@@ -134,4 +139,36 @@ class CompiledScenario:
     training: Training | None
     evaluation: Evaluation = Evaluation()
     agent: Agent = Agent()
+    cases: tuple[Case, ...] = ()
+    curriculum: tuple[Stage, ...] = ()
     version: int = IR_VERSION
+
+    def case(self, name: str) -> Case:
+        """The case of the evaluation of that name.
+
+        Raises:
+            UsageError: There is none; lists those there are.
+        """
+        found = next((case for case in self.cases if case.name == name), None)
+        if found is None:
+            known = ", ".join(case.name for case in self.cases)
+            raise UsageError(f"{self.name} has no case '{name}'" + (f"; there are: {known}" if known else ", nor any other"))
+        return found
+
+
+@dataclass(frozen=True)
+class Case:
+    """The scenario under other conditions, to evaluate a policy in; `scenario` has neither cases nor stages."""
+
+    name: str
+    episodes: int
+    scenario: CompiledScenario
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The scenario as it is while a stage of the curriculum lasts: until its criterion is met, or to the end of the training."""
+
+    name: str
+    until: Criterion | None
+    scenario: CompiledScenario

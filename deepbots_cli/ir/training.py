@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -50,3 +51,12 @@ class Training:
 @dataclass(frozen=True)
 class Evaluation:
     episodes: int = 100
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a stage of the curriculum is done: a mean over its last `episodes` episodes is reached, or `threshold` steps are taken."""
+
+    metric: Literal["success_rate", "mean_return", "steps"]
+    threshold: float
+    episodes: int = 1

@@ -13,7 +13,6 @@ environments.py  copies of one world, stepped in turn in one process
 episodes.py      what an episode leaves behind: log, statistics, solved
 callbacks.py     what happens during training: best model, checkpoints, logging
 interruption.py  Ctrl-C and SIGTERM end a training between two steps
-interface.py     what policy and world agree on, to be compared field by field
 intervals.py     confidence intervals
 progress.py      a bar on a terminal, plain lines elsewhere
 report.py        results as text and as JSON
@@ -30,15 +29,16 @@ from typing import TYPE_CHECKING
 from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_cases
     from deepbots_cli.learning.training import TrainingResult, resume, train
 
-__all__ = ["EvaluationResult", "TrainingResult", "evaluate", "resume", "train"]
+__all__ = ["EvaluationResult", "TrainingResult", "evaluate", "evaluate_cases", "resume", "train"]
 
 _HOMES = {
     "EvaluationResult": "evaluation",
     "TrainingResult": "training",
     "evaluate": "evaluation",
+    "evaluate_cases": "evaluation",
     "resume": "training",
     "train": "training",
 }

@@ -12,9 +12,10 @@ from statistics import fmean, stdev
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from deepbots_cli import interface
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario, Solved
-from deepbots_cli.learning import algorithms, interface, video, weights
+from deepbots_cli.learning import algorithms, video, weights
 from deepbots_cli.learning.environments import BuildWorld, Copies, World
 from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
@@ -28,13 +29,14 @@ from deepbots_cli.runtime.streams import derive
 class EvaluationResult:
     """What a policy did in `episodes` held-out episodes; intervals are of 95 %.
 
-    `deviation` is the sample's; it and `return_interval` are None for a single episode. `solved` is None where the scenario
-    says nothing, or asks for more episodes than there were; `verdict` puts it in words. Where the scenario has no ending in
-    success (`success_defined`), the success rate is 0 and means nothing.
+    `case` is None for the scenario itself. `deviation` is the sample's; it and `return_interval` are None for a single
+    episode. `solved` is None where the scenario says nothing, or asks for more episodes than there were; `verdict` puts it in
+    words. Where the scenario has no ending in success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
     scenario: str
+    case: str | None
     model: ModelName
     episodes: int
     seed: int
@@ -65,6 +67,7 @@ def evaluate(
     deterministic: bool = True,
     model: ModelName = "best",
     scenario: Compiled | None = None,
+    case: str | None = None,
     video_to: Path | None = None,
     copies: int = ROWS,
     build: BuildWorld | None = None,
@@ -72,7 +75,8 @@ def evaluate(
     """Evaluate the policy of a run on episodes that it was not trained on.
 
     Episode k starts from a seed of its own, derived from the stream `evaluation` of `seed`: the result is the same however
-    many worlds run at once, and the first ten of a hundred episodes are those of an evaluation of ten.
+    many worlds run at once, and the first ten of a hundred episodes are those of an evaluation of ten. No episode of the
+    training starts from such a seed. All cases take the same seeds, so that they differ by their settings alone.
 
     Args:
         run: The directory of the run.
@@ -81,6 +85,7 @@ def evaluate(
         deterministic: Whether the policy takes its likeliest action; else it samples, from seeded streams too.
         model: `best` by the mean return in training, or `last`.
         scenario: Another scenario to evaluate in; its observation, action and messages must be those of the run.
+        case: One of the scenario's cases to evaluate in, by name.
         video_to: Where to write the first episode as mp4.
         copies: Worlds at a time, 1 to 8.
         build: Makes a world of the scenario in place of the generated supervisor.
@@ -94,6 +99,9 @@ def evaluate(
     known = Run.open(run)
     ir = known.ir if scenario is None else _fitting(known, scenario.ir)
     count = ir.evaluation.episodes if episodes is None else episodes
+    if case is not None:
+        chosen = ir.case(case)
+        ir, count = chosen.scenario, chosen.episodes if episodes is None else episodes
     root = known.record.seed if seed is None else seed
     if count < 1 or root < 0:
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
@@ -111,7 +119,21 @@ def evaluate(
     if video_to is not None:
         with closing(make(ir, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / ir.world.timestep) as filmed:
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
-    return _summary(known, ir, model, root, done, deterministic=deterministic, video_to=video_to)
+    return _summary(known, ir, case, model, root, done, deterministic=deterministic, video_to=video_to)
+
+
+def evaluate_cases(
+    run: Path,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    model: ModelName = "best",
+    scenario: Compiled | None = None,
+    build: BuildWorld | None = None,
+) -> tuple[EvaluationResult, ...]:
+    """Evaluate in every case of the scenario, in file order; arguments and errors as for `evaluate`."""
+    cases = (Run.open(run).ir if scenario is None else scenario.ir).cases
+    return tuple(evaluate(run, episodes=episodes, seed=seed, model=model, scenario=scenario, case=case.name, build=build) for case in cases)
 
 
 def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
@@ -139,7 +161,15 @@ def _fitting(run: Run, ir: CompiledScenario) -> CompiledScenario:
 
 
 def _summary(
-    run: Run, ir: CompiledScenario, model: ModelName, seed: int, done: Sequence[Episode], *, deterministic: bool, video_to: Path | None
+    run: Run,
+    ir: CompiledScenario,
+    case: str | None,
+    model: ModelName,
+    seed: int,
+    done: Sequence[Episode],
+    *,
+    deterministic: bool,
+    video_to: Path | None,
 ) -> EvaluationResult:
     returns = [episode.total_return for episode in done]
     successes = sum(episode.is_success for episode in done)
@@ -149,6 +179,7 @@ def _summary(
     return EvaluationResult(
         run=run.path,
         scenario=ir.name,
+        case=case,
         model=model,
         episodes=len(done),
         seed=seed,

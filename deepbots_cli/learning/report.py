@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from shlex import quote
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.evaluation import EvaluationResult
+    from deepbots_cli.learning.intervals import Pair
     from deepbots_cli.learning.training import TrainingResult
 
 Row = tuple[str, str]
@@ -49,13 +50,38 @@ def evaluation_text(result: EvaluationResult) -> str:
         ("mean length", f"{result.mean_length:.1f} steps"),
         ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
     ]
+    if result.success_defined:
+        low, high = result.success_interval
+        rows.append(("success rate", f"{result.success_rate:.1%} (95 %: {low:.1%} .. {high:.1%})"))
     rows += (
         [(f"reward {name}", f"{mean:.2f} per episode") for name, mean in result.term_means.items()] if len(result.term_means) > 1 else []
     )
     if result.video is not None:
         rows.append(("video", str(result.video)))
     notes = (f"note: {note}" for note in result.notes)
-    return "\n".join([f"evaluation of {result.scenario}", *_aligned(rows), *notes, result.verdict])
+    return "\n".join(
+        [f"evaluation of {result.scenario}{f', case {result.case}' if result.case else ''}", *_aligned(rows), *notes, result.verdict]
+    )
+
+
+def case_rows(results: Sequence[EvaluationResult]) -> list[dict[str, object]]:
+    """A row for each evaluation, to be shown side by side; ranges are intervals of 95 %."""
+    rows: list[dict[str, object]] = []
+    for result in results:
+        row: dict[str, object] = {
+            "case": result.case or "(the scenario itself)",
+            "episodes": result.episodes,
+            "mean_return": result.mean_return,
+        }
+        row["of_return"] = _between(result.return_interval)
+        if any(other.success_defined for other in results):
+            row |= {"success": result.success_rate, "of_success": _between(result.success_interval)}
+        rows.append(row | {"mean_length": result.mean_length})
+    return rows
+
+
+def _between(interval: Pair | None) -> str:
+    return "" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
 
 
 def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:

@@ -24,10 +24,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Protocol
 
 import deepbots_cli
-from deepbots_cli import canonical
+from deepbots_cli import canonical, interface
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
-from deepbots_cli.learning import interface
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
 from deepbots_cli.learning.record import Record
 from deepbots_cli.urdf.model import Mesh
@@ -158,6 +157,20 @@ def _is_plain(path: Path) -> bool:
 
 
 def _sensible(ir: CompiledScenario) -> bool:
+    """Whether the scenario, its cases and its stages are such as compiling leaves them."""
+    others = [case.scenario for case in ir.cases] + [stage.scenario for stage in ir.curriculum]
+    nested = any(other.cases or other.curriculum for other in others)
+    episodes = [case.episodes for case in ir.cases] + [stage.until.episodes for stage in ir.curriculum if stage.until]
+    return (
+        not nested
+        and all(1 <= count <= 1_000_000 for count in episodes)
+        and all(stage.until for stage in ir.curriculum[:-1])
+        and all(interface.digest(other) == interface.digest(ir) for other in others)
+        and all(map(_is_sound, [ir, *others]))
+    )
+
+
+def _is_sound(ir: CompiledScenario) -> bool:
     """Whether the figures that learning itself computes with, and the bodies, are such as compiling leaves them."""
     windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
     bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(thing.shape, thing.mass) for thing in ir.world.objects]

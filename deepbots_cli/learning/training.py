@@ -16,9 +16,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 
 import deepbots_cli
+from deepbots_cli import interface
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import CompiledScenario, Training
-from deepbots_cli.learning import algorithms, interface, weights
+from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
 from deepbots_cli.learning.environments import BuildWorld, Copies
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics

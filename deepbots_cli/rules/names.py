@@ -19,8 +19,9 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
     """
     if checked.namespace is None:
         return
+    used = {name for each in checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
     for name, definition in checked.namespace.definitions.items():
-        if definition.origin in _COUNTED and definition.uses == 0:
+        if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
             span = checked.namespace.values.key_span(definition.path)
             yield Finding("DB205", span, f"`{name}` is {definition.origin.value} that nothing uses", help="use it or take it out")
 

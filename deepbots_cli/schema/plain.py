@@ -18,6 +18,7 @@ _REAL = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 # Compiled when they are first used: most scenarios need few of them.
 _SCHEDULE = rf"\s*({_REAL})\s*->\s*({_REAL})\s*"
 _UNTIL = rf"\s*(success_rate|mean_return)\s*>=\s*({_REAL})\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
+_STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
 
 _LISTED = 24
 
@@ -195,23 +196,32 @@ class Schedule(Leaf):
         return {"anyOf": [{"type": "number", "minimum": 0}, {"type": "string", "pattern": "->"}]}
 
 
+def read_until(value: object) -> tuple[str, float, int] | None:
+    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it is neither."""
+    text = value if isinstance(value, str) else ""
+    if match := re.fullmatch(_UNTIL, text):
+        return match[1], float(match[2]), int(match[3])
+    match = re.fullmatch(_STEPS, text)
+    return ("steps", float(match[1]), 1) if match else None
+
+
 class Until(Leaf):
     """When a stage of the curriculum is done."""
 
-    noun = "a goal over episodes"
+    noun = "a goal over episodes, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
 
     def examine(self, value: object) -> None:
-        match = re.fullmatch(_UNTIL, str(value))
-        if match is None:
+        found = read_until(value)
+        if found is None:
             raise mismatch(self.noun, self.help_for(value))
-        metric, threshold, episodes = match.groups()
-        examine_bounds(int(episodes), 1, None)
-        if metric == "success_rate":
-            examine_bounds(float(threshold), 0, 1)
+        metric, threshold, episodes = found
+        examine_bounds(episodes, 1, None)
+        if metric != "mean_return":
+            examine_bounds(threshold, *((0, 1) if metric == "success_rate" else (1, None)))
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "string", "pattern": r"^\s*(success_rate|mean_return)\s*>=.* over .* episodes?\s*$"}
+        return {"type": "string", "pattern": r"^\s*((success_rate|mean_return)\s*>=.* over .* episodes?|[0-9_]+\s+steps?)\s*$"}
 
 
 class Frequency(Leaf):

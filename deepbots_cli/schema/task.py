@@ -110,7 +110,7 @@ class Stage(Part):
         default={}, description="What is different: parameters by name, or other values by path, such as `reset.layout: paper`."
     )
     until: Annotated[str, Until()] | None = Field(
-        default=None, description="When the next stage begins: `success_rate >= 0.7 over 40 episodes`."
+        default=None, description="When the next stage begins: `success_rate >= 0.7 over 40 episodes`, or after `50_000 steps`."
     )
 
 

@@ -1,6 +1,7 @@
 """`--set path=value`: a value from the command line, as a node with a place of its own.
 
-The text of the assignment is its source, so a finding in it is shown like one in a file.
+The text of the assignment is its source, so a finding in it is shown like one in a file. Settings that stand in a file
+(`set: {reset.layout: paper}`) are made in the same way, by `place`.
 """
 
 from __future__ import annotations
@@ -34,49 +35,61 @@ def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | N
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
         findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
     else:
-        target = _target(root, Span(source, 0, len(path)), findings)
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
-        if target is not None and value is not None:
-            place, key, inner = target
-            for step in reversed(inner):
-                value = Mapping(whole, {step.text: Entry(step, value)})
-            return _placed(root, place, key, value, findings)
+        key = Scalar(Span(source, 0, len(path)), path, path)
+        return _set(root, key, value, whole, findings)
     return root
 
 
-def _target(root: Mapping, span: Span, findings: Findings) -> tuple[Path, Scalar, list[Scalar]] | None:
+def place(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
+    """The same for a setting whose path and value stand in a file."""
+    return _set(root, setting.key, setting.value, setting.key.span, findings)
+
+
+def _set(root: Mapping, path: Scalar, value: Node | None, whole: Span, findings: Findings) -> Mapping:
+    target = _target(root, path, findings)
+    if target is None or value is None:
+        return root
+    steps, key, inner = target
+    for step in reversed(inner):
+        value = Mapping(whole, {step.text: Entry(step, value)})
+    return _placed(root, steps, key, value, findings)
+
+
+def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[Path, Scalar, list[Scalar]] | None:
     """The path to replace, its last key as written, and the keys of a section that is begun below it.
 
     A key may be new, the mapping around it may not, unless it is a whole section of the scenario.
     """
-    dotted = span.text.strip()
-    start = span.start + span.text.index(dotted)
+    dotted = path.text.strip()
+    start = path.text.index(dotted)
+    end = start + len(dotted)
     parameters = root.get("parameters")
     if isinstance(parameters, Mapping) and "." not in dotted:
         if dotted in parameters.entries:
-            return ("parameters", dotted), _key(Span(span.source, start, start + len(dotted))), []
+            return ("parameters", dotted), _key(path, start, end), []
         if dotted not in root.entries and (near := nearest(dotted, parameters.entries, 0.75)):
             help = f"did you mean `{near}`?"
-            findings.add("DB201", Span(span.source, start, start + len(dotted)), f"there is no parameter `{dotted}`", help=help)
+            findings.add("DB201", path.part(start, end), f"there is no parameter `{dotted}`", help=help)
             return None
     steps, reached, rest = follow(root, dotted)
     at = start + len(dotted) - len(rest)
     if not rest:
-        return steps, _key(Span(span.source, start, start + len(dotted))), []
+        return steps, _key(path, start, end), []
     name = rest.split(".")[0]
-    place = Span(span.source, at, at + max(1, len(name)))
+    here = path.part(at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, Mapping):
-        findings.add("DB201", place, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
+        findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
     elif not steps and all(rest.split(".")) and not nearest(name, reached.entries, 0.75):
-        first, *inner = _keys(Span(span.source, at, at + len(rest)))
+        first, *inner = _keys(path, at, end)
         return (first.text,), first, inner
     elif name != rest or not name:
         near = nearest(name, reached.entries, 0.75)
         help = f"did you mean `{near}`?" if near else f"there are: {', '.join(list(reached.entries)[:20])}"
-        findings.add("DB201", place, f"there is no `{name}`{inside}", help=help)
+        findings.add("DB201", here, f"there is no `{name}`{inside}", help=help)
     else:
-        return (*steps, name), _key(place), []
+        return (*steps, name), _key(path, at, end), []
     return None
 
 
@@ -88,14 +101,15 @@ def _placed(root: Mapping, path: Path, key: Scalar, value: Node, findings: Findi
     return changed if isinstance(changed, Mapping) else root
 
 
-def _keys(dotted: Span) -> list[Scalar]:
-    """The steps of a dotted path, each at its place."""
-    keys, start = [], dotted.start
-    for step in dotted.text.split("."):
-        keys.append(_key(Span(dotted.source, start, start + len(step))))
+def _keys(path: Scalar, start: int, end: int) -> list[Scalar]:
+    """The steps of a piece of a dotted path, each at its place."""
+    keys = []
+    for step in path.text[start:end].split("."):
+        keys.append(_key(path, start, start + len(step)))
         start += len(step) + 1
     return keys
 
 
-def _key(span: Span) -> Scalar:
-    return Scalar(span, span.text, span.text)
+def _key(path: Scalar, start: int, end: int) -> Scalar:
+    text = path.text[start:end]
+    return Scalar(path.part(start, end), text, text)

@@ -60,6 +60,21 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     assert (row["run"], row["status"], row["solved"]) == ("mine", "finished", "not yet")
 
 
+def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
+    cases = "evaluation={episodes: 4, cases: {steep: {set: {fall_angle: 5 deg}, episodes: 3}}}"
+    ran = deepbots("train", "cartpole", "--timesteps", "600", "--set", cases, "--run", "mine", "--quiet")
+    assert ran.code == 0, ran.err
+    assert "steep" in ran.out.split("cases")[1]
+    shown = json.loads(deepbots("eval", "mine", "--json").out)
+    assert (shown["case"], shown["episodes"]) == (None, 4)
+    assert [(case["case"], case["episodes"]) for case in shown["cases"]] == [("steep", 3)]
+    assert shown["cases"][0]["mean_return"] < shown["mean_return"]
+    assert json.loads(deepbots("eval", "mine", "--case", "steep", "--json").out)["cases"] == []
+    assert deepbots("eval", "mine", "--case", "flat").err == "error: CartPole has no case 'flat'; there are: steep\n"
+    ran = json.loads(deepbots("run", "cartpole", "--set", cases, "--case", "steep", "--actions", "forward", "--json").out)
+    assert all(episode["length"] < 15 for episode in ran["episodes"])
+
+
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-success", "0.9")
     assert ran.code == 1

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 import stand_in
 
+from deepbots_cli import canonical
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import Solved
-from deepbots_cli.learning import TrainingResult, evaluate, video
+from deepbots_cli.ir import Case, Solved
+from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
 from deepbots_cli.learning.evaluation import judge
-from deepbots_cli.learning.report import evaluation_text, to_json
+from deepbots_cli.learning.report import case_rows, evaluation_text, to_json
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
@@ -135,3 +136,37 @@ def test_an_evaluation_under_another_timing_says_so(trained: TrainingResult) -> 
     result = evaluate(trained.run, episodes=3, scenario=later, build=stand_in.build)
     assert "trained with timing immediate, evaluated with paper" in evaluation_text(result)
     assert evaluate(trained.run, episodes=3, build=stand_in.build).notes == ()
+
+
+def with_case(**changes: object) -> stand_in.CompiledStandIn:
+    """The stand-in with a case `short`, of three episodes of seven steps."""
+    base = stand_in.compiled()
+    short = replace(base.ir, truncation=replace(base.ir.truncation, max_steps=7), **changes)  # type: ignore[arg-type]
+    return stand_in.altered(base, cases=(Case("short", 3, short), Case("same", 20, base.ir)))
+
+
+def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
+    run = train(with_case(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    base = evaluate(run, build=stand_in.build)
+    short, same = evaluate_cases(run, build=stand_in.build)
+    assert (short.case, short.episodes, short.greatest_return) == ("short", 3, 7.0)
+    assert to_json(same) | {"case": None} == to_json(base)
+    assert evaluate(run, case="short", build=stand_in.build) == short
+    assert evaluate(run, case="short", episodes=5, build=stand_in.build).episodes == 5
+    assert "case short" in evaluation_text(short)
+    assert [row["case"] for row in case_rows([base, short, same])] == ["(the scenario itself)", "short", "same"]
+    with pytest.raises(UsageError, match="no case 'long'; there are: short, same"):
+        evaluate(run, case="long", build=stand_in.build)
+
+
+def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None:
+    run = train(with_case(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    for forged in (
+        with_case(observation=stand_in.scenario(speed_range=2.0).observation),
+        with_case(cases=(Case("a", 1, stand_in.scenario()),)),
+    ):
+        record = json.loads((run / "run.json").read_text())
+        (run / "run.json").write_text(json.dumps(record | {"digest": forged.digest}))
+        (run / "scenario.ir.json").write_text(canonical.to_json(forged.ir))
+        with pytest.raises(RunError, match="figures or bodies"):
+            evaluate(run, build=stand_in.build)

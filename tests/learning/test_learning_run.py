@@ -14,10 +14,10 @@ import stand_in
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli import api, canonical
+from deepbots_cli import api, canonical, interface
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario, Evaluation, RobotBody, Solved, WorldModel
-from deepbots_cli.learning import TrainingResult, evaluate, interface, resume, train
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run, inside, new_directory
 from deepbots_cli.source import shipped
 from deepbots_cli.urdf.model import Geometry, Inertial, Joint, Link, RobotModel, Sphere

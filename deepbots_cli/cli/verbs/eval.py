@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,7 +12,12 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import AllowPaths, Json, small_enough
+from deepbots_cli.cli.tables import table
 from deepbots_cli.learning import report
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning import EvaluationResult
+    from deepbots_cli.learning.run import ModelName
 
 
 def command(
@@ -28,6 +34,9 @@ def command(
     scenario: Annotated[
         str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario instead of the run's.")
     ] = None,
+    case: Annotated[
+        str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and all its cases.")
+    ] = None,
     require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
         float | None,
@@ -38,23 +47,46 @@ def command(
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
 
+    The scenario's `evaluation.cases` are gone through too, from the same starts. What is required of the result is required of
+    the scenario itself, or of the case that --case names.
+
     Another scenario must have the observation, the action and the messages that the policy was trained with; its world may differ.
 
     \b
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
+      deepbots eval runs/find_ball-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """
     compiled = None
     if scenario is not None:
         compiled = api.compile(scenario, allow_paths=allow_paths or ())
         terminal.mention(compiled.findings, scenario)
-    result = learning.evaluate(run, episodes=episodes, seed=seed, model="last" if last else "best", scenario=compiled, video_to=video)
+    model: ModelName = "last" if last else "best"
+    result = learning.evaluate(run, episodes=episodes, seed=seed, model=model, scenario=compiled, case=case, video_to=video)
+    cases = learning.evaluate_cases(run, episodes=episodes, seed=seed, model=model, scenario=compiled) if case is None else ()
     if as_json:
-        terminal.show_json(report.to_json(result))
+        terminal.show_json(with_cases(result, cases))
     else:
-        terminal.say(report.evaluation_text(result))
+        show(result, cases)
+    _require(result, require_solved=require_solved, min_success=min_success)
+
+
+def show(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> None:
+    """An evaluation, and the cases beside it."""
+    terminal.say(report.evaluation_text(result))
+    if cases:
+        terminal.say("\ncases\n" + table(report.case_rows([result, *cases])))
+
+
+def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> dict[str, Any]:
+    """The same as a dictionary."""
+    return {**report.to_json(result), "cases": [report.to_json(other) for other in cases]}
+
+
+def _require(result: EvaluationResult, *, require_solved: bool, min_success: float | None) -> None:
+    """End with an exit code where the result is not what was asked for."""
     unmet = []
     if require_solved and not result.solved:
         unmet.append(

@@ -27,6 +27,7 @@ class Policy(StrEnum):
 def command(
     scenario: Scenario,
     sets: Sets = None,
+    case: Annotated[str | None, typer.Option("--case", metavar="NAME", help="Run this case of the evaluation.")] = None,
     policy: Annotated[Policy | None, typer.Option("--policy", help="Draw actions, or do nothing; random by default.")] = None,
     actions: Annotated[
         str | None, typer.Option("--actions", metavar="A,B,...", help="Take these actions, over and over: options by name, or numbers.")
@@ -53,10 +54,11 @@ def command(
         raise UsageError("--policy and --actions exclude each other")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
     terminal.mention(compiled.findings, scenario)
-    with closing(api.make(compiled, engine=engine)) as environment:
+    ir = compiled.ir if case is None else compiled.ir.case(case).scenario
+    with closing(api.make(ir, engine=engine)) as environment:
         from deepbots_cli.cli import replay  # needs the simulator, whose absence `make` has reported by now
 
-        chosen = replay.scripted(compiled.ir, actions) if actions is not None else getattr(replay, policy or Policy.random)(environment)
+        chosen = replay.scripted(ir, actions) if actions is not None else getattr(replay, policy or Policy.random)(environment)
         done = list(replay.episodes(environment, chosen, count=episodes, seed=seed, most_steps=steps))
     if as_json:
         terminal.show_json({"scenario": compiled.ir.name, "digest": compiled.digest, "seed": seed, "episodes": list(map(_row, done))})

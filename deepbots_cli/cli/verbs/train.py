@@ -13,6 +13,7 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.options import AllowPaths, Json, Sets, known_engine, small_enough
+from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 
@@ -84,11 +85,12 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool) -> None:
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out starts ...")
-    evaluation = learning.evaluate(result.run)
+    evaluation, cases = learning.evaluate(result.run), learning.evaluate_cases(result.run)
     if as_json:
-        terminal.show_json({"training": report.to_json(result), "evaluation": report.to_json(evaluation)})
+        terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
-    terminal.say(f"\n{report.evaluation_text(evaluation)}")
+    terminal.say("")
+    show(evaluation, cases)
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     terminal.note(
         f"\nnext:\n"

@@ -14,7 +14,7 @@ from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageLayout, 
 
 def interface(ir: CompiledScenario) -> dict[str, str]:
     """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
-    items = {}
+    items: dict[str, str] = {}
     for observed in ir.observation:
         items[f"observation.{observed.full_name}"] = _observed(observed)
     if ir.agent.stack > 1:
@@ -32,15 +32,18 @@ def digest(ir: CompiledScenario) -> str:
     return hashlib.sha256(json.dumps(list(interface(ir).items())).encode()).hexdigest()
 
 
-def differences(run: CompiledScenario, scenario: CompiledScenario) -> list[str]:
-    """One line for each item that the two do not share; empty when a policy of one fits the other."""
-    old, new = interface(run), interface(scenario)
+def differences(one: CompiledScenario, other: CompiledScenario, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+    """One line for each item that the two, called by `words`, do not share; empty when a policy of one fits the other."""
+    old, new = interface(one), interface(other)
+    here, there = words
     names = [*old, *(name for name in new if name not in old)]
     lines = [
-        f"{name}: run {old.get(name, 'has none')}, scenario {new.get(name, 'has none')}" for name in names if old.get(name) != new.get(name)
+        f"{name}: {here} {old.get(name, 'has none')}, {there} {new.get(name, 'has none')}"
+        for name in names
+        if old.get(name) != new.get(name)
     ]
     if not lines and list(old) != list(new):
-        lines.append(f"order: run {', '.join(old)}; scenario {', '.join(new)}")
+        lines.append(f"order: {here} {', '.join(old)}; {there} {', '.join(new)}")
     return lines
 
 
