@@ -1,8 +1,6 @@
 """Physics engines behind the port.
 
-pybullet.py  the only module that imports PyBullet: contacts, any tree of joints
-loadable.py  robots without what PyBullet's loader would misread, invent or crash on
-backdrop.py  floor and sky of a picture
+pybullet/    the only package that imports PyBullet: contacts, sight, any tree of joints
 quiet.py     what a native library prints, kept off the terminal
 
 exact.py     a rail cart-pole and free bodies, exactly

@@ -5,14 +5,16 @@ It holds robots of two shapes, told by their joints whatever their names:
 - on a fixed base, a link that slides (prismatic) and carries a link that turns (revolute or continuous)
 - links that do not move against each other: a rigid body, at rest if its base is fixed
 
-and objects, as rigid bodies. Nothing touches anything else and nothing can be drawn. A joint that passes
-the end of its range is an error, since there are no stops.
+and objects, as rigid bodies. Nothing touches anything else, nothing sees and nothing can be drawn. A joint that
+passes the end of its range is an error, since there are no stops.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
 from deepbots_cli.engines import solids
@@ -21,11 +23,31 @@ from deepbots_cli.engines.lump import joined
 from deepbots_cli.engines.motion import CartPole, Drive, RigidBody
 from deepbots_cli.engines.servo import Servo
 from deepbots_cli.errors import EngineError
+from deepbots_cli.port import STILL
+from deepbots_cli.urdf import inertia
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.ir import RobotBody, WorldModel
-    from deepbots_cli.port import Capability, Image, JointReader, MotorWriter, PoseReader, TorqueReader, VelocityReader, View
+    from deepbots_cli.port import (
+        CameraReader,
+        Capability,
+        ContactReader,
+        ForceReader,
+        GapReader,
+        Image,
+        JointReader,
+        Kinematics,
+        MotorWriter,
+        Part,
+        PoseReader,
+        Pusher,
+        RayReader,
+        TorqueReader,
+        VelocityReader,
+        View,
+    )
+    from deepbots_cli.urdf.model import RobotModel
 
 
 class ExactEngine:
@@ -36,46 +58,134 @@ class ExactEngine:
 
     def __init__(self, world: WorldModel) -> None:
         self._timestep = world.timestep / world.substeps
+        self._gravity = world.gravity
+        self._models: dict[str, RobotModel] = {}
+        self._ways_back: list[Callable[[], object]] = []
+        self._acts: list[Callable[[], object]] = []
+        self._looks: list[Callable[[], object]] = []
         self._motions: dict[str, RigidBody | CartPole] = {}
         self._homes: dict[str, frames.Frame] = {}
-        self._roots: dict[str, str] = {}
-        self._servos: list[Servo] = []
+        self._servos: dict[tuple[str, tuple[str, ...]], Servo] = {}
         self._closed = False
         for thing in world.objects:
-            lump = joined(solids.as_robot(thing), thing.name)
-            self._add(thing.name, thing.name, RigidBody(lump, world.gravity, solids.moves(thing)), frames.frame(thing.pose))
+            if thing.pooled:
+                raise _lacks(f"bodies that come and go, such as '{thing.name}'")
+            model = solids.as_robot(thing)
+            motion = RigidBody(joined(model, model.root), world.gravity, solids.moves(thing))
+            self._add(thing.name, model, motion, frames.frame(thing.pose))
         for robot in world.robots:
-            self._add(robot.name, robot.model.root, _motion(robot, world.gravity), frames.frame(robot.pose))
+            self._add(robot.name, robot.model, _motion(robot, world.gravity), frames.frame(robot.pose))
         flying = [name for name, motion in self._motions.items() if isinstance(motion, RigidBody) and motion.flies]
         if flying and (world.ground or world.arena):
             raise EngineError(f"the exact engine has no contacts: '{flying[0]}' would fall through the ground; use engine 'pybullet'")
         self.reset()
 
-    def _add(self, name: str, root: str, motion: RigidBody | CartPole, home: frames.Frame) -> None:
-        self._motions[name], self._roots[name], self._homes[name] = motion, root, home
+    def _add(self, name: str, model: RobotModel, motion: RigidBody | CartPole, home: frames.Frame) -> None:
+        self._motions[name], self._models[name], self._homes[name] = motion, model, home
 
     def reset(self) -> None:
-        for servo in self._servos:
+        for back in reversed(self._ways_back):
+            back()
+        self._ways_back.clear()
+        for servo in self._servos.values():
             servo.targets = None
         for name, motion in self._open().items():
             motion.place(self._homes[name])
             if isinstance(motion, CartPole):
                 motion.rest()
 
-    def place(self, body: str, position: Triple, orientation: Quaternion) -> None:
-        self._motion(body).place((position, frames.normalised(orientation)))
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+    ) -> None:
+        motion = self._motion(body)
+        motion.place((position, frames.normalised(orientation)))
+        motion.throw(velocity, angular_velocity)
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         motion, (index,) = self._joints(robot, (joint,))
         motion.set_joint(index, position, velocity)
 
+    def choose(self, body: str, variant: str) -> None:
+        raise _lacks("bodies of several forms")
+
+    def set_mass(self, body: str, link: str | None, mass: float) -> None:
+        motion, name = self._link(body, link)
+        usual = self._models[body]
+        inertial = usual.link(name).inertial
+        if inertial is None or inertial.mass <= 0.0:
+            raise EngineError(f"link '{name}' of '{body}' has no mass that could change")
+        changed = replace(usual.link(name), inertial=inertia.weighing(inertial, mass))
+        self._weigh(body, motion, replace(usual, links=tuple(changed if link.name == name else link for link in usual.links)))
+        self._ways_back.append(partial(self._weigh, body, motion, usual))
+
+    def _weigh(self, body: str, motion: RigidBody | CartPole, model: RobotModel) -> None:
+        """Give it the masses of `model`, where it stands."""
+        frame = motion.pose(model.root)
+        motion.weigh(*(joined(model, lump) for lump in motion.lumps))
+        motion.place(frame)
+        self._models[body] = model
+
+    def set_friction(self, body: str, link: str | None, **figures: float | None) -> None:
+        raise _lacks("friction between bodies")
+
+    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+        motion, (index,) = self._joints(robot, (joint,))
+        motion.damp(index, damping)
+        self._ways_back.append(partial(motion.damp, index, self._models[robot].joint(joint).damping))
+
+    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
+        if friction:
+            raise _lacks("friction in joints")
+
+    def set_gravity(self, gravity: Triple) -> None:
+        for motion in self._open().values():
+            motion.pull(gravity)
+            self._ways_back.append(partial(motion.pull, self._gravity))
+
+    def set_colour(self, body: str, link: str | None, colour: tuple[float, float, float, float]) -> None:
+        """Nothing sees it."""
+
+    def set_light(self, brightness: float) -> None:
+        """Nothing sees it."""
+
+    def before_substep(self, act: Callable[[], object]) -> None:
+        self._acts.append(act)
+
+    def after_substep(self, look: Callable[[], object]) -> None:
+        self._looks.append(look)
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        raise _lacks("forces on links")
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        raise _lacks("contacts")
+
+    def contact_force(self, one: Part) -> ForceReader:
+        raise _lacks("contacts")
+
+    def gap(self, one: Part, other: Part) -> GapReader:
+        raise _lacks("surfaces")
+
+    def rays(self, part: Part, rays: Sequence[frames.Frame], reach: float) -> RayReader:
+        raise _lacks("surfaces that rays could meet")
+
+    def camera(self, part: Part, mount: frames.Frame, width: int, height: int, fov: float) -> CameraReader:
+        raise _lacks("rendering")
+
+    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
+        raise _lacks("inverse kinematics")
+
     def step(self, substeps: int) -> None:
         motions = self._open().values()
         for _ in range(substeps):
-            for servo in self._servos:
+            for act in self._acts:
+                act()
+            for servo in self._servos.values():
                 servo.act()
             for motion in motions:
                 motion.advance(self._timestep)
+            for look in self._looks:
+                look()
 
     def require_finite(self) -> None:
         for name, motion in self._open().items():
@@ -120,11 +230,12 @@ class ExactEngine:
         if stiffness is None:
             return self._motor(robot, joints, max_torque, lambda target, limit: Drive(position=target, limit=limit))
         exert = self.torque_motor(robot, joints, max_torque)
-        self._servos.append(servo := Servo(self.joint_states(robot, joints), exert, stiffness, damping))
+        servo = Servo(self.joint_states(robot, joints), exert, stiffness, damping)
+        self._servos[robot, tuple(joints)] = servo
         return servo.aim
 
     def render(self, view: View) -> Image:
-        raise EngineError("the exact engine has no rendering; use engine 'pybullet'")
+        raise _lacks("rendering")
 
     def close(self) -> None:
         self._closed = True
@@ -151,7 +262,7 @@ class ExactEngine:
 
     def _link(self, body: str, link: str | None) -> tuple[RigidBody | CartPole, str]:
         motion = self._motion(body)
-        name = link or self._roots[body]
+        name = link or self._models[body].root
         if name not in motion.links:
             raise EngineError(f"'{body}' has no link '{name}'; there are {', '.join(motion.links)}")
         return motion, name
@@ -161,6 +272,10 @@ class ExactEngine:
         if not isinstance(motion, CartPole):
             raise EngineError(f"'{robot}' has no joints")
         return motion, [find(motion.joints, name, f"'{robot}' has no joint") for name in names]
+
+
+def _lacks(what: str) -> EngineError:
+    return EngineError(f"the exact engine has no {what}; use engine 'pybullet'")
 
 
 def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:

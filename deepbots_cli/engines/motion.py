@@ -6,7 +6,7 @@ A motion keeps its state between calls of `advance(dt)`, and says where its link
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, cos, isfinite, sin
 
 from deepbots_cli import frames
@@ -25,11 +25,24 @@ class RigidBody:
     """A body in free flight: a parabola, and a spin whose angular momentum is constant. It stays put unless it `flies`."""
 
     def __init__(self, lump: Lump, gravity: Triple, flies: bool) -> None:
-        self.lump = lump
         self.flies = flies
         self._gravity = gravity
-        self._inverse = lump.inverse_inertia() if flies else None
+        self.weigh(lump)
         self.place(HERE)
+
+    @property
+    def lumps(self) -> tuple[str, ...]:
+        """The first link of each."""
+        return (self.lump.name,)
+
+    def weigh(self, lump: Lump) -> None:
+        """Have this mass and inertia; to be placed afterwards."""
+        self.lump = lump
+        self._inverse = lump.inverse_inertia() if self.flies else None
+
+    def pull(self, gravity: Triple) -> None:
+        """Feel this gravity (m/s^2, world frame) from now on."""
+        self._gravity = gravity
 
     def place(self, frame: Frame) -> None:
         """Put the origin of the root link there, at rest."""
@@ -37,6 +50,12 @@ class RigidBody:
         self.turned = frame[1]
         self.speed: Triple = (0.0, 0.0, 0.0)
         self.momentum: Triple = (0.0, 0.0, 0.0)
+
+    def throw(self, linear: Triple, angular: Triple) -> None:
+        """Give its root link's origin a velocity (m/s), and it an angular one (rad/s), in the world frame."""
+        if self.flies:
+            self.speed = add(linear, cross(angular, rotate(self.turned, self.lump.centre)))
+            self.spin(angular)
 
     def spin(self, angular: Triple) -> None:
         """Give it an angular velocity (rad/s, world frame)."""
@@ -127,19 +146,44 @@ class CartPole:
     """Positions of slide and hinge, then their velocities."""
 
     def __init__(self, rail: Lump, cart: Lump, pole: Lump, slide: Joint, hinge: Joint, gravity: Triple) -> None:
-        self._lumps = (rail, cart, pole)
         self._slide, self._hinge = slide, hinge
         self._gravity = gravity
+        self._base = HERE
         self._slot = frames.inside(rail.members[slide.parent], frames.frame(slide.origin))
         self._bearing = frames.inside(self._slot, frames.inside(cart.members[hinge.parent], frames.frame(hinge.origin)))
         self._along = rotate(self._slot[1], slide.axis)
         self._about = rotate(self._bearing[1], hinge.axis)
+        self.weigh(rail, cart, pole)
+        self.rest()
+
+    @property
+    def lumps(self) -> tuple[str, ...]:
+        """The first link of each."""
+        return tuple(lump.name for lump in self._lumps)
+
+    def weigh(self, rail: Lump, cart: Lump, pole: Lump) -> None:
+        """Have these masses and inertias; where the links are stays as it was."""
+        self._lumps = (rail, cart, pole)
         self._mass, self._pole_mass = cart.mass + pole.mass, pole.mass
-        self._inertia = pole.inertia_about(hinge.axis)
+        self._inertia = pole.inertia_about(self._hinge.axis)
         if cart.mass <= 0.0 or self._inertia <= 0.0:
             raise EngineError(f"links '{cart.name}' and '{pole.name}' move without mass or inertia; give each an inertial")
-        self.rest()
-        self.place(HERE)
+        self.place(self._base)
+
+    def pull(self, gravity: Triple) -> None:
+        """Feel this gravity (m/s^2, world frame) from now on."""
+        self._gravity = gravity
+        self.place(self._base)
+
+    def damp(self, index: int, damping: float) -> None:
+        """Give a joint this damping (N s/m or N m s/rad)."""
+        if index == 0:
+            self._slide = replace(self._slide, damping=damping)
+        else:
+            self._hinge = replace(self._hinge, damping=damping)
+
+    def throw(self, linear: Triple, angular: Triple) -> None:
+        """The base is fixed."""
 
     def place(self, frame: Frame) -> None:
         """Put the origin of the root link there; the joints stay as they are."""

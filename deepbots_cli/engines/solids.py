@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 from deepbots_cli.ir import Arena, ObjectBody
 from deepbots_cli.urdf import inertia
 from deepbots_cli.urdf.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
@@ -12,6 +14,13 @@ WALL_COLOUR = (0.55, 0.60, 0.68, 1.0)
 def moves(body: ObjectBody) -> bool:
     """Whether physics moves the object. One without mass, or that is only seen, stays where it is put."""
     return body.solid and not body.fixed and body.mass > 0.0
+
+
+def forms(body: ObjectBody) -> tuple[ObjectBody, ...]:
+    """The object in each of its variants, named after the variant; by itself if it has none."""
+    return tuple(
+        replace(body, variants=(), **{field.name: getattr(variant, field.name) for field in fields(variant)}) for variant in body.variants
+    ) or (body,)
 
 
 def as_robot(body: ObjectBody) -> RobotModel:

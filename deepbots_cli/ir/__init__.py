@@ -61,6 +61,7 @@ from deepbots_cli.ir.world import (
     Ground,
     ObjectBody,
     RobotBody,
+    Variant,
     WorldModel,
 )
 
@@ -107,6 +108,7 @@ __all__ = [
     "Timing",
     "Training",
     "Truncation",
+    "Variant",
     "Variation",
     "WorldModel",
     "own_action",

@@ -31,8 +31,24 @@ class Arena:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """One of the forms that a pooled body may take."""
+
+    name: str
+    shape: Shape
+    mass: float = 0.0
+    colour: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    friction: float = 1.0
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
 class ObjectBody:
-    """A body that is no robot. Mass in kg; a fixed one never moves, one that is not solid is only seen."""
+    """A body that is no robot. Mass in kg; a fixed one never moves, one that is not solid is only seen.
+
+    A pooled one is absent after a reset, until it is placed. With `variants` it takes the form of one of them, of the
+    first unless another is chosen, and its own shape, mass, colour, friction and `fixed` mean nothing.
+    """
 
     name: str
     shape: Shape
@@ -42,6 +58,8 @@ class ObjectBody:
     friction: float = 1.0
     fixed: bool = False
     solid: bool = True
+    pooled: bool = False
+    variants: tuple[Variant, ...] = ()
 
 
 @dataclass(frozen=True)

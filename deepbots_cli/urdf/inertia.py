@@ -6,6 +6,7 @@ Inertia is in kg m^2 about the centre of mass, in axes parallel to the shape's o
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vector
 from deepbots_cli.urdf.rotation import Matrix
@@ -48,6 +49,12 @@ def of(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
             return Inertial(mass, origin, ixx=across, iyy=across, izz=middle / 2 * r * r + ends * 2 / 5 * r * r)
         case Mesh():
             return None
+
+
+def weighing(inertial: Inertial, mass: float) -> Inertial:
+    """The same body of another density, so that it weighs `mass` kg; its own must not be 0."""
+    moments = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    return replace(inertial, mass=mass, **{name: getattr(inertial, name) * mass / inertial.mass for name in moments})
 
 
 def is_plausible(inertial: Inertial) -> bool:

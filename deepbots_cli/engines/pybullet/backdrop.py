@@ -46,6 +46,11 @@ def smoothed(picture: Image, samples: int) -> Image:
     return np.asarray(total // samples**2, dtype=np.uint8)
 
 
+def lit(picture: Image, brightness: float) -> Image:
+    """The picture in another light; 1 leaves it as it is."""
+    return picture if brightness == 1.0 else np.asarray(np.clip(picture * np.float32(brightness), 0.0, 255.0), dtype=np.uint8)
+
+
 def axes(view: View) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Unit vectors of a view: ahead, right and up. Looking straight down, up is the x axis."""
     ahead = np.subtract(view.target, view.eye).astype(np.float64)

@@ -1,0 +1,73 @@
+"""A robot or an object in PyBullet: links and joints by name, frames of links and of their inertia, and where it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from deepbots_cli import frames
+from deepbots_cli.engines.lump import held_by
+from deepbots_cli.engines.pybullet.library import BASE
+from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.frames import HERE, Frame
+from deepbots_cli.port import STILL
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_cli.urdf.model import RobotModel
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """What the world model says of a link: mass (kg), principal moments (kg m^2), and its frame of inertia in its own frame."""
+
+    mass: float
+    moments: Triple
+    inertia_frame: Frame
+
+
+class Body:
+    """One PyBullet body. `brakes` is the friction (N m or N) of each joint by index; `anchor` a link that moves and touches."""
+
+    def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
+        self.name = name
+        self.number = number
+        self.model = model
+        self.fixed = fixed
+        self.links = {model.root: BASE}
+        self.joints: dict[str, int] = {}
+        for index in range(p.getNumJoints(number, client)):
+            info = p.getJointInfo(number, index, client)
+            self.joints[info[1].decode()] = index
+            self.links[info[12].decode()] = index
+        self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
+        still = held_by(model, model.root) if fixed else {}
+        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in still]
+        self.anchor = touching[0] if touching else None
+        self._client = client
+        self._dynamics: dict[int, Dynamics] = {}
+        self.centre, self.principal = self.dynamics(BASE).inertia_frame
+        self.home: Frame = HERE
+
+    def dynamics(self, index: int) -> Dynamics:
+        """Of a link as it was loaded: first asked for, and so kept, before anything may vary."""
+        if index not in self._dynamics:
+            info = p.getDynamicsInfo(self.number, index, self._client)
+            self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
+        return self._dynamics[index]
+
+    @property
+    def centred(self) -> bool:
+        """Whether the root link's frame is that of its inertia, so that PyBullet's figures are ours."""
+        return self.centre == STILL and self.principal == frames.UPRIGHT
+
+    def of_centre(self, position: Triple, orientation: Quaternion) -> Frame:
+        """The pose of the inertia, from that of the root link."""
+        if self.centred:
+            return position, orientation
+        return frames.add(position, frames.rotate(orientation, self.centre)), frames.multiply(orientation, self.principal)
+
+    def of_origin(self, position: Triple, orientation: Quaternion) -> Frame:
+        """The pose of the root link, from that of the inertia."""
+        turned = frames.multiply(orientation, frames.inverse(self.principal))
+        return frames.subtract(position, frames.rotate(turned, self.centre)), turned

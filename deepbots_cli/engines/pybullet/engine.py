@@ -1,0 +1,256 @@
+"""One world in a PyBullet client of its own."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from math import degrees, isfinite
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.lookup import find
+from deepbots_cli.engines.pybullet import loading, motors, pushes, readers
+from deepbots_cli.engines.pybullet.backdrop import axes, backdrop, lit, smoothed
+from deepbots_cli.engines.pybullet.figures import Colour, Figures
+from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
+from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet.substeps import Substeps
+from deepbots_cli.errors import EngineError
+from deepbots_cli.port import STILL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.engines.pybullet.body import Body
+    from deepbots_cli.engines.pybullet.pool import Pool
+    from deepbots_cli.frames import Frame, Quaternion, Triple
+    from deepbots_cli.ir import WorldModel
+    from deepbots_cli.port import Capability, Image, JointReader, MotorWriter, Part, PoseReader, Pusher, TorqueReader, VelocityReader, View
+
+Given = ParamSpec("Given")
+Told = TypeVar("Told")
+APART = 1000.0  # m between bodies that are parked to forget their contacts
+
+
+class PyBulletEngine:
+    """One world: about 29 MB until it is closed or dropped, and its readers and writers with it."""
+
+    name = "pybullet"
+    capabilities: frozenset[Capability] = frozenset({"contacts", "rendering"})
+
+    def __init__(self, world: WorldModel) -> None:
+        self._client = loading.connected(world)
+        self._substeps = Substeps()
+        self._release = weakref.finalize(self, _release, self._client, self._substeps)
+        self.step = self._substeps.stepper(self._client)
+        self._timestep = world.timestep / world.substeps
+        self._has_floor = world.ground is not None
+        self._figures = Figures(self._client, world.gravity)
+        self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
+        self._backdrop: tuple[View, Image] | None = None
+        try:
+            self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
+            every = [body for pool in self._pools.values() for body in pool]
+            self._moving = [body for body in every if not body.fixed or body.brakes]
+            self._still = [body for body in every if body.fixed and not body.brakes]
+            loading.join_islands(self._client, self._moving)
+            self.reset()
+        except BaseException:
+            self.close()
+            raise
+
+    def reset(self) -> None:
+        """As the port says. A world whose figures are no longer finite cannot be reset, only built again."""
+        self.require_finite()
+        self._figures.restore()
+        for springs in self._springs.values():
+            springs.rest()
+        for row, body in enumerate(self._moving, start=1):
+            self._restart(body, ((row * APART, 0.0, APART), frames.UPRIGHT), dict.fromkeys(body.brakes, FAINT))
+        p.stepSimulation(self._client)
+        for body in (*self._still, *self._moving):
+            self._restart(body, body.home, body.brakes)
+
+    def _restart(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
+        """Put the centre of a body there, all of it at rest, with brakes of so many N m or N on its joints."""
+        number, client = body.number, self._client
+        p.resetBasePositionAndOrientation(number, *pose, client)
+        p.resetBaseVelocity(number, STILL, STILL, client)
+        for index, brake in brakes.items():
+            p.resetJointState(number, index, 0.0, 0.0, client)
+            p.setJointMotorControl2(number, index, p.VELOCITY_CONTROL, 0.0, 0.0, brake, *GAINS, client)
+
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+    ) -> None:
+        placed = self._body(body)
+        pose = placed.of_centre(position, frames.normalised(orientation))
+        p.resetBasePositionAndOrientation(placed.number, *pose, self._client)
+        of_centre = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
+        p.resetBaseVelocity(placed.number, of_centre, angular_velocity, self._client)
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        number, (index,) = self._joints(robot, (joint,))
+        p.resetJointState(number, index, position, velocity, self._client)
+
+    def choose(self, body: str, variant: str) -> None:
+        self._pool(body).choose(variant)
+
+    def set_mass(self, body: str, link: str | None, mass: float) -> None:
+        self._figures.set_mass(*self._link(body, link), mass)
+
+    def set_friction(
+        self,
+        body: str,
+        link: str | None,
+        *,
+        lateral: float | None = None,
+        spinning: float | None = None,
+        rolling: float | None = None,
+        restitution: float | None = None,
+    ) -> None:
+        owner, index = self._link(body, link)
+        given = {"lateralFriction": lateral, "spinningFriction": spinning, "rollingFriction": rolling, "restitution": restitution}
+        self._figures.set_friction(owner, index, given, owner.model.link(link or owner.model.root).friction)
+
+    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+        owner = self._body(robot)
+        self._figures.set_joint_damping(owner, self._joint(owner, joint), damping, owner.model.joint(joint).damping)
+
+    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
+        owner = self._body(robot)
+        self._figures.set_joint_friction(owner, self._joint(owner, joint), friction)
+
+    def set_gravity(self, gravity: Triple) -> None:
+        self._open()._figures.set_gravity(gravity)
+
+    def set_colour(self, body: str, link: str | None, colour: Colour) -> None:
+        self._figures.set_colour(*self._link(body, link), colour)
+
+    def set_light(self, brightness: float) -> None:
+        self._figures.set_light(brightness)
+
+    def before_substep(self, act: Callable[[], object]) -> None:
+        self._substeps.act(act)
+
+    def after_substep(self, look: Callable[[], object]) -> None:
+        self._substeps.looks.append(look)
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        return self._bound(part, lambda body, index: pushes.pusher(self._client, body, index, frame))
+
+    def require_finite(self) -> None:
+        client = self._client
+        for body in reversed(self._open()._moving):  # robots before objects, to which they spread what is not a number
+            joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
+            for what, figures in (("pose", p.getBasePositionAndOrientation(body.number, client)), ("joints", (j[:2] for j in joints))):
+                if not isfinite(sum(map(sum, figures))):
+                    raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
+        return partial(p.getJointStates, *self._joints(robot, joints), self._client)
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
+        body, indices = self._joints(robot, joints)
+        return motors.torques(partial(p.getJointStates, body, indices, self._client), body, indices, self._springs)
+
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        return self._bound((body, link), partial(readers.pose, self._client))
+
+    def velocity(self, body: str, link: str | None = None) -> VelocityReader:
+        return self._bound((body, link), partial(readers.velocity, self._client))
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return motors.torque_motor(self._client, *self._joints(robot, joints), max_torque)
+
+    def position_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> MotorWriter:
+        body, indices = self._joints(robot, joints)
+        if stiffness is None:
+            return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
+        springs = motors.Springs(self._client, body, indices, max_torque, stiffness, damping)
+        self._springs[body, indices] = springs
+        self._substeps.drive([each.act for each in self._springs.values()])
+        return springs.aim
+
+    def render(self, view: View) -> Image:
+        self._open()
+        fine = replace(view, width=view.width * view.samples, height=view.height * view.samples)
+        if self._backdrop is None or self._backdrop[0] != fine:
+            self._backdrop = (fine, backdrop(fine, self._has_floor))
+        bodies, is_body = self._photograph(fine)
+        return lit(smoothed(np.where(is_body[..., None], bodies, self._backdrop[1]), view.samples), self._figures.light)
+
+    def close(self) -> None:
+        self._release()
+
+    def _photograph(self, view: View) -> tuple[Image, NDArray[np.bool_]]:
+        """What the engine draws, and where it drew a body."""
+        _, _, pixels, _, bodies = p.getCameraImage(
+            view.width,
+            view.height,
+            p.computeViewMatrix(view.eye, view.target, axes(view)[2].tolist()),
+            p.computeProjectionMatrixFOV(degrees(view.fov), view.width / view.height, 0.02, 100.0),
+            lightDirection=(1.0, -1.5, 3.0),
+            lightColor=(1.0, 1.0, 1.0),
+            lightAmbientCoeff=0.55,
+            lightDiffuseCoeff=0.5,
+            lightSpecularCoeff=0.05,
+            shadow=0,
+            renderer=p.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        shape = (view.height, view.width)
+        return np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4)[..., :3], np.asarray(bodies).reshape(shape) >= 0
+
+    def _open(self) -> PyBulletEngine:
+        if not self._release.alive:
+            _refuse()
+        return self
+
+    def _pool(self, name: str) -> Pool:
+        return find(self._open()._pools, name, "the world has no body")
+
+    def _body(self, name: str) -> Body:
+        return self._pool(name).chosen
+
+    def _link(self, body: str, link: str | None) -> tuple[Body, int]:
+        owner = self._body(body)
+        return owner, _index(owner, link)
+
+    def _joint(self, owner: Body, joint: str) -> int:
+        return find(owner.joints, joint, f"'{owner.name}' has no joint")
+
+    def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, tuple[int, ...]]:
+        body = self._body(robot)
+        return body.number, tuple(self._joint(body, name) for name in names)
+
+    def _bound(self, part: Part, bind: Callable[[Body, int], Callable[Given, Told]]) -> Callable[Given, Told]:
+        """What `bind` makes of a link, in whichever form its body takes."""
+        return self._pool(part[0]).bound(lambda body: bind(body, _index(body, part[1])))
+
+
+def _index(body: Body, link: str | None) -> int:
+    return BASE if link is None else find(body.links, link, f"'{body.name}' has no link")
+
+
+def _release(client: int, substeps: Substeps) -> None:
+    p.disconnect(client)
+    substeps.only(_refuse)  # another world may get this client's number
+
+
+def _refuse() -> None:
+    raise EngineError("this world was closed")

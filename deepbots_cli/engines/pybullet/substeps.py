@@ -1,0 +1,60 @@
+"""What acts and looks around every engine step of `Engine.step`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from deepbots_cli.engines.pybullet.library import pybullet as p
+
+Act = Callable[[], object]
+
+
+class Substeps:
+    """Acts, then drives (motors that renew their torque), then one step of physics, then looks.
+
+    `begins` is called once per `step`. Drives come last, so that they see the targets that acts have just set.
+    """
+
+    def __init__(self) -> None:
+        self.begins: list[Act] = []
+        self.looks: list[Act] = []
+        self._acts: list[Act] = []
+        self._drives: list[Act] = []
+        self._before: list[Act] = []
+
+    def act(self, act: Act) -> None:
+        self._acts.append(act)
+        self._arrange()
+
+    def drive(self, drives: list[Act]) -> None:
+        """Have these drives, and no others."""
+        self._drives = drives
+        self._arrange()
+
+    def only(self, act: Act) -> None:
+        """Call nothing else any more."""
+        self._acts, self._drives = [act], []
+        self._arrange()
+
+    def _arrange(self) -> None:
+        self._before[:] = [*self._acts, *self._drives]
+
+    def stepper(self, client: int) -> Callable[[int], None]:
+        """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step."""
+        advance, before, looks, begins = p.stepSimulation, self._before, self.looks, self.begins
+
+        def step(substeps: int) -> None:
+            if before or looks:
+                for begin in begins:
+                    begin()
+                for _ in range(substeps):
+                    for act in before:
+                        act()
+                    advance(client)
+                    for look in looks:
+                        look()
+            else:
+                for _ in range(substeps):
+                    advance(client)
+
+        return step

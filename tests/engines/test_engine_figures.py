@@ -1,0 +1,282 @@
+"""Figures that an episode varies, forces on links, and what is called around engine steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp, pi, radians, tan
+
+import numpy as np
+import pytest
+
+from deepbots_cli import frames
+from deepbots_cli.engines import ENGINES
+from deepbots_cli.errors import EngineError
+from deepbots_cli.ir import Ground, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.port import STILL, View
+from deepbots_cli.urdf.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
+from deepbots_cli.urdf.rotation import quaternion
+
+BOTH = pytest.mark.parametrize("engine_name", sorted(ENGINES))
+TURNED = quaternion(0.4, -0.3, 1.1)
+
+
+def weightless(world: WorldModel) -> WorldModel:
+    return replace(world, gravity=(0.0, 0.0, 0.0))
+
+
+@BOTH
+def test_a_body_that_is_placed_with_a_velocity_moves_so_at_its_origin(engine_name, worlds, build):
+    engine = build(engine_name, weightless(worlds.crooked(timestep=0.001, substeps=1)))
+    engine.place("robot", (0.1, 0.2, 0.3), TURNED, (0.5, -1.0, 2.0), (0.3, 0.2, -0.7))
+    linear, angular = engine.velocity("robot")()
+    assert linear == pytest.approx((0.5, -1.0, 2.0), abs=1e-9)
+    assert angular == pytest.approx((0.3, 0.2, -0.7), abs=1e-9)
+    engine.step(1)
+    assert engine.pose("robot")()[0] == pytest.approx((0.1005, 0.199, 0.302), abs=1e-5)
+
+
+@BOTH
+def test_what_is_called_around_engine_steps_is_called_in_each_and_in_order(engine_name, worlds, build):
+    engine = build(engine_name, worlds.ball())
+    read, seen = engine.pose("ball"), []
+    engine.before_substep(lambda: seen.append(("first", read()[0][2])))
+    engine.before_substep(lambda: seen.append(("second", read()[0][2])))
+    engine.after_substep(lambda: seen.append(("after", read()[0][2])))
+    engine.step(2)
+    assert [what for what, _ in seen] == ["first", "second", "after"] * 2
+    heights = [height for _, height in seen]
+    assert heights[0] == heights[1] > heights[2] == heights[3] > heights[5]
+
+
+@BOTH
+def test_a_target_that_is_set_before_an_engine_step_acts_in_it(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=2))
+    engine.set_joint("robot", "hinge", pi / 2, 0.0)
+    aim = engine.position_motor("robot", ["slide"], [1000.0], [100.0], None)
+    engine.before_substep(lambda: aim([0.1]))
+    engine.step(1)
+    assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(10.0)
+    assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(10.0 / 1.1 * 0.005, rel=0.01)
+
+
+@BOTH
+def test_a_motor_that_is_bound_again_replaces_the_earlier(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
+    engine.set_joint("robot", "hinge", pi / 2, 0.0)
+    engine.position_motor("robot", ["slide"], [1000.0], [100.0], None)([0.1])
+    engine.position_motor("robot", ["slide"], [4.0], [100.0], [0.0])([0.1])
+    engine.step(1)
+    assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(4.0)
+
+
+@BOTH
+def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
+    aim, torque = engine.position_motor("robot", ["slide"], [5.0], [20.0], [3.0]), engine.joint_torques("robot", ["slide"])
+    for velocity, target, expected in ((0.0, 0.1, 2.0), (0.5, 0.1, 0.5), (0.0, -9.0, -5.0), (0.0, 9.0, 5.0)):
+        engine.reset()
+        engine.set_joint("robot", "slide", 0.0, velocity)
+        aim([target])
+        engine.step(1)
+        assert torque()[0] == pytest.approx(expected, rel=0.01)
+
+
+@BOTH
+def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
+    push, read = engine.torque_motor("robot", ["slide"], [10.0]), engine.joint_states("robot", ["slide"])
+    for mass in (None, 3.0, None):
+        engine.reset()
+        if mass:
+            engine.set_mass("robot", "cart", mass)
+        engine.set_joint("robot", "hinge", pi / 2, 0.0)
+        push([2.0])
+        engine.step(1)
+        assert read()[0][1] == pytest.approx(2.0 / ((mass or 1.0) + 0.1) * 0.01, rel=0.01)
+
+
+@BOTH
+def test_a_new_mass_scales_the_inertia_along(engine_name, worlds, build):
+    """A pendulum's acceleration does not depend on its mass, if its inertia follows; with a made-up inertia it would."""
+    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
+    rates = []
+    for mass in (0.1, 5.0):
+        engine.reset()
+        engine.set_mass("robot", "cart", 1e6)
+        engine.set_mass("robot", "pole", mass)
+        engine.set_joint("robot", "hinge", 0.3, 0.0)
+        engine.step(1)
+        rates.append(engine.joint_states("robot", ["hinge"])()[0][1])
+    assert rates[1] == pytest.approx(rates[0], rel=1e-4)
+    assert rates[0] == pytest.approx(1.5 * 9.81 * 0.29552 * 0.001, rel=1e-3)
+
+
+@BOTH
+def test_another_gravity_is_felt_until_the_next_reset(engine_name, worlds, build):
+    engine = build(engine_name, worlds.ball())
+    for gravity, expected in (((1.0, 0.0, -2.0), (0.02, 0.0, -0.04)), (None, (0.0, 0.0, -0.1962))):
+        engine.reset()
+        if gravity:
+            engine.set_gravity(gravity)
+        engine.step(4)
+        assert engine.velocity("ball")()[0] == pytest.approx(expected, rel=1e-9)
+
+
+@BOTH
+def test_damping_of_a_joint_takes_speed_exponentially_until_the_next_reset(engine_name, worlds, build):
+    engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=10)))
+    read = engine.joint_states("robot", ["slide"])
+    for damping in (0.0, 2.0, 0.0):
+        engine.reset()
+        if damping:
+            engine.set_joint_damping("robot", "slide", damping)
+        engine.set_joint("robot", "slide", 0.0, 1.0)
+        engine.set_joint("robot", "hinge", pi / 2, 0.0)
+        for _ in range(20):
+            engine.step(10)
+        assert read()[0][1] == pytest.approx(exp(-damping / 1.1 * 0.2), rel=0.01)
+
+
+def test_friction_of_a_joint_slows_until_the_next_reset(worlds, build):
+    engine = build("pybullet", weightless(worlds.rail(timestep=0.01, substeps=4)))
+    for friction in (0.0, 2.2, 0.0):
+        engine.reset()
+        if friction:
+            engine.set_joint_friction("robot", "slide", friction)
+        engine.set_joint("robot", "slide", 0.0, 1.0)
+        engine.set_joint("robot", "hinge", pi / 2, 0.0)
+        for _ in range(10):
+            engine.step(4)
+        assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(1.0 - friction / 1.1 * 0.1, rel=0.01)
+
+
+@pytest.mark.parametrize("angle", [10, 25])
+def test_a_crate_slides_once_the_slope_is_steeper_than_its_friction(angle, worlds, build):
+    engine = build("pybullet", worlds.slope(radians(angle), 1.0))
+    for factor, slides in ((0.97, True), (1.03, False), (None, False)):
+        engine.reset()
+        if factor:
+            engine.set_friction("crate", None, lateral=factor * tan(radians(angle)))
+        for _ in range(200):
+            engine.step(4)
+        assert (engine.velocity("crate")()[0][0] > 0.05) is slides
+
+
+def test_the_ground_is_a_body_whose_friction_may_vary(worlds, build):
+    engine = build("pybullet", worlds.slope(radians(20), 1.0))
+    for lateral, slides in ((0.1, True), (None, False)):
+        engine.reset()
+        if lateral:
+            engine.set_friction("ground", None, lateral=lateral)
+        for _ in range(50):
+            engine.step(4)
+        assert (engine.velocity("crate")()[0][0] > 0.5) is slides
+
+
+def test_a_ball_bounces_as_long_as_its_restitution_lasts(worlds, build):
+    ball = ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.3)), 0.1)
+    engine = build("pybullet", WorldModel(0.001, 1, ground=Ground(1.0, 1.0), objects=(ball,)))
+    for restitution, bounces in ((None, False), (0.8, True), (None, False)):
+        engine.reset()
+        if restitution:
+            engine.set_friction("ball", None, restitution=restitution)
+        fastest = 0.0
+        for _ in range(400):
+            engine.step(1)
+            fastest = max(fastest, engine.velocity("ball")()[0][2])
+        assert (fastest > 0.3) is bounces
+
+
+@pytest.mark.parametrize("frame", ["world", "link"])
+def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(frame, worlds, build):
+    engine = build("pybullet", weightless(worlds.crooked(timestep=0.001, substeps=1)))
+    engine.place("robot", (0.1, 0.2, 0.3), TURNED)
+    inertial = worlds.crooked().robots[0].model.links[0].inertial
+    force, torque = (0.7, -0.2, 0.4), (0.002, 0.001, -0.003)
+    engine.pusher(("robot", None), frame)(force, torque)
+    engine.step(1)
+    _, angular = engine.velocity("robot")()
+    turn = np.array([frames.rotate(TURNED, axis) for axis in np.eye(3)]).T
+    inside = turn.T if frame == "world" else np.eye(3)
+    local_force, local_torque = inside @ force, inside @ torque
+    tilted = np.array([frames.rotate(quaternion(*inertial.origin.rpy), axis) for axis in np.eye(3)]).T
+    own = np.array([[0.01, 0.002, 0.001], [0.002, 0.02, -0.001], [0.001, -0.001, 0.025]])
+    centre = np.array(inertial.origin.xyz)
+    spin = turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(centre, local_force)) * 0.001
+    assert angular == pytest.approx(spin, rel=1e-3, abs=1e-9)
+    speed = turn @ local_force / 0.7 * 0.001 + np.cross(spin, turn @ -centre)
+    assert engine.velocity("robot")()[0] == pytest.approx(speed, rel=1e-3, abs=1e-9)
+    engine.step(1)
+    assert engine.velocity("robot")()[1] == pytest.approx(angular, rel=1e-2, abs=1e-7)
+
+
+@pytest.mark.parametrize("frame", ["world", "link"])
+def test_a_push_on_a_link_turns_its_joint(frame, worlds, build):
+    engine = build("pybullet", worlds.rotor(timestep=0.001, substeps=1))
+    engine.set_joint("robot", "hinge", 0.6, 0.0)
+    engine.step(1)
+    engine.pusher(("robot", "arm"), frame)((3.0, 2.0, 0.0), (0.0, 0.0, 0.4))
+    engine.step(1)  # the force acts on the axis and turns nothing
+    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(0.4 / (0.02 + 2.0 * 0.1) * 0.001, rel=1e-3)
+
+
+def test_colours_and_light_change_a_picture_until_the_next_reset(build):
+    model = RobotModel(
+        "lamp",
+        (
+            Link(
+                "lamp", None, (Geometry(Box((0.2, 0.2, 0.2)), colour=(1, 0, 0, 1)), Geometry(Sphere(0.12), Pose((0, 0, 0.1)), (0, 1, 0, 1)))
+            ),
+            Link("arm", Inertial(0.1, ixx=0.01, iyy=0.01, izz=0.01), (Geometry(Box((0.3, 0.05, 0.05)), Pose((0.15, 0, 0)), (0, 0, 1, 1)),)),
+        ),
+        (Joint("hinge", "revolute", "lamp", "arm"),),
+        root="lamp",
+    )
+    engine = build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)))
+    view = View((1.0, 0.4, 1.2), (0.0, 0.0, 0.5), 60, 40)
+    usual = engine.render(view)
+    engine.set_colour("robot", None, (1.0, 1.0, 0.0, 1.0))
+    engine.set_colour("robot", None, (1.0, 0.0, 1.0, 1.0))
+    assert (engine.render(view) != usual).any()
+    engine.reset()
+    assert (engine.render(view) == usual).all()
+    engine.set_light(0.4)
+    dark = engine.render(view)
+    assert dark.mean() < 0.7 * usual.mean()
+    engine.reset()
+    assert (engine.render(view) == usual).all()
+
+
+def test_the_mass_of_a_fixed_base_means_nothing_and_sets_nothing_loose(worlds, build):
+    engine = build("pybullet", worlds.rail())
+    engine.set_mass("robot", None, 3.0)
+    engine.step(4)
+    assert engine.pose("robot")()[0] == (0, 0, 1)
+
+
+@BOTH
+def test_a_link_without_mass_gets_none(engine_name, worlds, build):
+    with pytest.raises(EngineError, match="mass"):
+        build(engine_name, worlds.rail()).set_mass("robot", "tip", 3.0)
+
+
+def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build):
+    engine = build("exact", worlds.rail())
+    part = ("robot", "cart")
+    for use in (
+        lambda: engine.choose("robot", "round"),
+        lambda: engine.set_friction("robot", None, lateral=1.0),
+        lambda: engine.set_joint_friction("robot", "slide", 1.0),
+        lambda: engine.pusher(part),
+        lambda: engine.contact(part),
+        lambda: engine.contact_force(part),
+        lambda: engine.gap(part, part),
+        lambda: engine.rays(part, (), 1.0),
+        lambda: engine.camera(part, frames.HERE, 8, 8, 1.0),
+        lambda: engine.inverse_kinematics(part, ()),
+    ):
+        with pytest.raises(EngineError, match="use engine 'pybullet'"):
+            use()
+    engine.set_colour("robot", None, (1, 1, 1, 1))
+    engine.set_light(0.5)
+    assert engine.velocity("robot")() == (STILL, STILL)
