@@ -11,19 +11,23 @@ from dataclasses import dataclass
 
 from deepbots_cli import ir
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.lang.typed import Typed
+from deepbots_cli.lang.typed import Redraw, Typed
 from deepbots_cli.lang.types import Components
 
 
 @dataclass(frozen=True, eq=False)
 class Valued:
-    """A named expression; `text` is what the user wrote, `owner` its place in the scenario, such as `reward.alive`."""
+    """A named expression; `text` is what the user wrote, `owner` its place in the scenario, such as `reward.alive`.
+
+    `redraw` says how often its draws are repeated within an episode, None for not at all.
+    """
 
     name: str
     span: Span
     text: str
     typed: Typed
     owner: str
+    redraw: Redraw | None = None
 
     @property
     def components(self) -> Components:
@@ -56,6 +60,18 @@ class ObservedNoise:
 
     deviation: Valued
     relative: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TaskRoute:
+    """What messages of one direction meet on their way; each robot draws its own figures. None is the default."""
+
+    latency: Valued | None = None
+    loss: Valued | None = None
+    range: Valued | None = None
+    burst: float | None = None
+    order: ir.Order = "sent"
+    on_loss: ir.OnLoss = "hold"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +163,8 @@ class Task:
     augmented: frozenset[str]
     variations: tuple[Varied, ...] = ()
     agent: ir.Agent = ir.Agent()
+    to_robot: TaskRoute = TaskRoute()
+    from_robot: TaskRoute = TaskRoute()
     cases: tuple[TaskCase, ...] = ()
     curriculum: tuple[TaskStage, ...] = ()
 

@@ -12,6 +12,7 @@ world.py        timestep, ground, arena, objects
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
 actions.py      what the agent decides; observations.py what it sees
+channels.py     what messages meet on their way, draws that are repeated
 scoring.py      signals, reward, endings, training
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       places and joints at the start; poses.py named positions of joints
@@ -28,6 +29,7 @@ from functools import partial
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.actions import Actions
+from deepbots_cli.compiler.channels import is_repeated_as_a_whole, route
 from deepbots_cli.compiler.controllers import Controller
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
@@ -203,6 +205,8 @@ class _Pass:
             frozenset(spec.augment),
             tuple(namespace.variations),
             ir.Agent(spec.agent.repeat, spec.agent.stack),
+            route(spec, "to_robot", namespace),
+            route(spec, "from_robot", namespace),
         )
 
     def _define_parameters(self) -> None:
@@ -215,18 +219,13 @@ class _Pass:
         if checked is None:
             return Symbol(name, None)
         typed = checked.value
-        if checked.redraw is not None:
-            self.values.findings.add(
-                "DB108",
-                text.span,
-                "a draw that is repeated within an episode is not supported yet",
-                help="leave out `every`: it is then drawn once per episode",
-            )
+        if not is_repeated_as_a_whole(typed, checked.redraw, text, self.values):
+            return Symbol(name, None)
         agree.warn_of_degrees(typed, self.values.report(text))
         fixed = self.values.fixed(typed, text, f"`{name}`") if typed.type.stage is Stage.FIXED else None
         if typed.type.stage is Stage.FIXED and fixed is None:
             return Symbol(name, None)
-        self.parameters[name] = Valued(name, text.span, text.text, typed, f"parameters.{name}")
+        self.parameters[name] = Valued(name, text.span, text.text, typed, f"parameters.{name}", checked.redraw)
         return Symbol(name, typed.type, fixed)
 
     def _is_drawn(self, name: str) -> bool:

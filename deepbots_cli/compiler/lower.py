@@ -9,7 +9,19 @@ from deepbots_cli import ir
 from deepbots_cli.lang import lower as lang
 from deepbots_cli.lang.fold import op
 from deepbots_cli.lang.scalar import Const, Draw, Name, Scalar, walk
-from deepbots_cli.task import Command, Coordinate, JointStart, ObservedNoise, ObservedValue, Placement, Task, TaskRobot, Valued, Varied
+from deepbots_cli.task import (
+    Command,
+    Coordinate,
+    JointStart,
+    ObservedNoise,
+    ObservedValue,
+    Placement,
+    Task,
+    TaskRobot,
+    TaskRoute,
+    Valued,
+    Varied,
+)
 
 
 def lower(task: Task) -> ir.CompiledScenario:
@@ -22,7 +34,7 @@ def lower(task: Task) -> ir.CompiledScenario:
         tuple(_robot(robot, task) for robot in task.robots),
         task.format,
         task.timing,
-        tuple(_named(value) for value in task.parameters),
+        tuple(_parameter(value) for value in task.parameters),
         task.action,
         tuple(_named(value) for value in task.order),
         tuple(entry for observed in task.observation for entry in _observed(observed)),
@@ -50,6 +62,17 @@ def _scalars(value: Valued, spread: tuple[str, ...] | None = None) -> tuple[Scal
 
 def _named(value: Valued) -> ir.NamedValues:
     return ir.NamedValues(value.name, value.components, _scalars(value))
+
+
+def _parameter(value: Valued) -> ir.Parameter:
+    return ir.Parameter(value.name, value.components, _scalars(value), _redraw(value, value.owner))
+
+
+def _redraw(value: Valued, owner: str) -> ir.Redraw | None:
+    if value.redraw is None:
+        return None
+    period = value.redraw.period
+    return ir.Redraw(None if period is None else lang.lower(period, f"{owner}.every")[0])
 
 
 def _observed(observed: ObservedValue) -> list[ir.Observed]:
@@ -89,7 +112,19 @@ def _robot(robot: TaskRobot, task: Task) -> ir.Robot:
         apply,
         _layout(robot.name, "to_robot", (*_action_fields(action, task), *map(_field, robot.receive))),
         _layout(robot.name, "from_robot", tuple(_field(value) for value in robot.emit)),
+        _route(task.to_robot, f"{robot.name}.to_robot"),
+        _route(task.from_robot, f"{robot.name}.from_robot"),
     )
+
+
+def _route(route: TaskRoute, owner: str) -> ir.Route:
+    """The figures of one robot's route, drawn by streams of its own."""
+    found = {
+        name: ir.Setting(lang.lower(value.typed, f"{owner}.{name}")[0], _redraw(value, f"{owner}.{name}"))
+        for name, value in (("latency", route.latency), ("loss", route.loss), ("range", route.range))
+        if value is not None
+    }
+    return ir.Route(**found, burst=route.burst, order=route.order, on_loss=route.on_loss)
 
 
 def _command(command: Command) -> ir.NamedValues:

@@ -13,7 +13,7 @@ from deepbots_cli.lang import agree, check, parser, syntax
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.expect import expect, expect_range
 from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Typed, TypedRange, zero
+from deepbots_cli.lang.typed import Redraw, Typed, TypedRange, zero
 from deepbots_cli.lang.types import Components, NoNames, Report, Scope, Stage
 from deepbots_cli.schema.fields import Leaf, Quantity
 from deepbots_cli.schema.plain import choose_from
@@ -120,6 +120,14 @@ class Values:
         """The same, where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
         return check.check_drawn(tree, scope, self.report(text)) if tree else None
+
+    def redrawn(self, text: Text, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
+        """As `quantity`, for a single figure that may be new in every step; with it, how often its draws are repeated."""
+        checked = self.drawn(text, scope)
+        value = checked and expect(checked.value, self.report(text), what, dimension=dimension)
+        if checked is None or value is None or not self._is_within(value, text, what):
+            return None, None
+        return value, checked.redraw
 
     def range(self, text: Text, scope: Scope) -> TypedRange | None:
         tree = self.parsed(text)

@@ -3,7 +3,7 @@
     CompiledScenario
     ├── world         what an engine builds: timestep, ground, arena, robots as data, objects
     ├── robots        controllers: sensors, what they emit, what they apply, message layouts
-    ├── parameters    values drawn per episode (fixed ones are folded into the expressions)
+    ├── parameters    values drawn per episode or more often (fixed ones are folded into the expressions)
     ├── action, agent what the agent chooses, which variables that sets, for how many ticks
     ├── signals       augmentation and helpers, in order of evaluation
     ├── observation   one entry per number of a frame of what the policy sees
@@ -12,6 +12,7 @@
     └── cases, curriculum   the whole once more for each case of the evaluation and each stage of the curriculum
 
 world.py     what an engine builds               robots.py    controllers and their messages
+channels.py  what messages meet on their way    values.py    named values, and how often they are drawn
 task.py      action to endings                   resets.py    how an episode begins, what it varies
 training.py  how the policy is trained and judged
 
@@ -24,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.resets import Place, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
     Actuator,
@@ -32,7 +34,6 @@ from deepbots_cli.ir.robots import (
     Field,
     MessageFormat,
     MessageLayout,
-    NamedValues,
     Robot,
     Sensor,
     Timing,
@@ -53,6 +54,7 @@ from deepbots_cli.ir.task import (
     viewed,
 )
 from deepbots_cli.ir.training import Criterion, Evaluation, Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.ir.values import NamedValues, Parameter, Redraw
 from deepbots_cli.ir.world import (
     MOST_BODIES,
     MOST_SETTLING_STEPS,
@@ -92,16 +94,22 @@ __all__ = [
     "Noise",
     "ObjectBody",
     "Observed",
+    "OnLoss",
     "Option",
+    "Order",
     "Outcome",
+    "Parameter",
     "Place",
     "Policy",
+    "Redraw",
     "Reset",
     "Robot",
     "RobotBody",
+    "Route",
     "Schedule",
     "Sensor",
     "SetJoint",
+    "Setting",
     "Solved",
     "Stage",
     "Term",
@@ -129,7 +137,7 @@ class CompiledScenario:
     robots: tuple[Robot, ...]
     format: MessageFormat
     timing: Timing
-    parameters: tuple[NamedValues, ...]
+    parameters: tuple[Parameter, ...]
     action: tuple[Choices | Interval, ...]
     signals: tuple[NamedValues, ...]
     observation: tuple[Observed, ...]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.ir.channels import Route
+from deepbots_cli.ir.values import NamedValues
 
 MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
 Timing = Literal["immediate", "paper"]
@@ -58,15 +59,6 @@ class Actuator:
 
 
 @dataclass(frozen=True)
-class NamedValues:
-    """A named scalar (no components) or vector, with one expression per component."""
-
-    name: str
-    components: tuple[str, ...]
-    values: tuple[Scalar, ...]
-
-
-@dataclass(frozen=True)
 class Robot:
     """A controller. `receive` holds supervisor expressions; `emit` and `apply` see sensors and received fields.
 
@@ -81,3 +73,5 @@ class Robot:
     apply: tuple[NamedValues, ...]
     to_robot: MessageLayout
     from_robot: MessageLayout
+    to_route: Route = Route()
+    from_route: Route = Route()

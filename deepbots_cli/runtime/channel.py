@@ -1,10 +1,16 @@
-"""The path of messages between one emitter and one receiver."""
+"""The path of messages between one emitter and one receiver: one that delivers, or a radio where the scenario says so."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
 from typing import Any
+
+from deepbots_cli.ir import CompiledScenario, Direction, Robot
+from deepbots_cli.port import Engine
+from deepbots_cli.runtime.messages import codec, scalar_fields
+from deepbots_cli.runtime.radio import Radio
+from deepbots_cli.runtime.streams import Streams
 
 
 class Channel:
@@ -26,9 +32,21 @@ class Channel:
     def _receive_late(self) -> Any:
         return self._queue.popleft() if len(self._queue) > self._delay else None
 
-    def clear(self) -> None:
+    def begin(self, streams: Streams) -> None:
         """Forget what is under way; a reset leaves no message behind."""
         self._queue.clear()
 
     def __len__(self) -> int:
         return len(self._queue)
+
+
+def channel(scenario: CompiledScenario, robot: Robot, direction: Direction, engine: Engine) -> Channel | Radio:
+    """The path between the supervisor and one robot; `paper` timing makes either direction a tick longer."""
+    late = scenario.timing == "paper"
+    route, layout = (robot.to_route, robot.to_robot) if direction == "to_robot" else (robot.from_route, robot.from_robot)
+    ticks_matter = late and direction == "to_robot" and scenario.agent.repeat > 1
+    if scenario.format == "none" or (route.perfect and not ticks_matter):
+        return Channel(1 if late else 0)
+    encode = codec(layout, scenario.format).encode
+    nothing = [False if dtype == "bool" else 0.0 for _, dtype in scalar_fields(layout)]
+    return Radio(f"{robot.name}.{direction}", route, scenario.world.timestep, 1 if late else 0, engine.pose(robot.name), encode(*nothing))

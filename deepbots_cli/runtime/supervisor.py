@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.ir import CompiledScenario, MessageLayout
 from deepbots_cli.port import Engine
-from deepbots_cli.runtime.channel import Channel
+from deepbots_cli.runtime.channel import channel
 from deepbots_cli.runtime.messages import codec, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.spaces import action_space, observation_space, views
@@ -87,12 +87,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     def _connect(self) -> None:
         """One controller per robot, and a channel each way; `paper` timing delays either by a tick."""
         scenario = self.scenario
-        delay = 1 if scenario.timing == "paper" else 0
         for spec in scenario.robots:
             controller = self.CONTROLLERS[spec.name]
             setattr(self, f"robot_{spec.name}", controller(spec, scenario.format, self.engine, lambda: self.step_count))
-            setattr(self, f"to_{spec.name}", Channel(delay))
-            setattr(self, f"from_{spec.name}", Channel(delay))
+            setattr(self, f"to_{spec.name}", channel(scenario, spec, "to_robot", self.engine))
+            setattr(self, f"from_{spec.name}", channel(scenario, spec, "from_robot", self.engine))
             if scenario.format != "none":
                 setattr(self, f"encode_to_{spec.name}", codec(spec.to_robot, scenario.format).encode)
                 setattr(self, f"decode_from_{spec.name}", codec(spec.from_robot, scenario.format).decode)
@@ -120,8 +119,8 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             self._begin()
             for spec in self.scenario.robots:
                 getattr(self, f"robot_{spec.name}").reset()
-                getattr(self, f"to_{spec.name}").clear()
-                getattr(self, f"from_{spec.name}").clear()
+                getattr(self, f"to_{spec.name}").begin(self.streams)
+                getattr(self, f"from_{spec.name}").begin(self.streams)
             self._start()
         except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error

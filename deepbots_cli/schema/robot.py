@@ -97,11 +97,11 @@ class Route(Part):
     loss: Annotated[Scalar, Quantity("number", stage="step", minimum=0, maximum=1)] = Field(
         default=0, description="Share of messages that never arrive."
     )
-    burst: Annotated[Scalar, Quantity("number", minimum=1)] = Field(
-        default=1, description="Mean number of messages that are lost in a row."
+    burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = Field(
+        default=None, description="Mean number of messages that are lost in a row; without it each is lost or not by itself."
     )
     range: Annotated[Scalar, Quantity("length", stage="episode", minimum=0)] | None = Field(
-        default=None, description="Distance beyond which nothing arrives."
+        default=None, description="Distance from the origin of the world to the robot's root link beyond which nothing arrives."
     )
     order: Annotated[Literal["sent", "arrival", "newest"], Word()] = Field(
         default="sent",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
+from deepbots_cli.compiler.emit.redraws import print_draws_of_message
 from deepbots_cli.compiler.emit.robot import decode_lines, keeps_state
 from deepbots_cli.compiler.emit.text import flat, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
@@ -11,19 +12,29 @@ from deepbots_cli.lang.scalar import names_in
 
 
 def print_sending(space: Workspace, printer: Printer, robot: Robot) -> None:
-    """The message of this step, sent and, where it has arrived, acted on."""
+    """The message of this step; where its way has no surprises, it is acted on here."""
     values = [printer.value(value) for entry in robot.receive for value in entry.values]
     controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
     if space.scenario.format == "none":
         printer.line(f"{controller}.apply({', '.join(values)})")
         return
+    print_draws_of_message(printer, channel, robot.to_route)
     printer.line(f"{channel}.send(self.encode_to_{robot.name}({', '.join(values)}))")
+    if space.delivers_in_ticks(robot):
+        return
     if space.scenario.timing == "paper":
         printer.line(f"message = {channel}.receive()")
         printer.line("if message is not None:")
         printer.line(f"    {controller}.use_message_data(message)")
     else:
         printer.line(f"{controller}.use_message_data({channel}.receive())")
+
+
+def print_delivering(space: Workspace, printer: Printer, robot: Robot) -> None:
+    """What arrives at a robot in this tick, where that is not what was sent in this step."""
+    if space.delivers_in_ticks(robot):
+        printer.line(f"for message in self.to_{robot.name}.receive():")
+        printer.line(f"    self.robot_{robot.name}.use_message_data(message)")
 
 
 def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: bool) -> None:
@@ -35,7 +46,9 @@ def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: 
     if space.scenario.format == "none":
         printer.line(f"{targets_code(targets)} = {controller}.sense()" if targets else "")
         return
-    if space.scenario.timing == "paper" and first:
+    if not robot.from_route.perfect:
+        _print_imperfect(printer, robot, first=first)
+    elif space.scenario.timing == "paper" and first:
         printer.line(f"message = {controller}.create_message()")
         printer.line(f"{channel}.send(message)")
     else:
@@ -43,6 +56,18 @@ def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: 
         printer.line(f"message = {channel}.receive()")
     error = f"self._rejected({controller}.spec.from_robot, message)"
     printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.stamp, error)
+
+
+def _print_imperfect(printer: Printer, robot: Robot, *, first: bool) -> None:
+    """What the supervisor goes by: the message that arrived last, in this tick or an earlier one."""
+    controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
+    if first:
+        printer.line(f"{channel}.deliver({controller}.create_message())")
+    else:
+        print_draws_of_message(printer, channel, robot.from_route)
+        printer.line(f"{channel}.send({controller}.create_message())")
+        printer.line(f"{channel}.receive()")
+    printer.line(f"message = {channel}.latest")
 
 
 def print_first_telling(space: Workspace, printer: Printer) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from deepbots_cli.compiler.emit.observation import deviation
 from deepbots_cli.compiler.emit.printer import Printer
+from deepbots_cli.compiler.emit.redraws import print_first_draws
 from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
 from deepbots_cli.compiler.emit.variations import setting
 from deepbots_cli.compiler.emit.workspace import Workspace
@@ -15,9 +16,7 @@ def begin(space: Workspace) -> list[str]:
     scenario, reset = space.scenario, space.scenario.reset
     printer = Printer(lambda leaf: _at_reset(space, leaf), space.names, scenario.world.timestep)
     printer.line('"""Draw what this episode varies, and put the world where it begins."""')
-    for entry in scenario.parameters:
-        for component, value in zip(entry.components or (None,), entry.values, strict=True):
-            printer.assign(space.parameter(entry.name, component), value)
+    print_first_draws(space, printer)
     for observed in scenario.observation:
         if observed.noise is not None and not isinstance(observed.noise.deviation, Const):
             printer.assign(deviation(space, observed), observed.noise.deviation)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from deepbots_cli.compiler.emit.action import print_decoding
 from deepbots_cli.compiler.emit.evaluation import print_evaluation
-from deepbots_cli.compiler.emit.messages import print_first_telling, print_keeping, print_receiving, print_sending
+from deepbots_cli.compiler.emit.messages import print_delivering, print_first_telling, print_keeping, print_receiving, print_sending
 from deepbots_cli.compiler.emit.observation import print_next_frame
 from deepbots_cli.compiler.emit.printer import Printer
+from deepbots_cli.compiler.emit.redraws import print_redraws
 from deepbots_cli.compiler.emit.text import block
 from deepbots_cli.compiler.emit.workspace import Workspace
 
@@ -70,6 +71,7 @@ def _acting(space: Workspace) -> list[str]:
 def _print_acting(space: Workspace, printer: Printer) -> None:
     """What happens once per step: the action, and the messages that carry it."""
     print_decoding(space, printer)
+    print_redraws(space, printer)
     printer.line("self.step_count += 1")
     print_next_frame(space, printer)
     printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
@@ -79,6 +81,8 @@ def _print_acting(space: Workspace, printer: Printer) -> None:
 
 
 def _print_tick(space: Workspace, printer: Printer) -> None:
+    for robot in space.scenario.robots:
+        print_delivering(space, printer, robot)
     printer.line(f"self.physics({space.scenario.world.substeps})")
     for robot in space.scenario.robots:
         print_receiving(space, printer, robot, first=False)

@@ -6,7 +6,7 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
-from deepbots_cli.ir import CompiledScenario, own_action
+from deepbots_cli.ir import CompiledScenario, Robot, own_action
 from deepbots_cli.lang.scalar import Name, Scalar, World, names_in
 
 
@@ -49,6 +49,11 @@ class Workspace:
     def tick(self) -> str:
         """Code that counts the ticks of the episode."""
         return "self.tick_count" if self.repeats else "self.step_count"
+
+    def delivers_in_ticks(self, robot: Robot) -> bool:
+        """Whether a message to this robot may arrive in another tick than the one that follows its sending."""
+        late = self.scenario.timing == "paper" and self.repeats
+        return self.scenario.format != "none" and (late or not robot.to_route.perfect)
 
     def uses(self, name: str) -> bool:
         """Whether an expression of every tick reads the named value."""

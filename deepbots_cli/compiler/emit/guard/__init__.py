@@ -15,8 +15,9 @@ from collections.abc import Iterator
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import require_known_nodes
-from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_variations
+from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_routes, require_variations
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
+from deepbots_cli.compiler.emit.text import action_variables
 from deepbots_cli.ir import Choices, CompiledScenario
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
@@ -32,8 +33,12 @@ def check_printable(scenario: CompiledScenario) -> None:
     for name in _defined_names(scenario):
         if not _NAME.fullmatch(name):
             raise CanonicalError(f"{name[:40]!r} is no name that a scenario may define")
+    variables = [variable for part in scenario.action for variable in action_variables(part)]
+    if len(set(variables)) < len(variables):
+        raise CanonicalError("two variables of the action share a name")
     require_known_nodes(scenario)
     require_figures(scenario)
+    require_routes(scenario)
     require_counts(scenario)
     require_variations(scenario)
     require_known_names(scenario)

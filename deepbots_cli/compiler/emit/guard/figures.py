@@ -64,3 +64,10 @@ def require_figures(scenario: CompiledScenario) -> None:
     histories = [entry.history for entry in scenario.observation]
     if min([scenario.agent.repeat, scenario.agent.stack, *histories]) < 1 or scenario.agent.stack * sum(histories) > MOST_SEEN:
         raise CanonicalError(f"an observation of more than {MOST_SEEN} numbers, or of none in a row")
+
+
+def require_routes(scenario: CompiledScenario) -> None:
+    """What messages meet on their way: runs of losses that begin and end."""
+    for burst in (route.burst for robot in scenario.robots for route in (robot.to_route, robot.from_route)):
+        if burst is not None and not 1.0 <= burst < 1e300:
+            raise CanonicalError(f"bursts of {burst} lost messages")

@@ -22,7 +22,8 @@ def require_known_names(scenario: CompiledScenario) -> None:
     endings = [(ending.name, None) for ending in scenario.endings]
     known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
     known |= {("previous_action", component) for component in own_action(scenario.action)}
-    supervisor = [scenario.parameters, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
+    _require_parameters(scenario)
+    supervisor = [scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
     _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
     for robot in scenario.robots:
         for sensor in robot.sensors:
@@ -31,6 +32,15 @@ def require_known_names(scenario: CompiledScenario) -> None:
         sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]
         _require_in([robot.emit], set(sensed))
         _require_in([robot.apply], {*sensed, *flat(robot.receive)})
+
+
+def _require_parameters(scenario: CompiledScenario) -> None:
+    """A parameter is made of those before it, a figure of a route of any."""
+    known: set[tuple[str, str | None]] = set()
+    for entry in scenario.parameters:
+        _require_in([entry.values, entry.redraw], known)
+        known.update(flat([entry]))
+    _require_in([(robot.to_route, robot.from_route) for robot in scenario.robots], known)
 
 
 def require_order(endings: tuple[Ending, ...]) -> None:

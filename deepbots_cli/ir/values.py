@@ -1,0 +1,33 @@
+"""Named values, and how often they are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deepbots_cli.lang.scalar import Scalar
+
+
+@dataclass(frozen=True)
+class NamedValues:
+    """A named scalar (no components) or vector, with one expression per component."""
+
+    name: str
+    components: tuple[str, ...]
+    values: tuple[Scalar, ...]
+
+
+@dataclass(frozen=True)
+class Redraw:
+    """How often a value is drawn anew within an episode: after each `period` (s), None at each step or message.
+
+    The period is itself computed anew each time.
+    """
+
+    period: Scalar | None = None
+
+
+@dataclass(frozen=True)
+class Parameter(NamedValues):
+    """A parameter that is drawn in every episode."""
+
+    redraw: Redraw | None = None

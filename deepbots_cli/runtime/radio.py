@@ -1,0 +1,115 @@
+"""A channel like a radio: messages come late, in another order, or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from heapq import heappop, heappush
+from math import hypot, inf
+from typing import Any
+
+from deepbots_cli.frames import Triple
+from deepbots_cli.ir import Route, Setting
+from deepbots_cli.lang.scalar import Const
+from deepbots_cli.runtime.streams import Streams
+
+_ROUNDING = 1e-9
+"""In ticks: a latency of a whole number of ticks must not become one more by rounding."""
+
+Where = Callable[[], tuple[Triple, Any]]
+
+
+class Radio:
+    """The way of messages from one emitter to one receiver, where it is not perfect.
+
+    `receive` is called once in each tick, after what is sent in that tick. A message that was sent in one
+    tick is delivered in the first that begins at or after its arrival. A lost one leaves a gap, which is
+    treated as the route says when the message would have been delivered.
+
+    Losses are a Gilbert-Elliott chain of two states, lost and not: after a lost message the next is lost with
+    1 - 1/burst, after another with loss / (burst (1 - loss)), so that the share of losses is `loss`.
+    """
+
+    latency: float
+    """In s; that of the next message, as are `loss` and `range`."""
+    loss: float
+    range: float
+    fresh: bool
+    """Whether a message arrived in this tick."""
+    measured: int
+    """The tick at whose end the message that arrived last was made."""
+    latest: Any
+    """What the receiver acts on: the message that arrived last, or zeros."""
+
+    def __init__(self, name: str, route: Route, timestep: float, delay: int = 0, where: Where | None = None, zeros: Any = None) -> None:
+        """Each message takes `delay` ticks besides its latency.
+
+        `where` gives the position of the robot (m), `zeros` is a message of zeros.
+        """
+        self._name = name
+        self._route = route
+        self._rate = 1.0 / timestep
+        self._delay = float(delay)
+        self._where = where
+        self._zeros = zeros
+        self._loses = route.loss != Setting(Const(0.0))
+        self.range = inf
+        for figure, setting in route.settings:
+            setattr(self, figure, float(setting.value.value) if isinstance(setting.value, Const) else 0.0)
+        self._queue: list[tuple[float, int, int, Any]] = []
+        self.begin(Streams(0))
+
+    def begin(self, streams: Streams) -> None:
+        """Forget what is under way; `streams` gives the draws of what follows."""
+        self._random = streams[f"{self._name}.loss"].random if self._loses else None
+        self._queue.clear()
+        self._tick = self._sent = self.measured = 0
+        self._arrival = 0.0
+        self._newest = -1
+        self._losing: bool | None = None
+        self.latest = None
+        self.fresh = False
+
+    def deliver(self, message: Any) -> None:
+        """Hand over the first message of an episode, at once and for certain."""
+        self.latest = message
+        self.fresh = True
+
+    def send(self, message: Any) -> None:
+        """Set a message on its way, whether it will arrive or not."""
+        arrival = self._tick + self._delay + max(self.latency * self._rate, 0.0)
+        if self._route.order == "sent":
+            arrival = self._arrival = max(arrival, self._arrival)
+        heappush(self._queue, (arrival, self._sent, self._tick, None if self._is_lost() else (message,)))
+        self._sent += 1
+
+    def _is_lost(self) -> bool:
+        route, lost = self._route, False
+        if self._random is not None:
+            share, burst = self.loss, route.burst
+            if burst is None or self._losing is None or not 0.0 < share < 1.0:
+                chance = share
+            else:
+                chance = 1.0 - 1.0 / burst if self._losing else share / (burst * (1.0 - share))
+            lost = self._losing = self._random() < chance
+        return lost or (route.range is not None and self._where is not None and hypot(*self._where()[0]) > self.range)
+
+    def receive(self) -> list[Any]:
+        """What the receiver takes in this tick, in order."""
+        now, queue, taken = self._tick + _ROUNDING, self._queue, []
+        self._tick += 1
+        self.fresh = False
+        while queue and queue[0][0] <= now:
+            _, number, tick, parcel = heappop(queue)
+            if self._route.order == "newest":
+                if number < self._newest:
+                    continue
+                self._newest = number if parcel else self._newest
+            if parcel:
+                (self.latest,) = parcel
+                self.measured = tick + 1
+                self.fresh = True
+            elif self._route.on_loss == "zero":
+                self.latest = self._zeros
+            if parcel or (self._route.on_loss != "skip" and self.latest is not None):
+                taken.append(self.latest)
+        return taken

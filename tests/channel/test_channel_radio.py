@@ -1,0 +1,229 @@
+"""The radio on its own: how late, in which order and how seldom messages arrive, against what the route says."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import groupby
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deepbots_cli.ir import Route, Setting
+from deepbots_cli.lang.scalar import Const
+from deepbots_cli.runtime.radio import Radio
+from deepbots_cli.runtime.streams import Streams
+
+MESSAGES = 100_000
+TICK = 0.01
+
+
+def radio(*, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any) -> Radio:
+    made = Radio(name, Route(Setting(Const(latency)), Setting(Const(loss)), **others), TICK, zeros="zeros")
+    made.begin(Streams(seed))
+    return made
+
+
+def arrivals(link: Radio, latencies: Sequence[float]) -> list[list[Any]]:
+    """What is taken in each tick, when message k is sent in tick k with the k-th latency (in ticks), and until all is quiet."""
+    taken = []
+    for number, latency in enumerate(latencies):
+        link.latency = latency * TICK
+        link.send(number)
+        taken.append(link.receive())
+    return taken + [link.receive() for _ in range(int(max(latencies)) + 2)]
+
+
+# Latency
+
+
+@pytest.mark.parametrize(
+    ("latency", "ticks"), [(0.0, 0), (0.001, 1), (0.01, 1), (0.01 + 1e-13, 1), (0.0101, 2), (0.03, 3), (0.1 + 0.2, 30), (-1.0, 0)]
+)
+def test_a_message_is_delivered_in_the_first_tick_at_or_after_its_arrival(latency: float, ticks: int) -> None:
+    link = radio(latency=latency)
+    link.send("a")
+    assert [link.receive() for _ in range(ticks + 1)] == [[]] * ticks + [["a"]]
+
+
+def test_late_is_not_lost() -> None:
+    taken = arrivals(radio(on_loss="zero"), [3.0] * 50)
+    assert [message for tick in taken for message in tick] == list(range(50))
+
+
+def test_delays_of_many_messages_have_the_distribution_that_they_are_drawn_from() -> None:
+    """Uniform latencies over 0 to 8 ticks: each number of ticks from 1 to 8 alike, by a chi-square test."""
+    link = radio(order="arrival")
+    drawn = Streams(3)["cart.to_robot.latency#0"].uniform(0.0, 8.0, MESSAGES)
+    taken = arrivals(link, drawn.tolist())
+    delays = Counter(tick - message for tick, messages in enumerate(taken) for message in messages)
+    assert set(delays) == set(range(1, 9))
+    expected = MESSAGES / 8
+    assert sum((count - expected) ** 2 / expected for count in delays.values()) < 24.3  # 0.1 % of chi-square, 7 degrees of freedom
+
+
+# Order
+
+
+def test_sent_order_lets_a_late_message_hold_up_those_after_it() -> None:
+    assert arrivals(radio(), [3.0, 0.0, 0.0, 0.0, 0.0])[:5] == [[], [], [], [0, 1, 2, 3], [4]]
+
+
+def test_arrival_order_takes_messages_as_they_come() -> None:
+    assert arrivals(radio(order="arrival"), [3.0, 0.0, 0.0, 0.0, 0.0])[:5] == [[], [1], [2], [0, 3], [4]]
+
+
+def test_within_a_tick_the_exact_times_of_arrival_count() -> None:
+    assert arrivals(radio(order="arrival"), [1.9, 0.2, 0.0])[:3] == [[], [], [1, 0, 2]]
+
+
+def test_newest_drops_what_is_older_than_what_was_delivered() -> None:
+    assert arrivals(radio(order="newest"), [3.0, 0.0, 0.0, 0.0, 0.0])[:5] == [[], [1], [2], [3], [4]]
+
+
+@pytest.mark.parametrize(("order", "latest", "measured"), [("sent", 1, [0, 0, 2]), ("arrival", 0, [0, 2, 1]), ("newest", 1, [0, 2, 2])])
+def test_what_is_gone_by_is_the_message_that_came_last(order: Any, latest: int, measured: list[int]) -> None:
+    link = radio(order=order)
+    link.deliver("first")
+    seen = []
+    for number, latency in enumerate([2.0, 0.0]):
+        link.latency = latency * TICK
+        link.send(number)
+        link.receive()
+        seen.append(link.measured)
+    link.receive()
+    assert (link.latest, [*seen, link.measured]) == (latest, measured)
+
+
+# Loss
+
+
+def lost_in(link: Radio, count: int = MESSAGES) -> list[bool]:
+    lost = []
+    for number in range(count):
+        link.send(number)
+        link.receive()
+        lost.append(not link.fresh)
+    return lost
+
+
+def runs_of(lost: list[bool]) -> list[int]:
+    return [len(list(members)) for value, members in groupby(lost) if value]
+
+
+@pytest.mark.parametrize(("share", "seed"), [(0.05, 1), (0.3, 2), (0.9, 3)])
+def test_without_bursts_each_message_is_lost_or_not_by_itself(share: float, seed: int) -> None:
+    """The share within 4 standard deviations; runs geometric, with the mean 1 / (1 - share), by a chi-square test."""
+    lost = lost_in(radio(loss=share, seed=seed))
+    assert abs(np.mean(lost) - share) < 4 * sqrt(share * (1 - share) / MESSAGES)
+    assert_geometric(runs_of(lost), share)
+
+
+@pytest.mark.parametrize(("share", "burst", "seed"), [(0.05, 3.0, 1), (0.2, 10.0, 2), (0.5, 1.5, 3), (0.3, 1.0, 4)])
+def test_losses_in_bursts_have_the_share_and_the_mean_length_that_are_asked_for(share: float, burst: float, seed: int) -> None:
+    lost = lost_in(radio(loss=share, burst=burst, seed=seed))
+    stay, fall = 1 - 1 / burst, share / (burst * (1 - share))
+    memory = stay - fall  # the correlation of one message with the next, which widens the spread of the share
+    assert abs(np.mean(lost) - share) < 4 * sqrt(share * (1 - share) / MESSAGES * (1 + memory) / (1 - memory))
+    assert_geometric(runs_of(lost), stay)
+
+
+def assert_geometric(runs: list[int], stay: float) -> None:
+    """Runs of length k have the share (1 - stay) stay^(k-1); classes with an expectation of at least 10, the rest together."""
+    assert abs(np.mean(runs) - 1 / (1 - stay)) < 4 * sqrt(stay) / (1 - stay) / sqrt(len(runs)) + 1e-12
+    count, classes, statistic, left = Counter(runs), 0, 0.0, float(len(runs))
+    length = 1
+    while (expected := len(runs) * (1 - stay) * stay ** (length - 1)) >= 10 and left - expected >= 10:
+        statistic += (count[length] - expected) ** 2 / expected
+        left -= expected
+        length, classes = length + 1, classes + 1
+    rest = sum(number for run, number in count.items() if run >= length)
+    statistic += (rest - left) ** 2 / left if left > 0 else rest
+    assert statistic < classes + 4 * sqrt(2 * classes) + 4
+
+
+def test_all_or_nothing_is_lost_at_the_ends() -> None:
+    assert not any(lost_in(radio(loss=0.0), 100))
+    assert all(lost_in(radio(loss=1.0), 100))
+    assert all(lost_in(radio(loss=1.0, burst=4.0), 100))
+
+
+def test_beyond_the_range_nothing_arrives() -> None:
+    place = [0.0, 0.0, 0.0]
+    link = Radio("cart.to_robot", Route(range=Setting(Const(5.0))), TICK, where=lambda: (tuple(place), None))
+    heard = []
+    for x in (0.0, 3.0, 4.0):
+        place[:] = x, 4.0, 0.0
+        heard += [not lost for lost in lost_in(link, 1)]
+    assert heard == [True, True, False]
+
+
+# Gaps
+
+
+@pytest.mark.parametrize(
+    ("on_loss", "taken", "latest"),
+    [("hold", [["a"], ["a"], ["c"]], "c"), ("zero", [["a"], ["zeros"], ["c"]], "c"), ("skip", [["a"], [], ["c"]], "c")],
+)
+def test_a_lost_message_is_a_gap_that_the_receiver_fills_as_the_route_says(on_loss: Any, taken: list[Any], latest: str) -> None:
+    link = radio(on_loss=on_loss)
+    link._loses, link._random = True, lambda: 0.5
+    found, fresh = [], []
+    for message, loss in (("a", 0.0), ("b", 1.0), ("c", 0.0)):
+        link.loss = loss
+        link.send(message)
+        found.append(link.receive())
+        fresh.append(link.fresh)
+    assert (found, fresh, link.latest) == (taken, [True, False, True], latest)
+
+
+@pytest.mark.parametrize("on_loss", ["hold", "skip"])
+def test_there_is_nothing_to_hold_before_the_first_message(on_loss: Any) -> None:
+    link = radio(loss=1.0, on_loss=on_loss)
+    link.send("a")
+    assert link.receive() == []
+
+
+def test_a_gap_comes_when_the_message_would_have_come() -> None:
+    link = radio(latency=0.02, loss=1.0, on_loss="zero")
+    link.send("a")
+    assert [link.receive() for _ in range(4)] == [[], [], ["zeros"], []]
+
+
+def test_the_gap_of_a_message_that_would_have_been_dropped_is_dropped() -> None:
+    link = radio(order="newest", on_loss="zero")
+    link._loses, link._random = True, lambda: 0.5
+    taken = []
+    for latency, loss in ((2.0, 1.0), (0.0, 0.0), (0.0, 0.0)):
+        link.latency, link.loss = latency * TICK, loss
+        link.send(len(taken))
+        taken.append(link.receive())
+    assert taken == [[], [1], [2]]
+
+
+# Episodes and streams
+
+
+def test_nothing_leaks_into_the_next_episode() -> None:
+    link = radio(latency=0.05, loss=0.5, burst=10.0, order="newest", on_loss="hold")
+
+    def episode(seed: int) -> list[list[Any]]:
+        link.begin(Streams(seed))
+        taken = []
+        for number in range(40):
+            link.send(number)
+            taken.append(link.receive())
+        return taken
+
+    first = episode(1)
+    episode(2)
+    assert episode(1) == first
+
+
+def test_two_channels_never_share_a_draw() -> None:
+    one, other = (lost_in(radio(loss=0.5, name=name), 2000) for name in ("left.to_robot", "left.from_robot"))
+    alike = sum(a == b for a, b in zip(one, other, strict=True))
+    assert abs(alike - 1000) < 4 * sqrt(2000) / 2
+    assert one == lost_in(radio(loss=0.5, name="left.to_robot"), 2000)
