@@ -131,6 +131,10 @@ class Engine(Protocol):
     def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         """In N m or N."""
 
+    @property
+    def gravity(self) -> Triple:
+        """Of the present episode, in m/s^2, world frame."""
+
     def set_gravity(self, gravity: Triple) -> None:
         """In m/s^2, world frame."""
 

@@ -10,7 +10,8 @@ variations.py   figures that every episode draws anew
 values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
 world.py        timestep, ground, arena, objects
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
-controllers.py  sensors, actuators, messages of a robot; sensors.py the kinds
+controllers.py  actuators and messages of a robot
+sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees
 channels.py     what messages meet on their way, draws that are repeated
 scoring.py      signals, reward, endings, training
@@ -186,7 +187,7 @@ class _Pass:
             spec.summary,
             spec.deepbots,
             world,
-            tuple(controller.finish() for controller in controllers),
+            tuple(controller.finish(world.timestep) for controller in controllers),
             spec.messages.format,
             spec.messages.timing,
             drawn,

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from functools import partial
 
 from deepbots_cli import ir
-from deepbots_cli.compiler.joints import effort_of, hull, joint_dimension
-from deepbots_cli.compiler.matching import expand, joint_missing
+from deepbots_cli.compiler.joints import effort_of, joint_dimension
+from deepbots_cli.compiler.matching import joints_of
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.poses import poses
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
-from deepbots_cli.compiler.sensors import SENSOR_KINDS
+from deepbots_cli.compiler.sensing import Sensing
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.lang.dimensions import LENGTH, SPEED, TIME, Dimension
-from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.lang.types import SPACE, Context, Stage, Symbol, Type
+from deepbots_cli.lang.dimensions import TIME, Dimension
+from deepbots_cli.lang.types import Context, Stage, Symbol
 from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Command, TaskRobot, Valued
@@ -34,36 +33,15 @@ class Controller:
     def __post_init__(self) -> None:
         self.values: Values = self.namespace.values
         self.path: Path = ("robots", self.scene.name)
-        self.sensors: dict[str, ir.Sensor] = {}
+        self.sensing = Sensing(self.scene, self.namespace)
         self.poses = poses(self.scene, self.namespace)
-        self.own: dict[str, Symbol] = dict(self.poses)
+        self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
         self.fields: dict[str, Valued] = {}
         self.received: dict[str, Valued] = {}
-        self._add_sensors()
         self._check_names()
         self._define_fields()
 
     # What it knows
-
-    def _add_sensors(self) -> None:
-        for name, spec in self.scene.spec.sensors.items():
-            kind = SENSOR_KINDS.get(spec.type)
-            self.own[name] = Symbol(name, None)
-            if kind is None:
-                continue  # `support` has said that this kind is not delivered yet
-            place = (*self.path, "sensors", name)
-            if kind.of == "joints":
-                joints = self.joints_of(spec, place)
-                if joints:
-                    self.own[name] = self._joint_sensor(name, spec.type, joints, many=getattr(spec, "joints", None) is not None)
-            else:
-                link = str(getattr(spec, "link", ""))
-                if link not in self.scene.link_names:
-                    self.values.unknown(self.values.span((*place, "link")), "link", link, self.scene.link_names)
-                    continue
-                dimension = LENGTH if spec.type == "position" else SPEED
-                self.sensors[name] = ir.Sensor(name, spec.type, (link,), SPACE, str(dimension))
-                self.own[name] = Symbol(name, Type(dimension, SPACE, stage=Stage.STEP))
 
     def _check_names(self) -> None:
         """No name on board may mean two things, also not one here and another in the scenario."""
@@ -81,33 +59,6 @@ class Controller:
         for name in spec.receive or {}:
             if name in spec.poses or name in spec.sensors:
                 self.values.taken((*self.path, "receive", name), name, *taken[name])
-
-    def _joint_sensor(self, name: str, kind: str, joints: tuple[Joint, ...], *, many: bool) -> Symbol:
-        dimension = _fact_dimension(kind, joints[0])
-        components = tuple(joint.name for joint in joints) if many else ()
-        interval = _interval(kind, joints)
-        self.sensors[name] = ir.Sensor(name, kind, tuple(joint.name for joint in joints), components, str(dimension))
-        return Symbol(name, Type(dimension, components or None, interval=interval, stage=Stage.STEP))
-
-    def joints_of(self, spec: object, place: Path) -> tuple[Joint, ...]:
-        """The joints that `joint` or `joints` of a sensor or actuator names; empty after a finding."""
-        key = "joint" if getattr(spec, "joint", None) is not None else "joints"
-        patterns = getattr(spec, key) or ()  # neither is left where the schema had a finding about it
-        moving = [joint.name for joint in self.scene.model.moving_joints]
-        names, missing = expand(moving, patterns, self.scene.groups)
-        for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
-            if pattern in missing:
-                span = self.values.span((*place, key) if isinstance(patterns, str) else (*place, key, index))
-                joint_missing(self.values, span, pattern, self.scene.model)
-        if missing or not names:
-            return ()
-        joints = tuple(self.scene.model.joint(name) for name in names)
-        if len({joint_dimension(joint) for joint in joints}) > 1:
-            self.values.findings.add(
-                "DB404", self.values.span((*place, key)), "turning and sliding joints together", help="name them apart"
-            )
-            return ()
-        return joints
 
     # What it sends
 
@@ -153,8 +104,8 @@ class Controller:
                 symbols[name] = Symbol(name, typed.type._replace(stage=Stage.STEP))
         return symbols
 
-    def finish(self) -> TaskRobot:
-        """Type everything that is left."""
+    def finish(self, tick: float) -> TaskRobot:
+        """Type everything that is left; the world's timestep is `tick` s."""
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.scene.name, {**self.own, **received})
         actuators = {name: actuator for name in self.scene.spec.actuators if (actuator := self._actuator(name)) is not None}
@@ -169,7 +120,7 @@ class Controller:
                 commands.append(command)
         return TaskRobot(
             self.scene.name,
-            tuple(self.sensors.values()),
+            self.sensing.finished(tick),
             tuple(actuators.values()),
             tuple(self.received.values()),
             tuple(self.fields.values()),
@@ -191,7 +142,7 @@ class Controller:
         place = (*self.path, "actuators", name)
         if not isinstance(spec, Motor):
             return None  # `support` has said that this kind is not delivered yet
-        joints = self.joints_of(spec, place)
+        joints = joints_of(self.values, self.scene.model, self.scene.groups, spec, place)
         if not joints:
             return None
         effort = effort_of(joints[0])
@@ -225,16 +176,6 @@ class Controller:
         return self.values.figure(place, given, dimension, ParameterScope(self.namespace, Context.FIELD))
 
 
-def _fact_dimension(kind: str, joint: Joint) -> Dimension:
-    position = joint_dimension(joint)
-    return {"joint_position": position, "joint_velocity": position / TIME, "joint_torque": effort_of(joint)}[kind]
-
-
 def _target_dimension(kind: str, joint: Joint) -> Dimension:
     position = joint_dimension(joint)
     return {"velocity_motor": position / TIME, "position_motor": position, "torque_motor": effort_of(joint)}[kind]
-
-
-def _interval(kind: str, joints: tuple[Joint, ...]) -> Interval:
-    """What the limits of the joints leave for a sensor's readings."""
-    return hull(joints) if kind == "joint_position" else EVERYTHING

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from deepbots_cli.lang import intervals
-from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TORQUE, Dimension
+from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TIME, TORQUE, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.urdf.model import Joint
 
@@ -18,6 +18,12 @@ def joint_dimension(joint: Joint) -> Dimension:
 def effort_of(joint: Joint) -> Dimension:
     """Of what drives it: a force where it slides, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
+
+
+def sensed_dimension(kind: str, joint: Joint) -> Dimension:
+    """Of what a sensor of this kind measures at a joint."""
+    position = joint_dimension(joint)
+    return {"joint_position": position, "joint_velocity": position / TIME, "joint_torque": effort_of(joint)}[kind]
 
 
 def joint_interval(joint: Joint) -> Interval:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 
+from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.lang.types import Kind
 from deepbots_cli.schema.plain import choose_from
+from deepbots_cli.source.nodes import Path
 from deepbots_cli.urdf.model import Joint, RobotModel
 
 Group = tuple[Kind, tuple[str, ...]]
@@ -53,3 +55,21 @@ def motionless(values: Values, span: Span, joint: Joint, model: RobotModel) -> N
     names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"
     values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)
+
+
+def joints_of(values: Values, model: RobotModel, groups: Mapping[str, Group], spec: object, place: Path) -> tuple[Joint, ...]:
+    """The joints that `joint` or `joints` of the sensor or actuator at `place` names; none after a finding."""
+    key = "joint" if getattr(spec, "joint", None) is not None else "joints"
+    patterns = getattr(spec, key) or ()  # neither is left where the schema had a finding about it
+    names, missing = expand([joint.name for joint in model.moving_joints], patterns, groups)
+    for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
+        if pattern in missing:
+            span = values.span((*place, key) if isinstance(patterns, str) else (*place, key, index))
+            joint_missing(values, span, pattern, model)
+    if missing or not names:
+        return ()
+    joints = tuple(model.joint(name) for name in names)
+    if len({joint_dimension(joint) for joint in joints}) > 1:
+        values.findings.add("DB404", values.span((*place, key)), "turning and sliding joints together", help="name them apart")
+        return ()
+    return joints

@@ -1,38 +1,68 @@
-"""The sensor kinds of this version, and what each reads.
+"""The sensor kinds, and what each measures.
 
-One entry per kind. `of` says what a sensor is mounted on: its joints, or a link. A joint sensor on one
-joint is a number, on several a vector with a component per joint.
+One entry per kind. A sensor that reads one fact of the engine, sits in the origin of its link and has no
+faults is that fact, read where it is needed; every other is a device of the runtime (`runtime.sensing`),
+which is sampled once per tick.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from deepbots_cli.ir import Sensor
+from deepbots_cli.lang import intervals as iv
+from deepbots_cli.lang.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, Dimension
+from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Scalar, World
+from deepbots_cli.lang.types import QUATERNION, SPACE, Components
+from deepbots_cli.urdf.model import Pose
+
+Mounting = Literal["joints", "link", "links", "rays", "camera"]
 
 
-@dataclass(frozen=True)
-class SensorKind:
-    """`fact` is the world function that the sensor measures."""
+class SensorKind(NamedTuple):
+    """`of` says what it sits on; the others what it measures there, `fact` the world function that says the same.
 
-    fact: str
-    of: Literal["joints", "link"]
+    What joints measure depends on whether they turn or slide; kinds of joints leave `dimension` open.
+    """
+
+    of: Mounting
+    dimension: Dimension = NUMBER
+    components: Components = ()
+    interval: Interval = iv.EVERYTHING
+    truth: bool = False
+    fact: str | None = None
 
 
 SENSOR_KINDS: dict[str, SensorKind] = {
-    "joint_position": SensorKind("joint_position", "joints"),
-    "joint_velocity": SensorKind("joint_velocity", "joints"),
-    "joint_torque": SensorKind("joint_torque", "joints"),
-    "position": SensorKind("position", "link"),
-    "velocity": SensorKind("velocity", "link"),
+    "joint_position": SensorKind("joints", fact="joint_position"),
+    "joint_velocity": SensorKind("joints", fact="joint_velocity"),
+    "joint_torque": SensorKind("joints", fact="joint_torque"),
+    "position": SensorKind("link", LENGTH, SPACE, fact="position"),
+    "velocity": SensorKind("link", SPEED, SPACE, fact="velocity"),
+    "orientation": SensorKind("link", NUMBER, QUATERNION, iv.SIGNED_UNIT, fact="orientation"),
+    "angular_velocity": SensorKind("link", ANGULAR_VELOCITY, SPACE, fact="angular_velocity"),
+    "compass": SensorKind("link", ANGLE, interval=iv.TURN),
+    "gyro": SensorKind("link", ANGULAR_VELOCITY, SPACE),
+    "accelerometer": SensorKind("link", ACCELERATION, SPACE),
+    "inclinometer": SensorKind("link", NUMBER, SPACE, iv.SIGNED_UNIT),
+    "touch": SensorKind("links", truth=True),
+    "force": SensorKind("links", FORCE, interval=iv.POSITIVE),
+    "infrared": SensorKind("rays", LENGTH),
+    "sonar": SensorKind("rays", LENGTH),
+    "laser": SensorKind("rays", LENGTH),
+    "lidar": SensorKind("rays", LENGTH),
 }
 
 
+def is_fact(sensor: Sensor) -> bool:
+    """Whether reading the sensor is reading the engine."""
+    return SENSOR_KINDS[sensor.kind].fact is not None and sensor.faults is None and sensor.mount == Pose()
+
+
 def reading(robot: str, sensor: Sensor, component: str | None) -> Scalar:
-    """The fact that one component of a sensor measures."""
+    """The fact that one component of such a sensor measures."""
     kind = SENSOR_KINDS[sensor.kind]
     if kind.of == "joints":
-        return World(kind.fact, (f"{robot}.{component or sensor.subjects[0]}",))
-    return World(kind.fact, (f"{robot}.{sensor.subjects[0]}",), component)
+        return World(kind.fact or "", (f"{robot}.{component or sensor.subjects[0]}",))
+    return World(kind.fact or "", (f"{robot}.{sensor.subjects[0]}",), component)

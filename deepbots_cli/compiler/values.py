@@ -129,9 +129,9 @@ class Values:
             return None, None
         return value, checked.redraw
 
-    def range(self, text: Text, scope: Scope) -> TypedRange | None:
+    def range(self, text: Text, scope: Scope, *, falling: bool = False) -> TypedRange | None:
         tree = self.parsed(text)
-        return check.check_range(tree, scope, self.report(text)) if tree else None
+        return check.check_range(tree, scope, self.report(text), falling=falling) if tree else None
 
     def quantity(
         self,
@@ -181,17 +181,24 @@ class Values:
         return values
 
     def ends(
-        self, text: Text, what: str, scope: Scope, *, dimension: Dimension | None = None, components: Components | None = None
+        self,
+        text: Text,
+        what: str,
+        scope: Scope,
+        *,
+        dimension: Dimension | None = None,
+        components: Components | None = None,
+        falling: bool = False,
     ) -> Ends | None:
-        """The fixed ends of a range, one per component; None after a finding."""
-        found = self.range(text, scope)
+        """The fixed ends of a range, one per component; with `falling`, in any order. None after a finding."""
+        found = self.range(text, scope, falling=falling)
         bounds = found and expect_range(found, self.report(text), what, dimension=dimension, components=components)
         low, high = (self.fixed(bounds.low, text, what), self.fixed(bounds.high, text, what)) if bounds else (None, None)
         if bounds is None or low is None or high is None:
             return None
         count = len(components) if components else 1
         lows, highs = (tuple(map(float, ends * count if len(ends) == 1 else ends)) for ends in (low, high))
-        if any(high <= low for low, high in zip(lows, highs, strict=True)):
+        if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
             self.findings.add("DB105", text.span, "an empty range", help="let its ends differ")
             return None
         return Ends((bounds.high if zero(bounds.low) else bounds.low).type.dimension, lows, highs)

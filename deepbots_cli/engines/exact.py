@@ -58,7 +58,7 @@ class ExactEngine:
 
     def __init__(self, world: WorldModel) -> None:
         self._timestep = world.timestep / world.substeps
-        self._gravity = world.gravity
+        self.gravity = world.gravity
         self._models: dict[str, RobotModel] = {}
         self._ways_back: list[Callable[[], object]] = []
         self._acts: list[Callable[[], object]] = []
@@ -138,9 +138,13 @@ class ExactEngine:
             raise _lacks("friction in joints")
 
     def set_gravity(self, gravity: Triple) -> None:
+        self._ways_back.append(partial(self._pull, self.gravity))
+        self._pull(gravity)
+
+    def _pull(self, gravity: Triple) -> None:
+        self.gravity = gravity
         for motion in self._open().values():
             motion.pull(gravity)
-            self._ways_back.append(partial(motion.pull, self._gravity))
 
     def set_colour(self, body: str, link: str | None, colour: tuple[float, float, float, float]) -> None:
         """Nothing sees it."""

@@ -12,7 +12,8 @@
     └── cases, curriculum   the whole once more for each case of the evaluation and each stage of the curriculum
 
 world.py     what an engine builds               robots.py    controllers and their messages
-channels.py  what messages meet on their way    values.py    named values, and how often they are drawn
+channels.py  what messages meet on their way    sensing.py   what robots sense
+values.py    named values, and how often they are drawn
 task.py      action to endings                   resets.py    how an episode begins, what it varies
 training.py  how the policy is trained and judged
 
@@ -35,9 +36,9 @@ from deepbots_cli.ir.robots import (
     MessageFormat,
     MessageLayout,
     Robot,
-    Sensor,
     Timing,
 )
+from deepbots_cli.ir.sensing import MOST_PIXELS, MOST_RAYS, Beams, Channels, Combined, Faults, Lookup, Optics, Sensor
 from deepbots_cli.ir.task import (
     MOST_SEEN,
     Agent,
@@ -70,6 +71,8 @@ from deepbots_cli.ir.world import (
 __all__ = [
     "IR_VERSION",
     "MOST_BODIES",
+    "MOST_PIXELS",
+    "MOST_RAYS",
     "MOST_SEEN",
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
@@ -77,17 +80,22 @@ __all__ = [
     "ActuatorKind",
     "Agent",
     "Arena",
+    "Beams",
     "Case",
+    "Channels",
     "Choices",
+    "Combined",
     "CompiledScenario",
     "Criterion",
     "Direction",
     "Ending",
     "Evaluation",
+    "Faults",
     "Field",
     "Ground",
     "Hyperparameter",
     "Interval",
+    "Lookup",
     "MessageFormat",
     "MessageLayout",
     "NamedValues",
@@ -95,6 +103,7 @@ __all__ = [
     "ObjectBody",
     "Observed",
     "OnLoss",
+    "Optics",
     "Option",
     "Order",
     "Outcome",

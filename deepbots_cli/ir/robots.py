@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.ir.channels import Route
+from deepbots_cli.ir.sensing import Sensor
 from deepbots_cli.ir.values import NamedValues
 
 MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
@@ -32,17 +33,6 @@ class MessageLayout:
     direction: Direction
     fields: tuple[Field, ...]
     stamp: int
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What a robot can read. `subjects` are joint names (joint kinds) or one link name (link kinds)."""
-
-    name: str
-    kind: str
-    subjects: tuple[str, ...]
-    components: tuple[str, ...]
-    unit: str
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,8 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: Report) -> Checked | No
     return Checked(value._replace(type=value.type._replace(stage=Stage.STEP)), Redraw(period))
 
 
-def check_range(tree: syntax.Node, scope: Scope, report: Report) -> TypedRange | None:
-    """The typed ends of a text `low .. high`."""
+def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: bool = False) -> TypedRange | None:
+    """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
         report("DB401", tree.start, tree.end, "a single value where a range is needed", "write both ends: `low .. high`")
         return None
@@ -81,7 +81,7 @@ def check_range(tree: syntax.Node, scope: Scope, report: Report) -> TypedRange |
         return None
     if agree.components_of((low, high), tree.start, tree.end, report) is None:
         return None
-    if low.type.interval.low > high.type.interval.high:
+    if not falling and low.type.interval.low > high.type.interval.high:
         report("DB105", tree.start, tree.end, "a range whose low end is above its high end", "give the low end first")
         return None
     return TypedRange(low, high, tree.start, tree.end)

@@ -3,6 +3,7 @@
 supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
+sensing/       sensors that are sampled once per tick, with their faults
 streams.py     named random streams under one root seed
 spaces.py      action and observation spaces; view.py a camera that sees the whole scene
 load.py        generated text to a module whose tracebacks show its lines

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from deepbots_cli.errors import MessageError
-from deepbots_cli.ir import MessageFormat, Robot
+from deepbots_cli.ir import CompiledScenario, Robot
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.messages import codec, explain
+from deepbots_cli.runtime.sensing import Device, instrument
+from deepbots_cli.runtime.streams import Streams
 
 
 class RobotController:
@@ -19,21 +21,40 @@ class RobotController:
     sensors and encodes. Without messages (`format: none`) the pair is `apply(...)` and `sense()`.
     """
 
-    def __init__(self, spec: Robot, format: MessageFormat, engine: Engine, clock: Callable[[], int]) -> None:
+    def __init__(self, spec: Robot, scenario: CompiledScenario, engine: Engine, clock: Callable[[], int]) -> None:
         """`clock` tells the number of the present step."""
         self.spec = spec
-        self.format = format
+        self.format = scenario.format
         self.clock = clock
-        if format != "none":
-            self.encode = codec(spec.from_robot, format).encode
-            self.decode = codec(spec.to_robot, format).decode
+        self.devices: dict[str, Device] = {}
+        self._world, self._engine = scenario.world, engine
+        if self.format != "none":
+            self.encode = codec(spec.from_robot, self.format).encode
+            self.decode = codec(spec.to_robot, self.format).decode
         self.bind(engine)
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
 
+    def device(self, name: str) -> Device:
+        """The device behind a sensor, made when it is first asked for."""
+        if name not in self.devices:
+            sensor = next(sensor for sensor in self.spec.sensors if sensor.name == name)
+            made = instrument(sensor, self.spec.name, self._world, self._engine)
+            self.devices[name] = Device(sensor, self.spec.name, made, self._world.timestep)
+        return self.devices[name]
+
+    def begin(self, streams: Streams) -> None:
+        """Begin an episode: first readings are taken, and nothing is left of earlier ones."""
+        for device in self.devices.values():
+            device.reset(streams)
+        self.reset()
+
     def reset(self) -> None:
         """Forget everything that was computed from earlier messages and readings."""
+
+    def observe(self) -> None:
+        """Sample what is sampled once per tick."""
 
     def rejected(self, message: Any) -> MessageError:
         """The error for a message that does not fit."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -89,7 +89,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         scenario = self.scenario
         for spec in scenario.robots:
             controller = self.CONTROLLERS[spec.name]
-            setattr(self, f"robot_{spec.name}", controller(spec, scenario.format, self.engine, lambda: self.step_count))
+            setattr(self, f"robot_{spec.name}", controller(spec, scenario, self.engine, lambda: self.step_count))
             setattr(self, f"to_{spec.name}", channel(scenario, spec, "to_robot", self.engine))
             setattr(self, f"from_{spec.name}", channel(scenario, spec, "from_robot", self.engine))
             if scenario.format != "none":
@@ -118,7 +118,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         try:
             self._begin()
             for spec in self.scenario.robots:
-                getattr(self, f"robot_{spec.name}").reset()
+                getattr(self, f"robot_{spec.name}").begin(self.streams)
                 getattr(self, f"to_{spec.name}").begin(self.streams)
                 getattr(self, f"from_{spec.name}").begin(self.streams)
             self._start()
@@ -192,6 +192,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     @abstractmethod
     def _advance(self, action: Any) -> None:
         """One tick: act, let the world go on, receive, and compute all that is read afterwards."""
+
+    def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
+        """Give a fault of a sensor the figures of this episode."""
+        controller: RobotController = getattr(self, f"robot_{robot}")
+        controller.devices[sensor].vary(fault, values)
 
     # The end of an episode, and failures: off the fast path
 

@@ -50,15 +50,20 @@ class LinkSensor(Sensor):
     pose: Mount = Field(default_factory=Mount, description="Where it sits on the link, and how it is turned.")
 
 
-class TouchSensor(Sensor):
-    """Whether a link touches anything, in any substep."""
+class ContactSensor(Sensor):
+    """Feels with one link, or with several under their names."""
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), least=1),)
 
     link: LinkName | None = Field(default=None, description="The link that feels.")
     links: LinkNames | None = Field(default=None, description="The links that feel: names, patterns such as `*_toe`, or a group.")
+
+
+class TouchSensor(ContactSensor):
+    """Whether a link touches anything, in any substep."""
+
     against: Annotated[str | tuple[str, ...], Reference("links")] | None = Field(
-        default=None, description="Feels only these bodies or links."
+        default=None, description="Feels only these bodies or links, or the `ground`."
     )
 
 
@@ -70,16 +75,31 @@ class Lookup(Part):
     noise: Annotated[Scalar, Column("any")] | None = Field(default=None, description="Noise at each distance, such as `0.2 0.3 %`.")
 
 
-class RaySensor(LinkSensor):
-    """Measures along rays: given by name, or as a fan of a number of them."""
+class Fan(LinkSensor):
+    """Looks along rays: given by name, or as a fan of a number of them."""
 
-    rays: Annotated[Annotated[dict[LocalName, Mount], Size(1, "ray")] | Annotated[int, Count(maximum=4096)], FORMS] = Field(
-        description="The rays by name, each with its frame (it looks along x); or how many the fan has."
+    rays: Annotated[Annotated[dict[LocalName, Mount], Size(1, "ray")] | Annotated[int, Count(maximum=4096)], FORMS] | None = Field(
+        default=None,
+        description="Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one.",
     )
     fan: Annotated[str, Range("angle")] | None = Field(
         default=None, description="Yaw of the first and of the last ray, such as `90 .. -90 deg`."
     )
+
+
+class RaySensor(Fan):
+    """Measures how far each ray is free; rays look along x of their frames."""
+
+    measure: Annotated[Literal["each", "nearest", "mean"], Word()] = Field(
+        default="each", description="Each ray by its name, or one figure of all: that of the nearest thing, or the mean."
+    )
     lookup: Lookup | None = Field(default=None, description="What is reported at which distance; without it, the distance itself.")
+
+
+class Reflectance(Fan):
+    """Measures how bright the ground is below each ray's frame: 1 is white, painted lines have their own reflectance."""
+
+    spot: Annotated[Scalar, Quantity("length", minimum=0)] = Field(default="4 mm", description="Diameter of the spot that it sees.")
 
 
 class Camera(LinkSensor):
@@ -104,11 +124,15 @@ SENSORS: dict[str, type[Sensor]] = {
     "compass": LinkSensor,
     "position": LinkSensor,
     "velocity": LinkSensor,
+    "orientation": LinkSensor,
+    "angular_velocity": LinkSensor,
     "touch": TouchSensor,
+    "force": ContactSensor,
     "infrared": RaySensor,
     "sonar": RaySensor,
+    "laser": RaySensor,
     "lidar": RaySensor,
-    "reflectance": RaySensor,
+    "reflectance": Reflectance,
     "camera": Camera,
 }
 AnySensor = Annotated[Sensor, Kinds("type", tuple(SENSORS), SENSORS.__getitem__)]

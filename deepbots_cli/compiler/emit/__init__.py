@@ -1,6 +1,6 @@
 """From the compiled scenario to readable Python.
 
-robot.py       a controller class per robot: use_message_data, create_message
+robot.py       a controller class per robot: use_message_data, create_message; sensing.py its sensors
 supervisor.py  the supervisor class, whose methods are printed by
   reset.py       what an episode varies and how it begins; variations.py the statement of each such figure
   step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py), observation.py

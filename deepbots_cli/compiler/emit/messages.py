@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.redraws import print_draws_of_message
-from deepbots_cli.compiler.emit.robot import decode_lines, keeps_state
+from deepbots_cli.compiler.emit.robot import decode_lines, observes
 from deepbots_cli.compiler.emit.text import flat, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.ir import Robot
@@ -41,7 +41,7 @@ def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: 
     """Messages of one robot into local variables; the first of an episode arrives at once."""
     controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
     targets = [space.local(f"{robot.name}.{name}", component) for name, component in flat(robot.emit)]
-    if keeps_state(robot) and not first:
+    if observes(robot) and not first:
         printer.line(f"{controller}.observe()")
     if space.scenario.format == "none":
         printer.line(f"{targets_code(targets)} = {controller}.sense()" if targets else "")

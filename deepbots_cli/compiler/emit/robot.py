@@ -5,10 +5,10 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.names import Names, class_name
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.reads import Reads
+from deepbots_cli.compiler.emit.sensing import Sensing, devices
 from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, quoted, quoted_tuple, sentence_list, targets_code, tuple_code
-from deepbots_cli.compiler.sensors import reading
 from deepbots_cli.ir import Actuator, CompiledScenario, Robot
-from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World
+from deepbots_cli.lang.scalar import Name, Scalar, World
 
 
 class RobotPrinter:
@@ -19,9 +19,9 @@ class RobotPrinter:
         self._robot = robot
         self._messages = scenario.format != "none"
         self._names = Names()
-        self._received = {entry.name for entry in robot.receive}
-        self._emitted = [self._sensed(value) for entry in robot.emit for value in entry.values]
-        self._applied = [self._sensed(value) for entry in robot.apply for value in entry.values]
+        self._sensing = Sensing(robot, self._names)
+        self._emitted = [self._sensing.resolved(value) for entry in robot.emit for value in entry.values]
+        self._applied = [self._sensing.resolved(value) for entry in robot.apply for value in entry.values]
         self._reads = Reads([*self._emitted, *self._applied], self._names)
         self._keeps_state = keeps_state(robot)
 
@@ -36,7 +36,7 @@ class RobotPrinter:
         lines += indent(self._bind())
         if self._keeps_state or any(outer_states(value) for value in self._applied):
             lines += indent(self._reset())
-        if self._keeps_state:
+        if observes(robot):
             lines += indent(self._sense_once())
         lines += indent(self._use_message_data())
         lines += indent(self._create_message())
@@ -44,7 +44,7 @@ class RobotPrinter:
 
     def _bind(self) -> list[str]:
         writers = [f"self.drive_{actuator.name} = engine.{_writer_code(self._robot, actuator)}" for actuator in self._used_actuators()]
-        return block("def bind(self, engine: Any) -> None:", [*self._reads.bind_lines(), *writers] or ["pass"])
+        return block("def bind(self, engine: Any) -> None:", [*self._reads.bind_lines(), *self._sensing.bind_lines(), *writers] or ["pass"])
 
     def _used_actuators(self) -> list[Actuator]:
         used = {entry.name for entry in self._robot.apply}
@@ -53,7 +53,7 @@ class RobotPrinter:
     def _reset(self) -> list[str]:
         """Memory of stateful functions as it is right after a reset; messages have not yet come, so received values are 0."""
         printer = self._printer(starting=True)
-        printer.lines += self._reads.call_lines([*self._emitted, *self._applied])
+        printer.lines += self._call_lines([*self._emitted, *self._applied])
         applied = self._printer(starting=True, received="0.0")
         applied.remember(self._applied)
         printer.lines += applied.lines
@@ -65,10 +65,15 @@ class RobotPrinter:
 
     def _sense_once(self) -> list[str]:
         printer = self._printer()
-        printer.lines += self._reads.call_lines(self._emitted)
-        self._store(printer)
+        printer.lines += self._sensing.sample_lines()
+        if self._keeps_state:
+            printer.lines += self._call_lines(self._emitted)
+            self._store(printer)
         doc = '"""Read the sensors and advance what is computed on board; once per tick."""'
         return block("def observe(self) -> None:", [doc, *printer.lines])
+
+    def _call_lines(self, expressions: list[Scalar]) -> list[str]:
+        return [*self._reads.call_lines(expressions), *self._sensing.call_lines(expressions)]
 
     def _store(self, printer: Printer) -> None:
         for (name, component), value in zip(flat(self._robot.emit), self._emitted, strict=True):
@@ -84,7 +89,7 @@ class RobotPrinter:
         else:
             head = f"def apply({', '.join(['self', *(f'{name}: Any' for name in received)])}) -> None:"
             doc = docstring("Drive the actuators.")
-        printer.lines += self._reads.call_lines(self._applied)
+        printer.lines += self._call_lines(self._applied)
         applied = iter(self._applied)
         for entry in self._robot.apply:
             values = [printer.value(next(applied)) for _ in entry.values]
@@ -104,7 +109,7 @@ class RobotPrinter:
             values = [f"self.{self._stored(name, component)}" for name, component in flat(self._robot.emit)]
         else:
             printer = self._printer()
-            printer.lines += self._reads.call_lines(self._emitted)
+            printer.lines += self._call_lines(self._emitted)
             values = [printer.value(value) for value in self._emitted]
             lines = printer.lines
         listed = sentence_list(labels) or "nothing"
@@ -123,29 +128,19 @@ class RobotPrinter:
         def resolve(leaf: Name | World) -> str:
             if isinstance(leaf, World):
                 return self._reads.code(leaf)
-            return received or self._names(leaf.name, leaf.component)
+            return self._sensing.code(leaf) or received or self._names(leaf.name, leaf.component)
 
         return Printer(resolve, self._names, self._scenario.world.timestep, starting=starting)
-
-    def _sensed(self, expression: Scalar) -> Scalar:
-        """The expression with each sensor's name replaced by what the sensor reads."""
-        match expression:
-            case Name(name, component) if name not in self._received:
-                sensor = next(sensor for sensor in self._robot.sensors if sensor.name == name)
-                return reading(self._robot.name, sensor, component)
-            case Op(op, args):
-                return Op(op, tuple(self._sensed(argument) for argument in args))
-            case State(function, args, slot):
-                return State(function, tuple(self._sensed(argument) for argument in args), slot)
-            case Draw(distribution, args, stream):
-                return Draw(distribution, tuple(self._sensed(argument) for argument in args), stream)
-            case _:
-                return expression
 
 
 def keeps_state(robot: Robot) -> bool:
     """Whether what the robot emits has a memory, which advances once per tick."""
     return any(outer_states(value) for entry in robot.emit for value in entry.values)
+
+
+def observes(robot: Robot) -> bool:
+    """Whether anything on board happens once per tick: a device is sampled, or a memory advances."""
+    return keeps_state(robot) or bool(devices(robot))
 
 
 def controller_name(robot: Robot) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from deepbots_cli.compiler.emit.text import quoted
+from deepbots_cli.compiler.emit.text import quoted, tuple_code
 from deepbots_cli.ir import Variation
 
 Code = Callable[[Sequence[str], Sequence[str]], str]
@@ -42,9 +42,10 @@ SETTERS: Mapping[str, Setter] = {
     "joint_damping": Setter(2, 1, lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
     "joint_friction": Setter(2, 1, lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
     "gravity": Setter(0, 3, lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))"),
+    "sensor": Setter(3, None, lambda of, values: f"self.vary_sensor({', '.join(map(quoted, of))}, {tuple_code(values)})"),
     "light": Setter(0, 1, _engine("set_light")),
 }
-"""A link is named by body and link, the root link of an object by an empty link."""
+"""A link is named by body and link, the root link of an object by an empty link; a fault of a sensor by robot, sensor and fault."""
 
 
 def setting(variation: Variation, values: Sequence[str]) -> str:

@@ -125,6 +125,10 @@ class PyBulletEngine:
         owner = self._body(robot)
         self._figures.set_joint_friction(owner, self._joint(owner, joint), friction)
 
+    @property
+    def gravity(self) -> Triple:
+        return self._figures.gravity
+
     def set_gravity(self, gravity: Triple) -> None:
         self._open()._figures.set_gravity(gravity)
 

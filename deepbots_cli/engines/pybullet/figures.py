@@ -20,12 +20,12 @@ Colour = tuple[float, float, float, float]
 
 
 class Figures:
-    """`light` is the brightness of pictures, `gravity` (m/s^2) that of the world model."""
+    """`light` is the brightness of pictures, `gravity` (m/s^2) as it is now, at first that of the world model."""
 
     def __init__(self, client: int, gravity: Triple) -> None:
         self.light = 1.0
         self._client = client
-        self._gravity = gravity
+        self.gravity = gravity
         self._ways_back: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
@@ -67,8 +67,12 @@ class Figures:
         p.setJointMotorControl2(body.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *GAINS, self._client)
 
     def set_gravity(self, gravity: Triple) -> None:
+        self._ways_back.setdefault("gravity", partial(self._pull, self.gravity))
+        self._pull(gravity)
+
+    def _pull(self, gravity: Triple) -> None:
+        self.gravity = gravity
         p.setGravity(*gravity, self._client)
-        self._ways_back["gravity"] = partial(p.setGravity, *self._gravity, self._client)
 
     def set_colour(self, body: Body, index: int, colour: Colour) -> None:
         key = ("colour", body.number, index)

@@ -5,7 +5,7 @@ scenario is printed and run when the policy is evaluated. So every word that wou
 outside of quotes must be an identifier of the language or an entry of a table.
 
 expressions.py  nodes: operations, functions, draws, facts       scopes.py   names in expressions
-figures.py      counts, figures, what an episode varies
+figures.py      counts, figures, what an episode varies          sensing.py  sensors
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import require_known_nodes
 from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_routes, require_variations
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
+from deepbots_cli.compiler.emit.guard.sensing import require_sensors
 from deepbots_cli.compiler.emit.text import action_variables
 from deepbots_cli.ir import Choices, CompiledScenario
 
@@ -41,6 +42,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_routes(scenario)
     require_counts(scenario)
     require_variations(scenario)
+    require_sensors(scenario)
     require_known_names(scenario)
     require_order(scenario.endings)
 

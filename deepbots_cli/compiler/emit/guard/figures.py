@@ -27,7 +27,7 @@ def require_counts(scenario: CompiledScenario) -> None:
         if not all(0 <= layout.stamp < 2**32 for layout in (robot.to_robot, robot.from_robot)):
             raise CanonicalError(f"a stamp in messages of '{robot.name}' that is not of 32 bits")
         told = ((robot.to_robot, robot.receive), (robot.from_robot, robot.emit))
-        pairs += [(robot.name, len(flat(values)), len(layout.fields)) for layout, values in told]
+        pairs += [(robot.name, len(flat(values)), sum(len(f.components) or 1 for f in layout.fields)) for layout, values in told]
     for name, given, wanted in pairs:
         if given != wanted:
             raise CanonicalError(f"'{name[:40]}' has {given} values where {wanted} are wanted")

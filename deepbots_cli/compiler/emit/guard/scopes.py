@@ -8,7 +8,6 @@ from graphlib import CycleError, TopologicalSorter
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.emit.text import action_variables, flat
-from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.ir import CompiledScenario, Ending, own_action
 from deepbots_cli.lang.scalar import Name
 
@@ -26,9 +25,6 @@ def require_known_names(scenario: CompiledScenario) -> None:
     supervisor = [scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
     _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
     for robot in scenario.robots:
-        for sensor in robot.sensors:
-            if sensor.kind not in SENSOR_KINDS or not sensor.subjects:
-                raise CanonicalError(f"{sensor.kind[:40]!r} is no sensor kind")
         sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]
         _require_in([robot.emit], set(sensed))
         _require_in([robot.apply], {*sensed, *flat(robot.receive)})

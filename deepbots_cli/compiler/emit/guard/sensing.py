@@ -1,0 +1,73 @@
+"""Sensors: their kinds, as many figures as components, and nothing so large that building it would take minutes."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.compiler.sensors import SENSOR_KINDS
+from deepbots_cli.ir import MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Robot, Sensor, Variation
+
+_MOST_TICKS = 1e5
+_FAULTS = ("noise", "relative_noise", "bias", "relative_bias", "drift")
+
+
+def require_sensors(scenario: CompiledScenario) -> None:
+    """Refuse sensors that the compiler would never have written, and variations of faults that no sensor has."""
+    for robot in scenario.robots:
+        for sensor in robot.sensors:
+            if not _is_sound(sensor, scenario.world.timestep):
+                raise CanonicalError(f"'{robot.name[:40]}.{sensor.name[:40]}' is no sensor that can be built")
+    robots = {robot.name: robot for robot in scenario.robots}
+    for variation in scenario.reset.variations:
+        if variation.what == "sensor" and not _varies(robots.get(variation.of[0]), variation):
+            raise CanonicalError(f"{'.'.join(variation.of)[:80]!r} is no fault of a sensor")
+
+
+def _is_sound(sensor: Sensor, timestep: float) -> bool:
+    kind, count = SENSOR_KINDS.get(sensor.kind), max(1, len(sensor.components))
+    if kind is None or not sensor.subjects:
+        return False
+    match kind.of:
+        case "joints" | "links":
+            fits = sensor.components in ((), sensor.subjects) and len(sensor.subjects) == count
+        case "link":
+            fits = sensor.components == kind.components
+        case _:
+            fits = sensor.beams is not None and _are_beams(sensor.beams, sensor)
+    return fits and (sensor.faults is None or _are_faults(sensor.faults, count, timestep))
+
+
+def _are_beams(beams: Beams, sensor: Sensor) -> bool:
+    count, each = len(beams.rays), beams.combined == "each"
+    named = each and len(sensor.components) == count if sensor.components else count == 1 or not each
+    sound = 0 < count <= MOST_RAYS and named and 0.0 <= beams.spot < 1e3
+    return sound and (sensor.kind == "reflectance" or 0.0 < beams.reach < 1e6) and (beams.lookup is None or _is_table(beams.lookup))
+
+
+def _is_table(lookup: Lookup) -> bool:
+    lengths = {len(lookup.distance), len(lookup.value), len(lookup.noise) or len(lookup.value)}
+    return len(lengths) == 1 and len(lookup.distance) > 0 and all(a < b for a, b in pairwise(lookup.distance))
+
+
+def _are_faults(faults: Faults, count: int, timestep: float) -> bool:
+    figures = [getattr(faults, name) for name in (*_FAULTS, "low", "high", "quantise")]
+    return (
+        1 <= faults.period <= _MOST_TICKS
+        and 0.0 <= faults.latency / timestep <= _MOST_TICKS
+        and len(faults.low) == len(faults.high)
+        and all(len(values) in (0, count) for values in figures)
+        and all(math.isfinite(value) for values in figures for value in values)
+        and all(step > 0.0 for step in faults.quantise)
+    )
+
+
+def _varies(robot: Robot | None, variation: Variation) -> bool:
+    """Whether the robot has such a fault of such a sensor, with as many figures."""
+    _, name, fault = variation.of
+    sensor = next((sensor for sensor in robot.sensors if sensor.name == name), None) if robot else None
+    if sensor is None or sensor.faults is None:
+        return False
+    wanted = len(getattr(sensor.faults, fault)) if fault in _FAULTS else int(fault == "latency")
+    return wanted == len(variation.values) > 0

@@ -1,0 +1,15 @@
+"""Sensors that are more than one fact of the engine: sampled once per tick, and as faulty as the scenario says.
+
+device.py       one sensor: samples, faults, when a reading is delivered
+faults.py       how figures err: noise, bias, drift, range, steps
+instruments.py  what each kind measures: the table of kinds
+frames.py       where a sensor sits, and what is read there
+inertial.py     gyro, accelerometer, inclinometer
+ranging.py      rays and their lookup tables
+contacts.py     touch and force
+"""
+
+from deepbots_cli.runtime.sensing.device import Device
+from deepbots_cli.runtime.sensing.instruments import instrument
+
+__all__ = ["Device", "instrument"]

@@ -1,0 +1,31 @@
+"""Sensors that feel what touches their links."""
+
+from __future__ import annotations
+
+from deepbots_cli.ir import Sensor
+from deepbots_cli.port import Engine, Part
+from deepbots_cli.runtime.sensing.device import Instrument
+
+
+def touch(engine: Engine, robot: str, sensor: Sensor) -> Instrument:
+    """Whether each link touched something in any engine step since the tick before."""
+    others: list[Part] | None = None
+    if sensor.against is not None:
+        others = [_part(name) for name in sensor.against if name != "ground"]
+    ground = sensor.against is None or "ground" in sensor.against
+    readers = [engine.contact((robot, link), others, ground=ground) for link in sensor.subjects]
+    if len(readers) == 1:
+        (only,) = readers
+        return Instrument(lambda: (only(),))
+    return Instrument(lambda: [read() for read in readers])
+
+
+def force(engine: Engine, robot: str, sensor: Sensor) -> Instrument:
+    """The sum of normal forces on each link, in N."""
+    readers = [engine.contact_force((robot, link)) for link in sensor.subjects]
+    return Instrument(lambda: [read() for read in readers])
+
+
+def _part(name: str) -> Part:
+    body, _, link = name.partition(".")
+    return body, link or None

@@ -1,0 +1,77 @@
+"""Where a sensor sits on its link, and what is read there: all in the world frame, in plain floats."""
+
+from __future__ import annotations
+
+from math import atan2
+
+from deepbots_cli import frames
+from deepbots_cli.frames import HERE, Frame, Quaternion, Triple
+from deepbots_cli.port import Engine, PoseReader, VelocityReader
+from deepbots_cli.runtime.sensing.device import Instrument
+
+
+def mounted_pose(engine: Engine, robot: str, link: str, mount: Frame) -> PoseReader:
+    """Where the sensor is, and how it is turned."""
+    read = engine.pose(robot, link)
+    if mount == HERE:
+        return read
+
+    def of_mount() -> tuple[Triple, Quaternion]:
+        position, turned = read()
+        return frames.inside((position, turned), mount)
+
+    return of_mount
+
+
+def mounted_velocity(engine: Engine, robot: str, link: str, mount: Frame) -> VelocityReader:
+    """How the sensor moves and turns: v + w x r at the distance r from the link's origin."""
+    read, read_pose = engine.velocity(robot, link), engine.pose(robot, link)
+    arm = mount[0]
+    if arm == HERE[0]:
+        return read
+
+    def of_mount() -> tuple[Triple, Triple]:
+        (linear, angular), (_, turned) = read(), read_pose()
+        return frames.add(linear, frames.cross(angular, frames.rotate(turned, arm))), angular
+
+    return of_mount
+
+
+def position(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+    """In m, in the world."""
+    read = mounted_pose(engine, robot, link, mount)
+    return Instrument(lambda: read()[0])
+
+
+def orientation(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+    """The quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not negative."""
+    read = mounted_pose(engine, robot, link, mount)
+
+    def turned() -> Quaternion:
+        x, y, z, w = read()[1]
+        return (x, y, z, w) if w >= 0.0 else (-x, -y, -z, -w)
+
+    return Instrument(turned)
+
+
+def velocity(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+    """In m/s, in the world."""
+    read = mounted_velocity(engine, robot, link, mount)
+    return Instrument(lambda: read()[0])
+
+
+def angular_velocity(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+    """In rad/s, about the axes of the world."""
+    read = engine.velocity(robot, link)
+    return Instrument(lambda: read()[1])
+
+
+def compass(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+    """The angle in the plane from x of the world to x of the sensor, in rad, to the left positive."""
+    read = mounted_pose(engine, robot, link, mount)
+
+    def heading() -> tuple[float]:
+        x, y, z, w = read()[1]
+        return (atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),)
+
+    return Instrument(heading)

@@ -1,0 +1,70 @@
+"""Sensors that measure along rays."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import Any
+
+from deepbots_cli import frames
+from deepbots_cli.frames import Frame
+from deepbots_cli.ir import Beams, Lookup, Sensor
+from deepbots_cli.port import Engine, RayReader
+from deepbots_cli.runtime.sensing.device import Instrument
+from deepbots_cli.runtime.sensing.faults import Figures, Normals
+
+
+def ranging(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrument:
+    """How far each ray is free, or one figure of all, in m; or what the lookup table makes of that."""
+    beams = sensor.beams or Beams((), 0.0)
+    rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
+    read = _combined(engine.rays((robot, sensor.subjects[0]), rays, beams.reach), beams)
+    if beams.lookup is None:
+        return Instrument(read)
+    table = Table(beams.lookup, max(1, len(sensor.components)))
+    return Instrument(lambda: table(read()), table.restart)
+
+
+def _combined(read: RayReader, beams: Beams) -> RayReader:
+    count = len(beams.rays)
+    match beams.combined:
+        case "nearest":
+            return lambda: (min(read()),)
+        case "mean":
+            return lambda: (sum(read()) / count,)
+        case _:
+            return read
+
+
+class Table:
+    """Readings of `width` rays by their distances, with the noise of each row."""
+
+    def __init__(self, spec: Lookup, width: int) -> None:
+        distance, value = spec.distance, spec.value
+        noise = spec.noise or (0.0,) * len(distance)
+        self._distances = distance
+        self._normals = Normals(width) if spec.noise else None
+        starts = zip(distance, value, noise, _slopes(distance, value), _slopes(distance, noise), strict=True)
+        first = (distance[0], value[0], noise[0], 0.0, 0.0)
+        self._rows = [first, *starts]
+        """Distance, value and noise at the start of a stretch, and how value and noise change along it; the first is before the table."""
+
+    def restart(self, generator: Any) -> None:
+        if self._normals is not None:
+            self._normals.restart(generator)
+
+    def __call__(self, distances: Figures) -> Figures:
+        known, rows = self._distances, self._rows
+        if self._normals is None:
+            return [(row := rows[bisect_right(known, x)])[1] + row[3] * (x - row[0]) for x in distances]
+        readings = []
+        for x, normal in zip(distances, self._normals.row(), strict=True):
+            start, value, noise, slope, growth = rows[bisect_right(known, x)]
+            along = x - start
+            readings.append((value + slope * along) * (1.0 + (noise + growth * along) * normal))
+        return readings
+
+
+def _slopes(distance: Figures, column: Figures) -> list[float]:
+    """By how much a column changes per m after each row; not at all after the last."""
+    pairs = zip(distance, distance[1:], column, column[1:], strict=False)
+    return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
