@@ -87,6 +87,15 @@ class ObservedValue:
 
 
 @dataclass(frozen=True, eq=False)
+class Forbidden:
+    """A condition under which an option of a choice may not be chosen."""
+
+    action: str
+    option: str
+    condition: Valued
+
+
+@dataclass(frozen=True, eq=False)
 class TaskEnding:
     value: Valued
     outcome: ir.Outcome
@@ -165,6 +174,7 @@ class Task:
     agent: ir.Agent = ir.Agent()
     to_robot: TaskRoute = TaskRoute()
     from_robot: TaskRoute = TaskRoute()
+    forbidden: tuple[Forbidden, ...] = ()
     cases: tuple[TaskCase, ...] = ()
     curriculum: tuple[TaskStage, ...] = ()
 

@@ -204,6 +204,7 @@ _PLACES = {
     Context.APPLY: "`apply`",
     Context.RECEIVE: "`receive`",
     Context.SIGNAL: "`augment`, `signals`",
+    Context.FORBID: "`forbid`",
     Context.REWARD: "`reward`",
     Context.ENDING: "`termination`",
 }

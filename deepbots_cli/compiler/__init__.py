@@ -208,6 +208,7 @@ class _Pass:
             ir.Agent(spec.agent.repeat, spec.agent.stack),
             route(spec, "to_robot", namespace),
             route(spec, "from_robot", namespace),
+            forbidden=actions.forbidden(),
         )
 
     def _define_parameters(self) -> None:

@@ -7,19 +7,22 @@ from functools import partial
 from deepbots_cli import ir
 from deepbots_cli.compiler.matching import expand
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.lang.dimensions import NUMBER
+from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import ContinuousAction, DiscreteAction
 from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Forbidden, Valued
 
 
 class Actions:
     """The parts of the action, and the variables that they set."""
 
     def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._spec = spec
         self._namespace = namespace
         self._values = namespace.values
         self._parts: dict[str, ir.Choices | ir.Interval | None] = {}
@@ -34,6 +37,23 @@ class Actions:
         for name in self._namespace.named(Origin.ACTION):
             self._namespace.settle(name)
         return tuple(part for part in self._parts.values() if part is not None)
+
+    def forbidden(self) -> tuple[Forbidden, ...]:
+        """When options may not be chosen; a condition may use what the policy may see, and no more."""
+        scope = SupervisorScope(self._namespace, Context.FORBID)
+        found = []
+        choices = [(name, part) for name, part in self._spec.action.items() if isinstance(part, DiscreteAction)]
+        for name, part in choices:
+            for option, given in part.forbid.items():
+                place: Path = ("action", name, "forbid", option)
+                if option not in part.choices:
+                    self._values.unknown(self._values.key_span(place), "choice", option, list(part.choices))
+                text = self._values.text(place, given)
+                typed = self._values.expression(text, scope, boolean=True)
+                typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+                if typed is not None and option in part.choices:
+                    found.append(Forbidden(name, option, Valued(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
+        return tuple(found)
 
     def _own_action(self) -> Symbol:
         """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""

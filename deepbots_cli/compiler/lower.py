@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from dataclasses import replace
 
 from deepbots_cli import ir
 from deepbots_cli.lang import lower as lang
@@ -35,7 +36,7 @@ def lower(task: Task) -> ir.CompiledScenario:
         task.format,
         task.timing,
         tuple(_parameter(value) for value in task.parameters),
-        task.action,
+        _action(task),
         tuple(_named(value) for value in task.order),
         tuple(entry for observed in task.observation for entry in _observed(observed)),
         tuple(ir.Term(term.name, _scalars(term)[0]) for term in task.reward),
@@ -73,6 +74,17 @@ def _redraw(value: Valued, owner: str) -> ir.Redraw | None:
         return None
     period = value.redraw.period
     return ir.Redraw(None if period is None else lang.lower(period, f"{owner}.every")[0])
+
+
+def _action(task: Task) -> tuple[ir.Choices | ir.Interval, ...]:
+    """The parts of the action, each option with the condition that forbids it."""
+    conditions = {(found.action, found.option): _scalars(found.condition)[0] for found in task.forbidden}
+    return tuple(
+        replace(part, options=tuple(replace(option, forbidden=conditions.get((part.name, option.name))) for option in part.options))
+        if isinstance(part, ir.Choices)
+        else part
+        for part in task.action
+    )
 
 
 def _observed(observed: ObservedValue) -> list[ir.Observed]:

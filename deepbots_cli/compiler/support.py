@@ -37,7 +37,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("robots", "*", "actuators", "*"), "delay"),
     (("robots", "*", "actuators", "*"), "lag"),
     (("agent",), "each"),
-    (("action", "*"), "forbid"),
     ((), "goal"),
     ((), "disturbances"),
     ((), "curriculum"),

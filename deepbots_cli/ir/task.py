@@ -17,10 +17,11 @@ MOST_SEEN = 100_000
 
 @dataclass(frozen=True)
 class Option:
-    """One choice of a discrete action: its name and the value of each variable that it sets."""
+    """One choice of a discrete action: its name, the value of each variable that it sets, and when it may not be chosen."""
 
     name: str
     values: tuple[float, ...]
+    forbidden: Scalar | None = None
 
 
 @dataclass(frozen=True)

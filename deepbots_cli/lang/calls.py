@@ -25,6 +25,7 @@ _PLACE_WORDS = {
     Context.RECEIVE: "what a robot receives",
     Context.SIGNAL: "a signal",
     Context.OBSERVATION: "the range of an observation",
+    Context.FORBID: "what forbids a choice",
     Context.GOAL: "a goal",
     Context.REWARD: "a reward",
     Context.ENDING: "an ending",
@@ -78,6 +79,7 @@ def _availability(node: syntax.Call, function: Function, context: Context, repor
     if function.family not in ALLOWED[context]:
         fixed = context is Context.FIXED and function.family is Family.DRAW
         help = "it is the same in every episode; give one figure" if fixed else _FAMILY_HELP.get(function.family)
+        help = "compute it under `augment`, and name that here" if context is Context.FORBID else help
         report("DB407", node.start, node.name_end, f"`{function.name}` in {_PLACE_WORDS[context]}", help)
         return False
     if not function.supported:

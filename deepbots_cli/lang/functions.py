@@ -128,6 +128,7 @@ ALLOWED: dict[Context, frozenset[Family]] = {
     Context.RECEIVE: _TASK,
     Context.SIGNAL: _TASK,
     Context.OBSERVATION: _EVERYWHERE,
+    Context.FORBID: _EVERYWHERE,
     Context.GOAL: _WORLD,
     Context.REWARD: _TASK,
     Context.ENDING: _TASK,

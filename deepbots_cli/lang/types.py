@@ -124,6 +124,7 @@ class Context(Enum):
     RECEIVE = auto()
     SIGNAL = auto()
     OBSERVATION = auto()
+    FORBID = auto()
     GOAL = auto()
     REWARD = auto()
     ENDING = auto()

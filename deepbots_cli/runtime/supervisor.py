@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
-from deepbots_cli.ir import CompiledScenario, MessageLayout
+from deepbots_cli.ir import Choices, CompiledScenario, MessageLayout
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.channel import channel
 from deepbots_cli.runtime.messages import codec, excerpt, explain
@@ -160,10 +160,30 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             self._go_on = self._refuse
             self.engine.close()
 
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Which options may be chosen next: the truth values of all choices in a row, as sb3-contrib wants them.
+
+        Raises:
+            UsageError: The action holds no choice.
+        """
+        masks = self.allowed()
+        if not masks:
+            raise UsageError("only choices have masks, and this action holds none")
+        return np.array([may for mask in masks for may in mask])
+
+    def action_mask(self) -> Any:
+        """The same as `action_space.sample` takes it."""
+        masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
+        return masks[0] if isinstance(self.action_space, gym.spaces.Discrete) else masks
+
     # What the compiler prints
 
     def bind(self, engine: Engine) -> None:
         """Take readers from the engine."""
+
+    def allowed(self) -> tuple[tuple[bool, ...], ...]:
+        """Which options of each choice may be chosen next; all of them unless the scenario forbids some."""
+        return tuple((True,) * len(part.options) for part in self.scenario.action if isinstance(part, Choices))
 
     @abstractmethod
     def get_observations(self) -> Observation:
@@ -218,6 +238,12 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.newest = 0
         width = len(self.observed)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
+
+    def _nothing_allowed(self, choice: str) -> None:
+        """Called when every option of a choice is forbidden while the episode goes on."""
+        options = next(part.options for part in self.scenario.action if part.name == choice and isinstance(part, Choices))
+        names = ", ".join(option.name for option in options)
+        raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 
     def _forget(self) -> None:
         self.step_count = self.tick_count = 0

@@ -20,6 +20,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
+from deepbots_cli.ir import viewed
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.source import shipped
 
@@ -104,7 +105,8 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 
 def test_no_observation_is_constant(environment: Supervisor) -> None:
     seen = np.array([observation for one in rollouts(environment) for observation, *_ in one])
-    names = [entry.name for entry in environment.scenario.observation]
+    scenario = environment.scenario
+    names = [scenario.observation[index].full_name for index, _ in viewed(scenario.observation, scenario.agent.stack)]
     assert {name for name, spread in zip(names, np.ptp(seen, axis=0), strict=True) if spread == 0.0} == set()
 
 

@@ -1,4 +1,4 @@
-"""Prints what is computed after physics and messages: signals, endings, truncation, reward, observation.
+"""Prints what is computed after physics and messages: signals, endings, truncation, reward, observation, masks.
 
 The order is the language's: signals once, then terminations, truncation, rewards (which see the
 endings), then the observation. Failure beats success; terminated beats truncated.
@@ -7,6 +7,7 @@ endings), then the observation. Failure beats success; terminated beats truncate
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.limits import tick_limit
+from deepbots_cli.compiler.emit.masks import print_masks
 from deepbots_cli.compiler.emit.observation import print_observation
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.text import quoted
@@ -28,6 +29,7 @@ def print_evaluation(space: Workspace, printer: Printer) -> None:
         _print_truncation(space, printer)
     _print_rewards(space, printer)
     print_observation(space, printer)
+    print_masks(space, printer)
 
 
 def _print_endings(space: Workspace, printer: Printer) -> None:

@@ -18,6 +18,7 @@ def readings(space: Workspace) -> list[list[str]]:
     ends.append(f"a limit cut the episode short ({sentence_list(limits, 'or')})")
     terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.reward)
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
+    info += ', "action_mask": self.action_mask()' if space.forbids else ""
     return [
         block(
             "def get_observations(self) -> Any:",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.action import choice_tables
+from deepbots_cli.compiler.emit.masks import allowed
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.readings import readings
 from deepbots_cli.compiler.emit.reset import begin
@@ -19,7 +20,7 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
     controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
     lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
     lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *choice_tables(space), ""])
-    for method in (_bind(space), begin(space), start(space), advance(space), *readings(space)):
+    for method in (_bind(space), begin(space), start(space), advance(space), *readings(space), allowed(space)):
         lines += indent(method)
     return lines
 

@@ -6,7 +6,7 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
-from deepbots_cli.ir import CompiledScenario, Robot, own_action
+from deepbots_cli.ir import Choices, CompiledScenario, Robot, own_action
 from deepbots_cli.lang.scalar import Name, Scalar, World, names_in
 
 
@@ -24,6 +24,9 @@ class Workspace:
         self.evaluated += [ending.condition for ending in scenario.endings]
         self.evaluated += [term.value for term in scenario.reward]
         self.evaluated += [entry.value for entry in scenario.observation]
+        choices = [part for part in scenario.action if isinstance(part, Choices)]
+        self._conditions = [option.forbidden for part in choices for option in part.options if option.forbidden is not None]
+        self.evaluated += self._conditions
         self.sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
         self.reads = Reads([*self.evaluated, *self.sent], self.names)
         self.variables = [variable for part in scenario.action for variable in action_variables(part)]
@@ -44,6 +47,11 @@ class Workspace:
     def taken(self) -> list[tuple[str, str]]:
         """What the agent itself gave, number by number, where an expression of every tick reads it."""
         return [("previous_action", name) for name in own_action(self.scenario.action)] if self.uses("previous_action") else []
+
+    @property
+    def forbids(self) -> bool:
+        """Whether an option of a choice may ever be forbidden."""
+        return bool(self._conditions)
 
     @property
     def tick(self) -> str:
