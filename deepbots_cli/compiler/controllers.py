@@ -5,22 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from deepbots_cli import ir
-from deepbots_cli.compiler.joints import effort_of, joint_dimension
-from deepbots_cli.compiler.matching import joints_of
+from deepbots_cli.compiler.actuators import Actuators, Driven
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.poses import poses
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compiler.scopes import RobotScope, SupervisorScope
 from deepbots_cli.compiler.sensing import Sensing
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.lang.dimensions import TIME, Dimension
 from deepbots_cli.lang.types import Context, Stage, Symbol
-from deepbots_cli.schema.actuators import Motor, PositionMotor, TorqueMotor, VelocityMotor
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Command, TaskRobot, Valued
-from deepbots_cli.urdf.model import Joint
 
 
 @dataclass(eq=False)
@@ -108,74 +103,30 @@ class Controller:
         """Type everything that is left; the world's timestep is `tick` s."""
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.scene.name, {**self.own, **received})
-        actuators = {name: actuator for name in self.scene.spec.actuators if (actuator := self._actuator(name)) is not None}
+        actuators = Actuators(self.scene, self.namespace)
+        driven = {name: found for name in self.scene.spec.actuators if (found := actuators.read(name)) is not None}
         commands = []
         for name, given in self.scene.spec.apply.items():
             place = (*self.path, "apply", name)
             if name not in self.scene.spec.actuators:
                 self.values.unknown(self.values.key_span(place), "actuator", name, list(self.scene.spec.actuators))
                 continue
-            command = self._command(name, given, place, actuators.get(name), scope)
+            command = self._command(name, given, place, driven.get(name), scope)
             if command:
                 commands.append(command)
         return TaskRobot(
             self.scene.name,
             self.sensing.finished(tick),
-            tuple(actuators.values()),
+            tuple(found.actuator for found in driven.values()),
             tuple(self.received.values()),
             tuple(self.fields.values()),
             tuple(commands),
         )
 
-    def _command(self, name: str, given: object, place: Path, actuator: ir.Actuator | None, scope: RobotScope) -> Command | None:
+    def _command(self, name: str, given: object, place: Path, driven: Driven | None, scope: RobotScope) -> Command | None:
         text = self.values.text(place, given)
-        if actuator is None:
+        if driven is None:
             self.values.expression(text, scope, boolean=False)
             return None
-        dimension = _target_dimension(actuator.kind, self.scene.model.joint(actuator.joints[0]))
-        components = actuator.joints if len(actuator.joints) > 1 or getattr(self.scene.spec.actuators[name], "joints", None) else None
-        typed = self.values.quantity(text, f"the target of `{name}`", scope, dimension, components, Stage.STEP)
-        return Command(actuator, Valued(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}")) if typed else None
-
-    def _actuator(self, name: str) -> ir.Actuator | None:
-        spec = self.scene.spec.actuators[name]
-        place = (*self.path, "actuators", name)
-        if not isinstance(spec, Motor):
-            return None  # `support` has said that this kind is not delivered yet
-        joints = joints_of(self.values, self.scene.model, self.scene.groups, spec, place)
-        if not joints:
-            return None
-        effort = effort_of(joints[0])
-        max_torque = self._limit((*place, "max_torque"), spec.max_torque, effort, [joint.limit.effort for joint in joints])
-        rate = joint_dimension(joints[0]) / TIME
-        given_velocity = spec.max_velocity if isinstance(spec, (VelocityMotor, PositionMotor)) else None
-        max_velocity = self._limit((*place, "max_velocity"), given_velocity, rate, [joint.limit.velocity for joint in joints])
-        stiffness = damping = None
-        if isinstance(spec, PositionMotor):
-            stiffness = self._figure((*place, "stiffness"), spec.stiffness, effort / joint_dimension(joints[0]))
-            damping = self._figure((*place, "damping"), spec.damping, effort / rate)
-        kind: ir.ActuatorKind = (
-            "torque_motor" if isinstance(spec, TorqueMotor) else "velocity_motor" if isinstance(spec, VelocityMotor) else "position_motor"
-        )
-        return ir.Actuator(name, kind, tuple(joint.name for joint in joints), max_torque, max_velocity, stiffness, damping)
-
-    def _limit(self, place: Path, given: object, dimension: Dimension, from_urdf: list[float | None]) -> tuple[float | None, ...]:
-        """The limit of each joint: the scenario's, else that of the robot file."""
-        figure = self._figure(place, given, dimension)
-        if figure is None:
-            return tuple(from_urdf)
-        over = [limit for limit in from_urdf if limit is not None and figure > limit * (1 + 1e-9)]
-        if over:
-            headline = f"a limit of {figure:g} {dimension}, where the robot file allows {min(over):g}"
-            self.values.findings.add(
-                "DB304", self.values.span(place), headline, help=f"lower it, or raise `{place[-1]}` under `joints` if the motor can do more"
-            )
-        return (figure,) * len(from_urdf)
-
-    def _figure(self, place: Path, given: object, dimension: Dimension) -> float | None:
-        return self.values.figure(place, given, dimension, ParameterScope(self.namespace, Context.FIELD))
-
-
-def _target_dimension(kind: str, joint: Joint) -> Dimension:
-    position = joint_dimension(joint)
-    return {"velocity_motor": position / TIME, "position_motor": position, "torque_motor": effort_of(joint)}[kind]
+        typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP)
+        return Command(driven.actuator, Valued(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}")) if typed else None

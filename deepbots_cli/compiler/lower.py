@@ -140,15 +140,15 @@ def _route(route: TaskRoute, owner: str) -> ir.Route:
 
 
 def _command(command: Command) -> ir.NamedValues:
-    """One target per joint, within the joint's velocity limit where the actuator commands velocities."""
+    """One target per component, within the joint's velocity limit where the actuator commands velocities."""
     actuator = command.actuator
     values = _scalars(command.target)
     if len(values) == 1:
-        values = values * len(actuator.joints)
+        values = values * len(actuator.components)
     if actuator.kind == "velocity_motor":
         reach = command.target.typed.type.interval
         values = tuple(_limited(value, limit, reach.low, reach.high) for value, limit in zip(values, actuator.max_velocity, strict=True))
-    return ir.NamedValues(actuator.name, actuator.joints, values)
+    return ir.NamedValues(actuator.name, actuator.components, values)
 
 
 def _limited(value: Scalar, limit: float | None, low: float, high: float) -> Scalar:

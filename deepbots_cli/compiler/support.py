@@ -33,9 +33,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("objects", "*"), "restitution"),
     (("robots", "*"), "count"),
     (("robots", "*", "links", "*"), "colour"),
-    (("robots", "*", "actuators", "*"), "strength"),
-    (("robots", "*", "actuators", "*"), "delay"),
-    (("robots", "*", "actuators", "*"), "lag"),
     (("agent",), "each"),
     ((), "goal"),
     ((), "disturbances"),
@@ -66,8 +63,6 @@ def check_support(spec: Scenario, values: Values) -> None:
         if _fits(path, ("robots", "*", "actuators", "*")) and kind not in MOTORS:
             _report(values, (*path, "type"), f"the actuator kind `{kind}`")
             continue
-        if kind == "position_motor" and "max_velocity" in part.model_fields_set:
-            _report(values, (*path, "max_velocity"), "`max_velocity` of a position motor")
         for pattern, key in LATER:
             if key in part.model_fields_set and _fits(path, pattern):
                 _report(values, (*path, key), f"`{key}`")

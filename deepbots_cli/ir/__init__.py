@@ -13,7 +13,7 @@
 
 world.py     what an engine builds               robots.py    controllers and their messages
 channels.py  what messages meet on their way    sensing.py   what robots sense
-values.py    named values, and how often they are drawn
+values.py    named values, and how often they are drawn   actuation.py what they drive
 task.py      action to endings                   resets.py    how an episode begins, what it varies
 training.py  how the policy is trained and judged
 
@@ -26,11 +26,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.ir.actuation import Actuator, Motor, MotorKind, Response
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.resets import Place, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
-    Actuator,
-    ActuatorKind,
     Direction,
     Field,
     MessageFormat,
@@ -77,7 +76,6 @@ __all__ = [
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
     "Actuator",
-    "ActuatorKind",
     "Agent",
     "Arena",
     "Beams",
@@ -98,6 +96,8 @@ __all__ = [
     "Lookup",
     "MessageFormat",
     "MessageLayout",
+    "Motor",
+    "MotorKind",
     "NamedValues",
     "Noise",
     "ObjectBody",
@@ -112,6 +112,7 @@ __all__ = [
     "Policy",
     "Redraw",
     "Reset",
+    "Response",
     "Robot",
     "RobotBody",
     "Route",

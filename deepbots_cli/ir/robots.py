@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from deepbots_cli.ir.actuation import Actuator
 from deepbots_cli.ir.channels import Route
 from deepbots_cli.ir.sensing import Sensor
 from deepbots_cli.ir.values import NamedValues
@@ -12,7 +13,6 @@ from deepbots_cli.ir.values import NamedValues
 MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
 Timing = Literal["immediate", "paper"]
 Direction = Literal["to_robot", "from_robot"]
-ActuatorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
 
 
 @dataclass(frozen=True)
@@ -36,23 +36,10 @@ class MessageLayout:
 
 
 @dataclass(frozen=True)
-class Actuator:
-    """What a robot can drive. Limits in N m or N, rad/s or m/s, one per joint; None is unlimited."""
-
-    name: str
-    kind: ActuatorKind
-    joints: tuple[str, ...]
-    max_torque: tuple[float | None, ...]
-    max_velocity: tuple[float | None, ...]
-    stiffness: float | None = None
-    damping: float | None = None
-
-
-@dataclass(frozen=True)
 class Robot:
     """A controller. `receive` holds supervisor expressions; `emit` and `apply` see sensors and received fields.
 
-    Each entry of `apply` names an actuator and has one target per joint.
+    Each entry of `apply` names an actuator and has one target per component of it.
     """
 
     name: str

@@ -2,6 +2,7 @@
 
 supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
+actuation/     actuators that are more than a motor of the engine
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
 streams.py     named random streams under one root seed
@@ -11,10 +12,11 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
+from deepbots_cli.runtime.actuation import Motor
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.urdf.rotation import quaternion
 
-__all__ = ["MALFORMED", "RobotController", "Supervisor", "clipped", "load_module", "quaternion", "unbounded"]
+__all__ = ["MALFORMED", "Motor", "RobotController", "Supervisor", "clipped", "load_module", "quaternion", "unbounded"]

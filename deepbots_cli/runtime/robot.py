@@ -8,6 +8,7 @@ from typing import Any
 from deepbots_cli.errors import MessageError
 from deepbots_cli.ir import CompiledScenario, Robot
 from deepbots_cli.port import Engine
+from deepbots_cli.runtime.actuation import Drive, hold
 from deepbots_cli.runtime.messages import codec, explain
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
@@ -32,6 +33,8 @@ class RobotController:
             self.encode = codec(spec.from_robot, self.format).encode
             self.decode = codec(spec.to_robot, self.format).decode
         self.bind(engine)
+        drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
+        self._drives = [(actuator, drive) for actuator, drive in drives if drive is not None]
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
@@ -55,6 +58,17 @@ class RobotController:
 
     def observe(self) -> None:
         """Sample what is sampled once per tick."""
+
+    def release(self) -> None:
+        """Let the actuators take the figures of this episode and forget their commands: they exert nothing."""
+        for _, drive in self._drives:
+            if isinstance(drive, Drive):
+                drive.reset()
+
+    def hold(self) -> None:
+        """Keep all that is driven where it is, until the first commands."""
+        for actuator, drive in self._drives:
+            hold(self._engine, self.spec.name, actuator, drive)
 
     def rejected(self, message: Any) -> MessageError:
         """The error for a message that does not fit."""

@@ -13,7 +13,8 @@ from deepbots_cli.schema.quantity import DrawnDuration, DrawnFactor, JointName, 
 MaxTorque = Annotated[Scalar, Quantity("torque or force", stage="episode", minimum=0)]
 Stiffness = Annotated[Scalar, Quantity("stiffness", stage="episode", minimum=0)]
 Damping = Annotated[Scalar, Quantity("damping", stage="episode", minimum=0)]
-JointSpeed = Annotated[Scalar, Quantity("angular speed or speed", stage="episode", minimum=0)]
+JointSpeed = Annotated[Scalar, Quantity("angular speed or speed", minimum=0)]
+JointAcceleration = Annotated[Scalar, Quantity("angular acceleration or acceleration", minimum=0, exclusive=True)]
 JointPosition = Annotated[Scalar, Quantity("angle or length")]
 
 
@@ -21,8 +22,8 @@ class Actuator(Part):
     """What all actuators have: the faults of real ones."""
 
     type: Prose = Field(description="The kind of actuator.")
-    strength: DrawnFactor = Field(default=1, description="Factor on what it does; below 1 it is worn.")
-    delay: DrawnDuration = Field(default="0 ms", description="Time from command to effect.")
+    strength: DrawnFactor = Field(default=1, description="Factor on the torque, force or thrust that it exerts; below 1 it is worn.")
+    delay: DrawnDuration = Field(default="0 ms", description="Time from a command to its effect.")
     lag: DrawnDuration = Field(default="0 ms", description="Time constant with which it follows a command.")
 
 
@@ -42,6 +43,9 @@ class VelocityMotor(Motor):
     """Drives a joint at a commanded velocity."""
 
     max_velocity: JointSpeed | None = Field(default=None, description="Largest velocity; by default the limit of the robot file.")
+    max_acceleration: JointAcceleration | None = Field(
+        default=None, description="How fast the velocity that it drives at may change; by default at once."
+    )
 
 
 class PositionMotor(Motor):
@@ -49,7 +53,9 @@ class PositionMotor(Motor):
 
     stiffness: Stiffness | None = Field(default=None, description="Torque per angle, N*m/rad, or force per length, N/m.")
     damping: Damping | None = Field(default=None, description="Torque per angular speed, N*m*s/rad, or force per speed, N*s/m.")
-    max_velocity: JointSpeed | None = Field(default=None, description="Largest velocity; by default the limit of the robot file.")
+    max_velocity: JointSpeed | None = Field(
+        default=None, description="How fast the position that it drives to may move; by default the velocity limit of the robot file."
+    )
 
 
 class TorqueMotor(Motor):

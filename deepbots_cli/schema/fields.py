@@ -98,6 +98,7 @@ MEASURES: Mapping[str, tuple[str, str]] = {
     "speed": ("a speed", "2 m/s"),
     "angular speed": ("an angular speed", "5 rad/s"),
     "acceleration": ("an acceleration", "9.81 m/s^2"),
+    "angular acceleration or acceleration": ("an angular acceleration or an acceleration", "20 rad/s^2"),
     "force": ("a force", "0.15 N"),
     "torque": ("a torque", "0.5 N*m"),
     "torque or force": ("a torque or a force", "10 N*m"),

@@ -1,6 +1,6 @@
 """From the compiled scenario to readable Python.
 
-robot.py       a controller class per robot: use_message_data, create_message; sensing.py its sensors
+robot.py       a controller class per robot: use_message_data, create_message; sensing.py its sensors, driving.py its actuators
 supervisor.py  the supervisor class, whose methods are printed by
   reset.py       what an episode varies and how it begins; variations.py the statement of each such figure
   step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py), observation.py, masks.py
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from deepbots_cli.canonical import digest
 from deepbots_cli.compiler.emit.guard import check_printable
-from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.compiler.emit.names import RUNTIME, class_name
 from deepbots_cli.compiler.emit.robot import RobotPrinter
 from deepbots_cli.compiler.emit.supervisor import supervisor
 from deepbots_cli.compiler.emit.wrap import wrapped
@@ -46,7 +46,7 @@ def emit(scenario: CompiledScenario) -> str:
 def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
     words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
     used_math = [name for name in _MATH if name in words]
-    runtime = [name for name in ("MALFORMED", "RobotController", "Supervisor", "clipped", "quaternion", "unbounded") if name in words]
+    runtime = [name for name in RUNTIME if name in words]
     lines = [
         f'"""{class_name(scenario.name)}, compiled by deepbots; scenario {digest(scenario)[:12]}.',
         "",

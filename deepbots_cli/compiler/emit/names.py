@@ -7,10 +7,21 @@ import keyword
 import math
 import re
 
+RUNTIME = (
+    "MALFORMED",
+    "Motor",
+    "RobotController",
+    "Supervisor",
+    "clipped",
+    "quaternion",
+    "unbounded",
+)
+"""What a printed module may import from `deepbots_cli.runtime`."""
+
 _TAKEN = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "stamp", "reward", "terminated", "truncated", "ended", "Any", "Struct"}
-    | {"clipped", "unbounded", "quaternion", "wrap", "Supervisor", "RobotController", "MALFORMED", "copysign"}
+    | {*RUNTIME, "wrap", "copysign"}
 )
 
 

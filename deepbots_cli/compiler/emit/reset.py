@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deepbots_cli.compiler.emit.driving import Driving
 from deepbots_cli.compiler.emit.observation import deviation
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.redraws import print_first_draws
@@ -12,7 +13,7 @@ from deepbots_cli.lang.scalar import Const, Name, Scalar, World
 
 
 def begin(space: Workspace) -> list[str]:
-    """Draws in order of dependency, then variations, places, joints."""
+    """Draws in order of dependency, then variations, places, joints; the actuators hold while the world settles."""
     scenario, reset = space.scenario, space.scenario.reset
     printer = Printer(lambda leaf: _at_reset(space, leaf), space.names, scenario.world.timestep)
     printer.line('"""Draw what this episode varies, and put the world where it begins."""')
@@ -23,6 +24,7 @@ def begin(space: Workspace) -> list[str]:
     printer.line("self.engine.reset()")
     for variation in reset.variations:
         printer.line(setting(variation, [printer.value(value) for value in variation.values]))
+    printer.lines += [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Driving(scenario, robot).has_devices]
     for place in reset.places:
         xyz, rpy = (tuple_code([printer.value(value) for value in values]) for values in (place.xyz, place.rpy))
         turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
@@ -32,6 +34,7 @@ def begin(space: Workspace) -> list[str]:
         printer.line(f"self.engine.set_joint({where}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
+        printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Driving(scenario, robot).has_any]
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
     return block("def _begin(self) -> None:", printer.lines)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from deepbots_cli.compiler.emit.driving import Driving
 from deepbots_cli.compiler.emit.names import Names, class_name
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.sensing import Sensing, devices
-from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, quoted, quoted_tuple, sentence_list, targets_code, tuple_code
-from deepbots_cli.ir import Actuator, CompiledScenario, Robot
+from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, sentence_list, targets_code, tuple_code
+from deepbots_cli.ir import CompiledScenario, Robot
 from deepbots_cli.lang.scalar import Name, Scalar, World
 
 
@@ -43,12 +44,8 @@ class RobotPrinter:
         return lines
 
     def _bind(self) -> list[str]:
-        writers = [f"self.drive_{actuator.name} = engine.{_writer_code(self._robot, actuator)}" for actuator in self._used_actuators()]
+        writers = Driving(self._scenario, self._robot).bind_lines()
         return block("def bind(self, engine: Any) -> None:", [*self._reads.bind_lines(), *self._sensing.bind_lines(), *writers] or ["pass"])
-
-    def _used_actuators(self) -> list[Actuator]:
-        used = {entry.name for entry in self._robot.apply}
-        return [actuator for actuator in self._robot.actuators if actuator.name in used]
 
     def _reset(self) -> list[str]:
         """Memory of stateful functions as it is right after a reset; messages have not yet come, so received values are 0."""
@@ -157,15 +154,3 @@ def decode_lines(decode: str, targets: list[str], stamp: int, error: str) -> lis
         "except MALFORMED:",
         f"    raise {error} from None",
     ]
-
-
-def _writer_code(robot: Robot, actuator: Actuator) -> str:
-    limits = tuple_code([repr(limit) if limit is not None else "inf" for limit in actuator.max_torque])
-    arguments = f"{quoted(robot.name)}, {quoted_tuple(actuator.joints)}, {limits}"
-    if actuator.kind == "position_motor":
-        gains = [
-            tuple_code([repr(gain)] * len(actuator.joints)) if gain is not None else "None"
-            for gain in (actuator.stiffness, actuator.damping)
-        ]
-        arguments += f", {', '.join(gains)}"
-    return f"{actuator.kind}({arguments})"

@@ -31,6 +31,11 @@ def _body(of: str, link: str) -> str:
     return f"{quoted(of)}, {quoted(link) if link else None}"
 
 
+def _actuator(figure: str, *, each: bool = True) -> Code:
+    """Of a device that drives an actuator: a figure for each of its parts, or a single one."""
+    return lambda of, values: f"self.robot_{of[0]}.drive_{of[1]}.{figure} = {tuple_code(values) if each else values[0]}"
+
+
 def _friction(which: str) -> Code:
     return lambda of, values: f"self.engine.set_friction({_body(of[0], of[1])}, {which}={values[0]})"
 
@@ -41,6 +46,8 @@ SETTERS: Mapping[str, Setter] = {
     "restitution": Setter(2, 1, _friction("restitution")),
     "joint_damping": Setter(2, 1, lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
     "joint_friction": Setter(2, 1, lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
+    **{f"actuator_{figure}": Setter(2, None, _actuator(figure)) for figure in ("strength", "max_torque", "stiffness", "damping")},
+    **{f"actuator_{figure}": Setter(2, 1, _actuator(f"response.{figure}", each=False)) for figure in ("delay", "lag")},
     "gravity": Setter(0, 3, lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))"),
     "sensor": Setter(3, None, lambda of, values: f"self.vary_sensor({', '.join(map(quoted, of))}, {tuple_code(values)})"),
     "light": Setter(0, 1, _engine("set_light")),

@@ -21,9 +21,8 @@ def require_counts(scenario: CompiledScenario) -> None:
             pairs += [(option.name, len(option.values), len(part.variables)) for option in part.options]
             pairs.append((part.name, len(part.options), max(1, len(part.options))))
     for robot in robots:
-        driven = {actuator.name: len(actuator.joints) for actuator in robot.actuators}
+        driven = {actuator.name: len(actuator.components) for actuator in robot.actuators}
         pairs += [(entry.name, len(entry.values), driven.get(entry.name, 0)) for entry in robot.apply]
-        pairs += [(a.name, len(limits), len(a.joints)) for a in robot.actuators for limits in (a.max_torque, a.max_velocity)]
         if not all(0 <= layout.stamp < 2**32 for layout in (robot.to_robot, robot.from_robot)):
             raise CanonicalError(f"a stamp in messages of '{robot.name}' that is not of 32 bits")
         told = ((robot.to_robot, robot.receive), (robot.from_robot, robot.emit))

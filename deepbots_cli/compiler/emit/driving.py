@@ -1,0 +1,97 @@
+"""How a printed controller drives its actuators: plain motors of the engine, and devices of the runtime."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
+from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Robot
+
+
+class Driving:
+    """The actuators of one robot that have a command."""
+
+    def __init__(self, scenario: CompiledScenario, robot: Robot) -> None:
+        self._robot = robot
+        self._substep = scenario.world.timestep / scenario.world.substeps
+        self._varied = {(*variation.of[1:], variation.what) for variation in scenario.reset.variations if variation.of[:1] == (robot.name,)}
+        commanded = {entry.name for entry in robot.apply}
+        self._actuators = [actuator for actuator in robot.actuators if actuator.name in commanded]
+
+    def bind_lines(self) -> list[str]:
+        """Statements that take each motor from `engine`."""
+        return [f"self.drive_{actuator.name} = {self._code(actuator)}" for actuator in self._actuators]
+
+    @property
+    def has_devices(self) -> bool:
+        return any(self._is_device(actuator) for actuator in self._actuators)
+
+    @property
+    def has_any(self) -> bool:
+        return bool(self._actuators)
+
+    def _code(self, actuator: Actuator) -> str:
+        return self._device(actuator) if self._is_device(actuator) else self._plain(actuator)
+
+    def _is_device(self, motor: Motor) -> bool:
+        varies = any(self._varies(motor, figure) for figure in ("strength", "max_torque", "stiffness", "damping"))
+        return varies or self._responds(motor) or (motor.kind == "torque_motor" and motor.response.strength != 1.0)
+
+    def _responds(self, motor: Motor) -> bool:
+        """Whether it follows its commands in every substep, rather than at once."""
+        response = motor.response
+        late = response.delay > 0.0 or response.lag > 0.0 or self._varies(motor, "delay") or self._varies(motor, "lag")
+        return late or bool(_rates(motor))
+
+    def _varies(self, actuator: Actuator, figure: str) -> bool:
+        return (actuator.name, f"actuator_{figure}") in self._varied
+
+    def _plain(self, motor: Motor) -> str:
+        strength = motor.response.strength
+        arguments = [self._joints(motor), _limits(motor, strength)]
+        if motor.kind == "position_motor":
+            gains = (motor.stiffness, motor.damping)
+            arguments += ["None" if gain is None else _each(strength * gain, motor) for gain in gains]
+        return f"engine.{motor.kind}({', '.join(arguments)})"
+
+    def _device(self, motor: Motor) -> str:
+        arguments = ["engine", quoted(motor.kind), self._joints(motor), _limits(motor)]
+        gains = (("stiffness", motor.stiffness), ("damping", motor.damping))
+        arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
+        if motor.response.strength != 1.0:
+            arguments.append(f"strength={motor.response.strength!r}")
+        if self._responds(motor):
+            arguments.append(f"substep={self._substep!r}")
+            arguments += _late(motor)
+            if rates := _rates(motor):
+                arguments.append(f"rates={tuple_code([_figure(rate) for rate in rates])}")
+        return f"Motor({', '.join(arguments)})"
+
+    def _joints(self, motor: Motor) -> str:
+        return f"{quoted(self._robot.name)}, {quoted_tuple(motor.joints)}"
+
+
+def _late(actuator: Actuator) -> list[str]:
+    figures = (("delay", actuator.response.delay), ("lag", actuator.response.lag))
+    return [f"{name}={figure!r}" for name, figure in figures if figure]
+
+
+def _rates(motor: Motor) -> Sequence[float | None]:
+    """How fast the targets of each joint may change; empty where at once."""
+    if motor.kind == "velocity_motor" and motor.max_acceleration is not None:
+        return (motor.max_acceleration,) * len(motor.joints)
+    if motor.kind == "position_motor" and any(limit is not None for limit in motor.max_velocity):
+        return motor.max_velocity
+    return ()
+
+
+def _limits(motor: Motor, strength: float = 1.0) -> str:
+    return tuple_code([_figure(limit, strength) for limit in motor.max_torque])
+
+
+def _figure(limit: float | None, strength: float = 1.0) -> str:
+    return "inf" if limit is None else repr(strength * limit)
+
+
+def _each(figure: float, motor: Motor) -> str:
+    return tuple_code([repr(figure)] * len(motor.joints))

@@ -1,0 +1,55 @@
+"""Actuators: figures that their code is made with, and what an episode may vary of them."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Variation
+
+_LONGEST = 1e9  # s or substeps; a delay or lag beyond is nothing that was compiled
+_PREFIX = "actuator_"
+
+
+def require_actuators(scenario: CompiledScenario) -> None:
+    """As many limits as joints, figures that are no nonsense, and variations of actuators that have such a figure."""
+    substep = scenario.world.timestep / scenario.world.substeps
+    for robot in scenario.robots:
+        for actuator in robot.actuators:
+            _require_sound(actuator, substep)
+    commanded = {
+        (robot.name, actuator.name): actuator
+        for robot in scenario.robots
+        for actuator in robot.actuators
+        if actuator.name in {entry.name for entry in robot.apply}
+    }
+    for variation in scenario.reset.variations:
+        if variation.what.startswith(_PREFIX):
+            _require_varied(variation, commanded.get((variation.of[0], variation.of[1])))
+
+
+def _require_sound(actuator: Actuator, substep: float) -> None:
+    if not actuator.components:
+        raise CanonicalError(f"'{actuator.name[:40]}' drives nothing")
+    if any(len(limits) != len(actuator.joints) for limits in (actuator.max_torque, actuator.max_velocity)):
+        raise CanonicalError(f"'{actuator.name[:40]}' has not one limit per joint")
+    response = actuator.response
+    if not all(0.0 <= span <= _LONGEST and span / substep <= _LONGEST for span in (response.delay, response.lag)):
+        raise CanonicalError(f"'{actuator.name[:40]}' answers after {response.delay} s, with a lag of {response.lag} s")
+    gains = [gain for gain in (response.strength, actuator.stiffness, actuator.damping, actuator.max_acceleration) if gain is not None]
+    limits = [limit for limit in (*actuator.max_torque, *actuator.max_velocity) if limit is not None]
+    if not all(isfinite(gain) and gain >= 0.0 for gain in gains) or not all(limit >= 0.0 for limit in limits):
+        raise CanonicalError(f"'{actuator.name[:40]}' has a figure below 0 or beyond all bounds")
+
+
+def _require_varied(variation: Variation, actuator: Actuator | None) -> None:
+    figure = variation.what.removeprefix(_PREFIX)
+    count = 1 if figure in ("delay", "lag") else len(actuator.components) if actuator else 0
+    if actuator is None or not _has(actuator, figure) or len(variation.values) != count:
+        raise CanonicalError(f"{'.'.join(variation.of)[:40]!r} has no {figure} to vary")
+
+
+def _has(actuator: Actuator, figure: str) -> bool:
+    if figure in ("strength", "delay", "lag"):
+        return True
+    return isinstance(actuator, Motor) and (figure == "max_torque" or getattr(actuator, figure) is not None)

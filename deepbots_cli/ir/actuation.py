@@ -1,0 +1,48 @@
+"""What a robot can drive, and how promptly and strongly that answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
+
+
+@dataclass(frozen=True)
+class Response:
+    """How an actuator answers its commands; `delay` and `lag` in s.
+
+    Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect `delay` after
+    it was given, and is followed with the time constant `lag`.
+    """
+
+    strength: float = 1.0
+    delay: float = 0.0
+    lag: float = 0.0
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Joints that are driven. Limits in N m or N, rad/s or m/s, one per joint; None is unlimited.
+
+    `max_velocity` bounds the targets of a velocity motor, and how fast those of a position motor move;
+    `max_acceleration` (rad/s^2 or m/s^2) how fast those of a velocity motor change.
+    """
+
+    name: str
+    kind: MotorKind
+    joints: tuple[str, ...]
+    max_torque: tuple[float | None, ...]
+    max_velocity: tuple[float | None, ...]
+    stiffness: float | None = None
+    damping: float | None = None
+    max_acceleration: float | None = None
+    response: Response = Response()
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """What its command has one number for."""
+        return self.joints
+
+
+Actuator = Motor

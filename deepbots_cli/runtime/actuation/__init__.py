@@ -1,0 +1,11 @@
+"""Actuators that are more than a motor of the engine: they act in every substep, or change from episode to episode.
+
+response.py  commands on their way: delayed, lagging, changing only so fast
+motors.py    motors with a strength and a response
+hold.py      what keeps a robot where it is while its world settles
+"""
+
+from deepbots_cli.runtime.actuation.hold import Drive, hold
+from deepbots_cli.runtime.actuation.motors import Motor
+
+__all__ = ["Drive", "Motor", "hold"]

@@ -1,0 +1,147 @@
+"""Motors of scenarios against closed forms: strength, delay, lag, limits, and what an episode draws of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import ceil, exp
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.engines.exact import ExactEngine
+from deepbots_cli.runtime import Supervisor
+
+RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
+Make = Callable[..., Supervisor]
+
+pytestmark = pytest.mark.skipif(not hasattr(ExactEngine, "before_substep"), reason="needs an engine that lets devices act in every substep")
+
+TICK = 0.02
+FORWARD, BACKWARD = 0, 1
+ENDLESS = ("termination={failure: {off: abs(cart.place) > 1000 m}}", "reset={set: {cart.hinge: 180 deg}}")
+
+
+def speeds(environment: Supervisor, ticks: int, action: int = FORWARD, seed: int = 0) -> list[float]:
+    """The velocity of the cart after each substep of some ticks."""
+    environment.reset(seed=seed)
+    read = environment.engine.joint_states("cart", ("slider",))
+    found: list[float] = []
+    substeps = environment.scenario.world.substeps
+
+    def one_by_one(number: int) -> None:
+        assert number == substeps
+        for _ in range(number):
+            environment.engine.step(1)
+            found.append(read()[0][1])
+
+    environment.physics = one_by_one
+    for _ in range(ticks):
+        environment.step(action)
+    return found
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 4, 8])
+def test_a_lagging_motor_follows_the_exponential_after_every_substep(rail: Make, substeps: int):
+    motor = rail(f"world.substeps={substeps}", *ENDLESS, lag="50 ms", max_torque="100 kN")
+    for k, speed in enumerate(speeds(motor, 10), start=1):
+        assert speed == pytest.approx(1 - exp(-k * TICK / substeps / 0.05), abs=1e-6)
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 4, 8])
+@pytest.mark.parametrize("delay", [0.0, 0.003, 0.01, 0.02, 0.034])
+def test_a_delay_counts_in_substeps_whatever_the_tick(rail: Make, substeps: int, delay: float):
+    motor = rail(f"world.substeps={substeps}", *ENDLESS, delay=f"{delay} s", max_torque="100 kN")
+    waits = ceil(delay / TICK * substeps - 1e-9)
+    found = speeds(motor, 5)
+    assert found[waits] == pytest.approx(1.0, abs=1e-6)
+    assert found[:waits] == pytest.approx([0.0] * waits, abs=1e-6)
+
+
+def test_an_acceleration_limit_gives_a_ramp(rail: Make):
+    found = speeds(rail(*ENDLESS, max_acceleration="5 m/s^2", max_torque="100 kN"), 15)
+    assert found == pytest.approx([min(1.0, 5.0 * k * TICK / 4) for k in range(1, 61)], abs=1e-6)
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 8])
+@pytest.mark.parametrize("kind", ["torque_motor", "velocity_motor"])
+def test_strength_multiplies_what_a_motor_exerts_whatever_the_substeps(rail: Make, substeps: int, kind: str):
+    command = "drive * 10 N" if kind == "torque_motor" else "drive * 1000 m/s"
+    weak = rail(f"world.substeps={substeps}", *ENDLESS, f"robots.cart.apply.motor={command}", type=kind, strength="0.7")
+    full = rail(f"world.substeps={substeps}", *ENDLESS, f"robots.cart.apply.motor={command.replace('10 N', '7 N')}", type=kind)
+    if kind == "velocity_motor":
+        full.engine.close()
+        full = rail(f"world.substeps={substeps}", *ENDLESS, f"robots.cart.apply.motor={command}", type=kind, max_torque="7 N")
+    assert speeds(weak, 5) == pytest.approx(speeds(full, 5), rel=1e-12)
+    torques = weak.engine.joint_torques("cart", ("slider",))
+    assert torques()[0] == pytest.approx(7.0)
+
+
+def test_strength_multiplies_the_spring_its_damper_and_its_limit(rail: Make):
+    spring = {"type": "position_motor", "max_torque": "8 N"}
+    apply = "robots.cart.apply.motor=drive * 0.2 m"
+    weak = rail(*ENDLESS, apply, stiffness="50 N/m", damping="4 N*s/m", strength="0.5", **spring)
+    half = rail(*ENDLESS, apply, stiffness="25 N/m", damping="2 N*s/m", type="position_motor", max_torque="4 N")
+    assert speeds(weak, 20) == pytest.approx(speeds(half, 20), rel=1e-12)
+
+
+def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rail: Make):
+    arm = rail(*ENDLESS, "robots.cart.apply.motor=drive * 0.3 m", type="position_motor", max_velocity="0.5 m/s", max_torque="100 kN")
+    found = speeds(arm, 100)
+    assert max(found) < 0.5 * 1.01
+    assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: Make):
+    drawn = rail(
+        *ENDLESS, strength="uniform(0.5 .. 1)", delay="uniform(0 .. 40 ms)", lag="uniform(10 .. 50 ms)", max_torque="uniform(5 .. 10 N)"
+    )
+    drive = drawn.robot_cart.drive_motor
+    figures = []
+    for seed in (1, 2, 1):
+        first = speeds(drawn, 8, seed=seed)
+        figures.append((*drive.strength, *drive.max_torque, drive.response.delay, drive.response.lag, first))
+    assert figures[0] == figures[2] != figures[1]
+    fresh = rail(
+        *ENDLESS, strength="uniform(0.5 .. 1)", delay="uniform(0 .. 40 ms)", lag="uniform(10 .. 50 ms)", max_torque="uniform(5 .. 10 N)"
+    )
+    assert speeds(fresh, 8, seed=1) == figures[0][-1]
+
+
+def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
+    drawn = rail(*ENDLESS, "robots.cart.apply.motor=drive * 6 N", type="torque_motor", strength="uniform(0.2 .. 1)")
+    torques = drawn.engine.joint_torques("cart", ("slider",))
+    for seed in range(5):
+        drawn.reset(seed=seed)
+        drawn.step(FORWARD)
+        (strength,) = drawn.robot_cart.drive_motor.strength
+        assert torques()[0] == pytest.approx(6 * strength)
+
+
+def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
+    late = rail(*ENDLESS, delay="100 ms", max_torque="100 kN")
+    once = speeds(late, 8, FORWARD)
+    again = speeds(late, 8, BACKWARD)
+    assert np.allclose(once, np.negative(again), atol=1e-6)
+
+
+def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device():
+    plain = api.compile(RAIL).code
+    assert 'self.drive_motor = engine.velocity_motor("cart", ("slider",), (10.0,))' in plain
+    assert "release" not in plain
+    weak = api.compile(RAIL, sets=["robots.cart.actuators.motor.strength=0.5"]).code
+    assert 'engine.velocity_motor("cart", ("slider",), (5.0,))' in weak
+
+
+def test_actuators_hold_while_the_world_settles(rail: Make):
+    tilted = "reset={set: {cart.hinge: 90 deg}, settle: 0.4 s}"
+    held = rail(ENDLESS[0], tilted, max_torque="100 kN")
+    held.reset(seed=0)
+    assert held.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-6)
+    spring = rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 m", type="position_motor", max_torque="100 kN")
+    spring.reset(seed=0)
+    assert spring.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-3)
+    let_go = rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 N", type="torque_motor")
+    let_go.reset(seed=0)
+    assert abs(let_go.engine.joint_states("cart", ("slider",))()[0][0]) > 0.01
