@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 from deepbots_cli.ir import Arena, ObjectBody
 from deepbots_cli.urdf import inertia
@@ -16,11 +16,11 @@ def moves(body: ObjectBody) -> bool:
     return body.solid and not body.fixed and body.mass > 0.0
 
 
-def forms(body: ObjectBody) -> tuple[ObjectBody, ...]:
-    """The object in each of its variants, named after the variant; by itself if it has none."""
-    return tuple(
-        replace(body, variants=(), **{field.name: getattr(variant, field.name) for field in fields(variant)}) for variant in body.variants
-    ) or (body,)
+def forms(body: ObjectBody) -> dict[str, ObjectBody]:
+    """The object in each of its variants, by their names; by its own if it has none."""
+    figures = ("shape", "mass", "colour", "friction", "fixed")
+    shown = {v.name: replace(body, variants=(), **{what: getattr(v, what) for what in figures}) for v in body.variants}
+    return shown or {body.name: body}
 
 
 def as_robot(body: ObjectBody) -> RobotModel:

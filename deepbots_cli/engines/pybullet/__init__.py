@@ -9,6 +9,7 @@ pool.py      bodies by name: pooled ones, in one of several forms
 readers.py   joints, poses and velocities
 motors.py    motors, and springs with dampers on joints
 pushes.py    forces on links
+contacts.py  what touches what, how hard, and distances between surfaces
 figures.py   masses, friction, colours that an episode varies, and their way back
 substeps.py  what acts and looks around every engine step
 backdrop.py  floor and sky of a picture

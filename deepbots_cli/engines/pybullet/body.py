@@ -31,6 +31,7 @@ class Body:
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
+        self.suspended = False
         self.number = number
         self.model = model
         self.fixed = fixed
@@ -48,6 +49,7 @@ class Body:
         self._dynamics: dict[int, Dynamics] = {}
         self.centre, self.principal = self.dynamics(BASE).inertia_frame
         self.home: Frame = HERE
+        self._weights: dict[int, tuple[float, Triple]] = {}
 
     def dynamics(self, index: int) -> Dynamics:
         """Of a link as it was loaded: first asked for, and so kept, before anything may vary."""
@@ -55,6 +57,32 @@ class Body:
             info = p.getDynamicsInfo(self.number, index, self._client)
             self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
         return self._dynamics[index]
+
+    def weigh(self, index: int, factor: float) -> None:
+        """So many times the mass that a link was loaded with, and the inertia."""
+        loaded = self.dynamics(index)
+        self._weights[index] = loaded.mass * factor, frames.scaled(loaded.moments, factor)
+        if not self.suspended:
+            self._apply_weight(index)
+
+    def _apply_weight(self, index: int) -> None:
+        """One call for both: a mass alone would get the inertia of the link's shape."""
+        mass, moments = self._weights[index]
+        p.changeDynamics(self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client)
+
+    def suspend(self) -> None:
+        """Stay where it is put, at no cost: PyBullet takes a body without mass for a fixed one. Nothing for a fixed body."""
+        if not self.fixed and not self.suspended:
+            self.suspended = True
+            p.changeDynamics(self.number, BASE, mass=0.0, physicsClientId=self._client)
+
+    def wake(self) -> None:
+        """Move again, as heavy as it was told to be."""
+        if self.suspended:
+            self.suspended = False
+            if BASE not in self._weights:
+                self.weigh(BASE, 1.0)
+            self._apply_weight(BASE)
 
     @property
     def centred(self) -> bool:

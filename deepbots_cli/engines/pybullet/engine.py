@@ -6,14 +6,14 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from math import degrees, isfinite
+from math import degrees, inf, isfinite
 from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
 
 import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.lookup import find
-from deepbots_cli.engines.pybullet import loading, motors, pushes, readers
+from deepbots_cli.engines.pybullet import contacts, loading, motors, pushes, readers
 from deepbots_cli.engines.pybullet.backdrop import axes, backdrop, lit, smoothed
 from deepbots_cli.engines.pybullet.figures import Colour, Figures
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
@@ -29,11 +29,24 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.pool import Pool
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.ir import WorldModel
-    from deepbots_cli.port import Capability, Image, JointReader, MotorWriter, Part, PoseReader, Pusher, TorqueReader, VelocityReader, View
+    from deepbots_cli.port import (
+        Capability,
+        ContactReader,
+        ForceReader,
+        GapReader,
+        Image,
+        JointReader,
+        MotorWriter,
+        Part,
+        PoseReader,
+        Pusher,
+        TorqueReader,
+        VelocityReader,
+        View,
+    )
 
 Given = ParamSpec("Given")
 Told = TypeVar("Told")
-APART = 1000.0  # m between bodies that are parked to forget their contacts
 
 
 class PyBulletEngine:
@@ -51,13 +64,15 @@ class PyBulletEngine:
         self._has_floor = world.ground is not None
         self._figures = Figures(self._client, world.gravity)
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
+        self._watches: dict[int, contacts.Watch] = {}
         self._backdrop: tuple[View, Image] | None = None
         try:
             self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
             every = [body for pool in self._pools.values() for body in pool]
             self._moving = [body for body in every if not body.fixed or body.brakes]
             self._still = [body for body in every if body.fixed and not body.brakes]
-            loading.join_islands(self._client, self._moving)
+            self._ground = [body.number for name in loading.GROUNDS if name in self._pools for body in self._pools[name]]
+            loading.join_islands(self._client, self._pools.values())
             self.reset()
         except BaseException:
             self.close()
@@ -69,8 +84,12 @@ class PyBulletEngine:
         self._figures.restore()
         for springs in self._springs.values():
             springs.rest()
+        for watch in self._watches.values():
+            watch.forget()
+        for pool in self._pools.values():
+            pool.leave()
         for row, body in enumerate(self._moving, start=1):
-            self._restart(body, ((row * APART, 0.0, APART), frames.UPRIGHT), dict.fromkeys(body.brakes, FAINT))
+            self._restart(body, ((row * loading.APART, 0.0, loading.APART), frames.UPRIGHT), dict.fromkeys(body.brakes, FAINT))
         p.stepSimulation(self._client)
         for body in (*self._still, *self._moving):
             self._restart(body, body.home, body.brakes)
@@ -87,7 +106,7 @@ class PyBulletEngine:
     def place(
         self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
     ) -> None:
-        placed = self._body(body)
+        placed = self._pool(body).enter()
         pose = placed.of_centre(position, frames.normalised(orientation))
         p.resetBasePositionAndOrientation(placed.number, *pose, self._client)
         of_centre = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
@@ -142,10 +161,38 @@ class PyBulletEngine:
         self._substeps.act(act)
 
     def after_substep(self, look: Callable[[], object]) -> None:
-        self._substeps.looks.append(look)
+        self._substeps.look(look)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._bound(part, lambda body, index: pushes.pusher(self._client, body, index, frame))
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        if others is None:
+            left_out = () if ground else self._ground
+            return self._bound(one, lambda body, link: self._watch(body).of_all_but(link, left_out), contacts.ANY)
+        places = [(body.number, _index(body, link, contacts.ANY)) for name, link in others for body in self._pool(name)]
+        return self._bound(one, lambda body, link: self._watch(body).of_some(link, places), contacts.ANY)
+
+    def contact_force(self, one: Part) -> ForceReader:
+        return self._bound(one, lambda body, link: contacts.force(self._client, body.number, link), contacts.ANY)
+
+    def gap(self, one: Part, other: Part) -> GapReader:
+        pools = (self._pool(one[0]), self._pool(other[0]))
+
+        def between(body: Body, link: int) -> GapReader:
+            near = (body.number, link)
+            return self._bound(other, lambda its, its_link: contacts.gap(self._client, near, (its.number, its_link)), contacts.ANY)
+
+        read = self._bound(one, between, contacts.ANY)
+        if not any(pool.pooled for pool in pools):
+            return read
+        return lambda: read() if all(pool.present for pool in pools) else inf
+
+    def _watch(self, body: Body) -> contacts.Watch:
+        if body.number not in self._watches:
+            watch = self._watches[body.number] = contacts.Watch(self._client, body.number)
+            self._substeps.watch(watch.forget, watch.look)
+        return self._watches[body.number]
 
     def require_finite(self) -> None:
         client = self._client
@@ -242,13 +289,13 @@ class PyBulletEngine:
         body = self._body(robot)
         return body.number, tuple(self._joint(body, name) for name in names)
 
-    def _bound(self, part: Part, bind: Callable[[Body, int], Callable[Given, Told]]) -> Callable[Given, Told]:
-        """What `bind` makes of a link, in whichever form its body takes."""
-        return self._pool(part[0]).bound(lambda body: bind(body, _index(body, part[1])))
+    def _bound(self, part: Part, bind: Callable[[Body, int], Callable[Given, Told]], none: int = BASE) -> Callable[Given, Told]:
+        """What `bind` makes of a link, in whichever form its body takes; `none` stands for the link None."""
+        return self._pool(part[0]).bound(lambda body: bind(body, _index(body, part[1], none)))
 
 
-def _index(body: Body, link: str | None) -> int:
-    return BASE if link is None else find(body.links, link, f"'{body.name}' has no link")
+def _index(body: Body, link: str | None, none: int = BASE) -> int:
+    return none if link is None else find(body.links, link, f"'{body.name}' has no link")
 
 
 def _release(client: int, substeps: Substeps) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from deepbots_cli import frames
 from deepbots_cli.engines.pybullet.library import BASE, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.errors import EngineError
@@ -35,18 +34,14 @@ class Figures:
         self._ways_back.clear()
 
     def set_mass(self, body: Body, index: int, mass: float) -> None:
-        """One call for mass and inertia: a mass alone would get the inertia of the link's shape.
-
-        That of the base of a fixed body means nothing, and would set it loose.
-        """
+        """That of the base of a fixed body means nothing, and would set it loose."""
         if index == BASE and body.fixed:
             return
-        nominal = body.dynamics(index)
-        if not (nominal.mass > 0.0 and mass > 0.0):
-            raise EngineError(f"the mass of a link of '{body.name}' cannot go from {nominal.mass:g} kg to {mass:g} kg")
-        change = partial(p.changeDynamics, body.number, index, physicsClientId=self._client)
-        change(mass=mass, localInertiaDiagonal=frames.scaled(nominal.moments, mass / nominal.mass))
-        self._ways_back["mass", body.number, index] = partial(change, mass=nominal.mass, localInertiaDiagonal=nominal.moments)
+        usual = body.dynamics(index).mass
+        if not (usual > 0.0 and mass > 0.0):
+            raise EngineError(f"the mass of a link of '{body.name}' cannot go from {usual:g} kg to {mass:g} kg")
+        body.weigh(index, mass / usual)
+        self._ways_back["mass", body.number, index] = partial(body.weigh, index, 1.0)
 
     def set_friction(self, body: Body, index: int, given: dict[str, float | None], nominal: Friction) -> None:
         """One call per property: two in one went to the root link."""

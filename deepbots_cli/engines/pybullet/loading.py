@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +24,8 @@ from deepbots_cli.urdf.writer import write
 if TYPE_CHECKING:
     from deepbots_cli.ir import Ground, ObjectBody, WorldModel
 
-GROUND = "ground"  # the name of the plane among bodies
+GROUND, TERRAIN = GROUNDS = ("ground", "terrain")  # names among bodies of what the others stand on
+APART = 1000.0  # m between bodies that are parked
 
 
 def connected(world: WorldModel) -> int:
@@ -44,10 +44,14 @@ def bodies(client: int, world: WorldModel) -> Iterator[Pool]:
     """Everything there is, in the order of the world model."""
     if world.ground is not None:
         yield Pool(GROUND, [(GROUND, _plane(client, world.ground))], pooled=False)
+    parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         file = Path(folder, "body.urdf")
         for thing in (*(solids.walls(world.arena) if world.arena else ()), *world.objects):
-            forms = [(form.name, _object(client, form, file)) for form in solids.forms(thing)]
+            forms = [(name, _object(client, form, file)) for name, form in solids.forms(thing).items()]
+            for _, body in forms if thing.pooled else ():
+                parked += 1
+                body.home = ((-parked * APART, 0.0, -APART), frames.UPRIGHT)
             yield Pool(thing.name, forms, thing.pooled)
         for robot in world.robots:
             model = loadable.movable(robot.name, robot.model, robot.fixed_base)
@@ -56,16 +60,18 @@ def bodies(client: int, world: WorldModel) -> Iterator[Pool]:
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
 
 
-def join_islands(client: int, moving: Sequence[Body]) -> None:
+def join_islands(client: int, pools: Iterable[Pool]) -> None:
     """Tie all that moves to one another with gears that exert nothing, so that the solver sees one group.
 
     It solves bodies whose boxes overlap together, iterates until such a group is done, and forgets overlaps
     at a moment that depends on the whole past. Of 150 episodes of three carts after a reset 34 differed from
     a fresh world's; tied together, none. 20 idle balls then cost 50 us a step; a robot by itself nothing.
+    All hang on the first, which is one that is always there if there is any, since an absent one ties nothing.
     """
-    anchors = [(body.number, body.anchor) for body in moving if body.anchor is not None]
-    for (one, link), (other, other_link) in pairwise(anchors):
-        gear = p.createConstraint(one, link, other, other_link, p.JOINT_GEAR, (0, 1, 0), STILL, STILL, physicsClientId=client)
+    tied = sorted((pool for pool in pools), key=lambda pool: pool.pooled)
+    anchors = [(body.number, body.anchor) for pool in tied for body in pool if body.anchor is not None]
+    for number, link in anchors[1:]:
+        gear = p.createConstraint(*anchors[0], number, link, p.JOINT_GEAR, (0, 1, 0), STILL, STILL, physicsClientId=client)
         p.changeConstraint(gear, maxForce=0.0, physicsClientId=client)
 
 

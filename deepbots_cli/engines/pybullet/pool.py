@@ -32,7 +32,16 @@ class Pool:
 
     def leave(self) -> None:
         """Be absent, in the first form."""
-        self.present, self.chosen = not self.pooled, next(iter(self))
+        if self.pooled:
+            self.present, self.chosen = False, next(iter(self))
+            for body in self:
+                body.suspend()
+
+    def enter(self) -> Body:
+        """Be present, in the chosen form."""
+        self.present = True
+        self.chosen.wake()
+        return self.chosen
 
     def bound(self, bind: Callable[[Body], Callable[Given, Told]]) -> Callable[Given, Told]:
         """What `bind` makes of the present form; a body of one form pays nothing for there being others."""

@@ -10,20 +10,32 @@ Act = Callable[[], object]
 
 
 class Substeps:
-    """Acts, then drives (motors that renew their torque), then one step of physics, then looks.
+    """Acts, then drives (motors that renew their torque), then one step of physics, then watches, then looks.
 
-    `begins` is called once per `step`. Drives come last, so that they see the targets that acts have just set.
+    Drives come after acts, so that they see the targets that those have just set; looks see what watches saw.
     """
 
     def __init__(self) -> None:
-        self.begins: list[Act] = []
-        self.looks: list[Act] = []
+        self._begins: list[Act] = []
         self._acts: list[Act] = []
         self._drives: list[Act] = []
+        self._watches: list[Act] = []
+        self._looks: list[Act] = []
         self._before: list[Act] = []
+        self._after: list[Act] = []
 
     def act(self, act: Act) -> None:
         self._acts.append(act)
+        self._arrange()
+
+    def look(self, look: Act) -> None:
+        self._looks.append(look)
+        self._arrange()
+
+    def watch(self, begin: Act, look: Act) -> None:
+        """`begin` is called once per `step`, before everything else."""
+        self._begins.append(begin)
+        self._watches.append(look)
         self._arrange()
 
     def drive(self, drives: list[Act]) -> None:
@@ -34,24 +46,26 @@ class Substeps:
     def only(self, act: Act) -> None:
         """Call nothing else any more."""
         self._acts, self._drives = [act], []
+        self._begins.clear()
         self._arrange()
 
     def _arrange(self) -> None:
         self._before[:] = [*self._acts, *self._drives]
+        self._after[:] = [*self._watches, *self._looks]
 
     def stepper(self, client: int) -> Callable[[int], None]:
         """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step."""
-        advance, before, looks, begins = p.stepSimulation, self._before, self.looks, self.begins
+        advance, before, after, begins = p.stepSimulation, self._before, self._after, self._begins
 
         def step(substeps: int) -> None:
-            if before or looks:
+            if before or after:
                 for begin in begins:
                     begin()
                 for _ in range(substeps):
                     for act in before:
                         act()
                     advance(client)
-                    for look in looks:
+                    for look in after:
                         look()
             else:
                 for _ in range(substeps):

@@ -1,0 +1,147 @@
+"""What touches what, how hard, and how far apart surfaces are, against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, pi, sqrt
+
+import pytest
+
+from deepbots_cli.ir import ObjectBody, WorldModel
+from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Pose, Sphere
+
+STAYS = {"fixed": True}
+
+
+def things(*objects: ObjectBody, gravity: tuple[float, float, float] = (0, 0, -9.81), substeps: int = 4) -> WorldModel:
+    return WorldModel(0.02, substeps, gravity, objects=objects)
+
+
+def ball(name: str, at: tuple[float, float, float], mass: float = 0.2, radius: float = 0.05) -> ObjectBody:
+    return ObjectBody(name, Sphere(radius), Pose(at), mass)
+
+
+def test_a_ball_touches_the_ground_from_its_landing_on(build):
+    engine = build("pybullet", things(ball("ball", (0, 0, 0.2))))
+    on_ground, anything, but_ground = (
+        engine.contact(("ball", None), [("ground", None)]),
+        engine.contact(("ball", None)),
+        engine.contact(("ball", None), ground=False),
+    )
+    landed = 0
+    for tick in range(40):
+        engine.step(4)
+        if tick * 0.02 < sqrt(2 * 0.15 / 9.81) - 0.04:
+            assert not on_ground()
+        landed += on_ground()
+        assert on_ground() is anything()
+        assert not but_ground()
+    assert landed >= 30
+    engine.reset()
+    assert not on_ground()
+
+
+def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(build):
+    """A ball that bounces off a wall within a tick touches nothing when the tick ends."""
+    wall = ObjectBody("wall", Box((0.1, 1, 1)), Pose((0.35, 0, 0.5)), **STAYS)
+    world = replace(things(ball("ball", (0, 0, 0.5)), wall, gravity=(0, 0, 0)), timestep=0.1, substeps=50)
+    engine = build("pybullet", world)
+    engine.set_friction("wall", None, restitution=1.0)
+    engine.set_friction("ball", None, restitution=1.0)
+    touched, force = engine.contact(("wall", None), [("ball", None)]), engine.contact_force(("wall", None))
+    engine.place("ball", (0, 0, 0.5), (0, 0, 0, 1), (5.0, 0, 0))
+    engine.step(50)
+    assert touched()
+    assert force() == 0.0
+    assert engine.pose("ball")()[0][0] < 0.2
+    engine.step(50)
+    assert not touched()
+
+
+def test_links_of_a_robot_tell_their_contacts_apart(worlds, build):
+    engine = build("pybullet", worlds.arena())
+    wheels = [engine.contact(("robot", f"wheel_{i}"), [("ground", None)]) for i in range(4)]
+    body, pole = engine.contact(("robot", "body")), engine.contact(("robot", "pole"))
+    crate, all_but_ground = (
+        engine.contact(("robot", None), [("crate", None), ("drum", None)]),
+        engine.contact(("robot", None), ground=False),
+    )
+    for _ in range(10):
+        engine.step(4)
+    assert [wheel() for wheel in wheels] == [True] * 4
+    assert not any(read() for read in (body, pole, crate, all_but_ground))
+    engine.place("crate", (-0.14, 0, 0.05), (0, 0, 0, 1))
+    engine.step(4)
+    assert crate()
+    assert all_but_ground()
+    assert body()
+
+
+def test_the_force_on_the_ground_is_the_weight_of_what_stands_on_it(build):
+    heavy = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 3.0)
+    engine = build("pybullet", things(heavy, ball("ball", (0, 0, 0.15), 0.5)))
+    forces = {name: engine.contact_force((name, None)) for name in ("ground", "crate", "ball")}
+    assert {name: read() for name, read in forces.items()} == dict.fromkeys(forces, 0.0)
+    for _ in range(100):
+        engine.step(4)
+    expected = {"ground": 3.5 * 9.81, "crate": 4.0 * 9.81, "ball": 0.5 * 9.81}
+    assert {name: read() for name, read in forces.items()} == pytest.approx(expected, rel=0.01)
+
+
+def test_watching_contacts_changes_nothing(worlds, build):
+    seen, unseen = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
+    for name in ("robot", "ball"):
+        seen.contact((name, None))
+        seen.gap((name, None), ("crate", None))
+    for engine in (seen, unseen):
+        engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([20.0] * 4)
+        for _ in range(60):
+            engine.step(4)
+    assert seen.pose("robot")() == unseen.pose("robot")()
+    assert seen.pose("ball")() == unseen.pose("ball")()
+
+
+SOLIDS = {
+    "sphere": (Sphere(0.1), 0.1),
+    "box": (Box((0.2, 0.3, 0.4)), 0.1),
+    "cylinder": (Cylinder(0.1, 0.3), 0.1),
+    "capsule": (Capsule(0.1, 0.3), 0.1),
+}
+
+
+@pytest.mark.parametrize("one", SOLIDS)
+@pytest.mark.parametrize("other", SOLIDS)
+@pytest.mark.parametrize("apart", [0.003, 0.5, 30.0])
+def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(one, other, apart, build):
+    (shape, half), (other_shape, other_half) = SOLIDS[one], SOLIDS[other]
+    place = Pose((half + other_half + apart, 0, 1))
+    world = things(ObjectBody("one", shape, Pose((0, 0, 1)), **STAYS), ObjectBody("other", other_shape, place, **STAYS))
+    engine = build("pybullet", world)
+    assert engine.gap(("one", None), ("other", None))() == pytest.approx(apart, abs=1e-6)
+
+
+def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(build):
+    turned = ObjectBody("turned", Box((0.2, 0.2, 0.2)), Pose((1, 0, 1), (0, 0, pi / 4)), **STAYS)
+    engine = build("pybullet", things(ball("ball", (0, 0, 1)), turned, ball("inside", (0.05, 0, 1))))
+    assert engine.gap(("ball", None), ("ground", None))() == pytest.approx(0.95, abs=1e-6)
+    # a corner is rounded by the library's margin of 1 mm: 0.4 mm too far
+    assert engine.gap(("ball", None), ("turned", None))() == pytest.approx(1 - 0.05 - 0.1 * sqrt(2), abs=5e-4)
+    assert engine.gap(("ball", None), ("inside", None))() == 0.0
+
+
+def test_the_gap_of_a_moving_link_follows_it(worlds, build):
+    world = worlds.arena()
+    engine = build("pybullet", world)
+    gap, pose = engine.gap(("robot", "wheel_0"), ("front wall", None)), engine.pose("robot", "wheel_0")
+    engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([5.0] * 4)
+    engine.place("ball", (0, 0.4, 0.05), (0, 0, 0, 1))
+    for _ in range(30):
+        engine.step(4)
+        assert gap() == pytest.approx(0.5 - 0.04 - pose()[0][0], abs=1e-4)
+    assert pose()[0][0] > 0.1
+
+
+def test_a_gap_to_nothing_is_infinite(build):
+    ghost = ObjectBody("ghost", Sphere(0.1), Pose((1, 0, 1)), solid=False)
+    engine = build("pybullet", things(ball("ball", (0, 0, 1)), ghost))
+    assert engine.gap(("ball", None), ("ghost", None))() == inf

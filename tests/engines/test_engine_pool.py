@@ -1,0 +1,146 @@
+"""Bodies that are absent until an episode places them, in one of several forms."""
+
+from __future__ import annotations
+
+import random
+import struct
+from dataclasses import replace
+from math import inf
+
+import pytest
+
+from deepbots_cli.errors import EngineError
+from deepbots_cli.ir import ObjectBody, Variant, WorldModel
+from deepbots_cli.port import View
+from deepbots_cli.urdf.model import Box, Pose, Sphere
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+ROUND, SQUARE, PILLAR = (
+    Variant("round", Sphere(0.05), 0.3, (1, 0, 0, 1)),
+    Variant("square", Box((0.1, 0.1, 0.1)), 0.2, (0, 1, 0, 1)),
+    Variant("pillar", Box((0.1, 0.1, 0.4)), colour=(0, 0, 1, 1), fixed=True),
+)
+WHEELS = [f"wheel_{i}" for i in range(4)]
+
+
+def pooled(count: int, *variants: Variant, **figures: object) -> tuple[ObjectBody, ...]:
+    return tuple(ObjectBody(f"thing#{i}", Sphere(0.05), mass=0.3, pooled=True, variants=variants, **figures) for i in range(1, count + 1))
+
+
+def arena(worlds, things: tuple[ObjectBody, ...]) -> WorldModel:
+    world = worlds.arena()
+    return replace(world, objects=(*world.objects, *things))
+
+
+def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(build):
+    world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(2)))
+    engine = build("pybullet", world)
+    view = View((2.0, 0.0, 1.0), (0.0, 0.0, 0.0), 60, 40)
+    gap, touches = engine.gap(("ball", None), ("thing#1", None)), engine.contact(("thing#1", None))
+    usual = engine.render(view)
+    for _ in range(20):
+        engine.step(4)
+    assert gap() == inf
+    assert not touches()
+    assert (engine.render(view) == usual).all()
+    engine.place("thing#1", (0.5, 0, 0.05), UPRIGHT)
+    assert gap() == pytest.approx((0.5**2 + 0.05**2) ** 0.5 - 0.15, abs=1e-6)
+    engine.step(4)
+    assert touches()
+    assert (engine.render(view) != usual).any()
+    engine.reset()
+    assert gap() == inf
+    assert not touches()
+    assert (engine.render(view) == usual).all()
+
+
+def test_a_placed_body_falls_and_rolls_like_any_other(build):
+    plain = ObjectBody("ball", Sphere(0.05), Pose((0, 0, 1)), 0.3)
+    engine = build("pybullet", WorldModel(0.02, 4, objects=(plain, *pooled(1))))
+    for _ in range(3):
+        engine.reset()
+        engine.place("ball", (0, 0, 1), UPRIGHT, (0.2, 0, 0), (0, 3, 0))
+        engine.place("thing#1", (0, 2, 1), UPRIGHT, (0.2, 0, 0), (0, 3, 0))
+        for _ in range(60):
+            engine.step(4)
+        (x, y, z), (x1, y1, z1) = engine.pose("ball")()[0], engine.pose("thing#1")()[0]
+        assert (x1, y1 - 2, z1) == pytest.approx((x, y, z), abs=1e-9)
+        assert engine.velocity("thing#1")()[1] == pytest.approx(engine.velocity("ball")()[1], abs=1e-9)
+
+
+def test_readers_follow_the_form_that_was_chosen(build):
+    world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(1, ROUND, SQUARE, PILLAR)))
+    engine = build("pybullet", world)
+    pose, gap = engine.pose("thing#1"), engine.gap(("ball", None), ("thing#1", None))
+    apart = (1 + 0.8**2) ** 0.5 - 0.15
+    inside = {"pillar": (0.95**2 + 0.6**2) ** 0.5 - 0.1, "square": (0.95**2 + 0.75**2) ** 0.5 - 0.1, "round": apart, None: apart}
+    for form, height, stays in (("pillar", 0.9, True), ("square", 0.05, False), ("round", 0.05, False), (None, 0.05, False)):
+        engine.reset()
+        if form:
+            engine.choose("thing#1", form)
+        engine.place("thing#1", (1.0, 0, 0.9), UPRIGHT)
+        assert gap() == pytest.approx(inside[form], abs=1e-3)
+        for _ in range(100):
+            engine.step(4)
+        assert pose()[0][2] == pytest.approx(height, abs=2e-3)
+        assert (pose()[0][2] == 0.9) is stays
+    with pytest.raises(EngineError, match="no variant 'oval'; there are round, square, pillar"):
+        engine.choose("thing#1", "oval")
+
+
+def test_the_mass_of_an_absent_body_is_kept_for_its_entrance(build):
+    engine = build("pybullet", WorldModel(0.01, 1, gravity=(0, 0, 0), ground=None, objects=pooled(1)))
+    push = engine.pusher(("thing#1", None))
+    for mass in (None, 1.5, None):
+        engine.reset()
+        if mass:
+            engine.set_mass("thing#1", None, mass)
+        engine.place("thing#1", (0, 0, 0), UPRIGHT)
+        push((3.0, 0, 0), (0, 0, 0.01))
+        engine.step(1)
+        linear, angular = engine.velocity("thing#1")()
+        assert linear[0] == pytest.approx(0.03 / (mass or 0.3), rel=1e-6)
+        assert angular[2] == pytest.approx(1e-4 / (0.4 * (mass or 0.3) * 0.05**2), rel=1e-6)
+
+
+def brawl(engine, seed: int, ticks: int) -> bytes:
+    """A cart among things that an episode chose, weighed and placed at random, all pushed about."""
+    rng = random.Random(seed)
+    names = [f"thing#{i}" for i in range(1, 6)]
+    present = rng.sample(names, rng.randint(0, 5))
+    for name in present:
+        form = rng.choice(("round", "square", "pillar"))
+        engine.choose(name, form)
+        if rng.random() < 0.5 and form != "pillar":
+            engine.set_mass(name, None, rng.uniform(0.05, 1.0))
+            engine.set_friction(name, None, lateral=rng.uniform(0.2, 1.0))
+        engine.place(name, (rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0.05), UPRIGHT)
+    readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [engine.velocity("robot")]
+    drive, touched, gap = (
+        engine.velocity_motor("robot", WHEELS, [10.0] * 4),
+        engine.contact(("robot", None), ground=False),
+        engine.gap(("robot", None), ("thing#1", None)),
+    )
+    figures: list[float] = []
+    for tick in range(ticks):
+        if tick % 8 == 0:
+            left, right = rng.choice((-20.0, 20.0)), rng.choice((-20.0, 20.0))
+            drive([left, right, left, right])
+        engine.step(4)
+        figures += [touched(), gap()]
+        for read in readers:
+            for part in read():
+                figures += part
+    return struct.pack(f"{len(figures)}d", *figures)
+
+
+def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(worlds, build):
+    world = arena(worlds, pooled(5, ROUND, SQUARE, PILLAR))
+    fresh = {seed: brawl(build("pybullet", world), seed, 60) for seed in (3, 4, 5)}
+    engine = build("pybullet", world)
+    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144):
+        engine.reset()
+        brawl(engine, 1000 + ticks, ticks)
+        for seed, expected in fresh.items():
+            engine.reset()
+            assert brawl(engine, seed, 60) == expected, (ticks, seed)
