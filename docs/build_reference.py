@@ -192,6 +192,7 @@ def _cell(text: str) -> str:
 _FAMILIES = {
     Family.PURE: "Arithmetic",
     Family.WORLD: "The world",
+    Family.MESSAGE: "Messages",
     Family.STATEFUL: "With a memory",
     Family.DRAW: "Draws",
 }

@@ -34,9 +34,11 @@ class RobotScene:
         return [link.name for link in self.model.links]
 
     def subject(self, part: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The joint, link or group called `part`; where a joint and a link share the name, the one of `kinds`."""
+        """The joint, link, group or, where `kinds` asks for one, sensor called `part`; where several share the name, the one of `kinds`."""
         full = f"{self.name}.{part}"
         is_link = part in self.link_names
+        if kinds and Kind.SENSOR in kinds and part in self.spec.sensors:
+            return Subject(full, Kind.SENSOR)
         if part in self.groups:
             kind, members = self.groups[part]
             names = tuple(f"{self.name}.{member}" for member in members)
@@ -52,7 +54,7 @@ class RobotScene:
 
     @property
     def parts(self) -> list[str]:
-        return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names]
+        return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names, *self.spec.sensors]
 
 
 def load_robot(name: str, spec: RobotSpec, document: Document, values: Values, scope: Scope) -> RobotScene | None:

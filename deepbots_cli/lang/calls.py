@@ -35,6 +35,7 @@ _PLACE_WORDS = {
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and name that here",
     Family.STATEFUL: "keep it as a signal, and name that where signals are known",
+    Family.MESSAGE: "only the supervisor receives what robots send; keep it as a signal, or send it under `receive`",
     Family.WORLD: "a robot knows only its sensors and messages; send it the value under `receive`",
 }
 
@@ -223,7 +224,7 @@ def _gathered(node: syntax.Call, values: list[Typed], report: Report) -> tuple[C
 
 def _stage(function: Function, values: Sequence[Typed]) -> Stage:
     latest = max((value.type.stage for value in values), default=Stage.FIXED)
-    if function.family in (Family.WORLD, Family.STATEFUL):
+    if function.family in (Family.WORLD, Family.MESSAGE, Family.STATEFUL):
         return Stage.STEP
     return max(latest, Stage.EPISODE) if function.family is Family.DRAW else latest
 

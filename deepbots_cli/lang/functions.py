@@ -19,6 +19,7 @@ class Family(Enum):
 
     PURE = auto()
     WORLD = auto()
+    MESSAGE = auto()
     STATEFUL = auto()
     DRAW = auto()
 
@@ -71,8 +72,6 @@ UNSUPPORTED = frozenset(
         "beside",
         "along",
         "length",
-        "age",
-        "fresh",
         "gap",
         "contact",
         "collided",
@@ -115,7 +114,7 @@ class Function(NamedTuple):
 
 _EVERYWHERE = frozenset({Family.PURE})
 _WORLD = frozenset({Family.PURE, Family.WORLD})
-_TASK = frozenset({Family.PURE, Family.WORLD, Family.STATEFUL})
+_TASK = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE, Family.STATEFUL})
 _BOARD = frozenset({Family.PURE, Family.STATEFUL})
 _DRAWN = frozenset({Family.PURE, Family.DRAW})
 

@@ -68,7 +68,7 @@ class _Lowering:
         match FUNCTIONS[value.function].family:
             case Family.PURE:
                 return self._pure(value)
-            case Family.WORLD:
+            case Family.WORLD | Family.MESSAGE:
                 return self._world(value)
             case Family.STATEFUL:
                 columns = self._columns(value, value.args)

@@ -204,10 +204,18 @@ _WORLD = (
     Function("beside", Family.WORLD, (_BODY, _LINE), "How far a body is to the left of a line.", _LENGTH),
     Function("along", Family.WORLD, (_BODY, _LINE), "How far a body has come along a line.", _LENGTH),
     Function("length", Family.WORLD, (_LINE,), "The length of a line.", _LENGTH, interval=_known(iv.POSITIVE)),
+)
+
+_MESSAGE = (
     Function(
-        "age", Family.WORLD, (_SENDER,), "The time since the newest message that arrived was measured.", _TIME, interval=_known(iv.POSITIVE)
+        "age",
+        Family.MESSAGE,
+        (_SENDER,),
+        "The time since what the last message that arrived says was measured.",
+        _TIME,
+        interval=_known(iv.POSITIVE),
     ),
-    Function("fresh", Family.WORLD, (_SENDER,), "Whether a message arrived in this tick.", _NUMBER, boolean=True),
+    Function("fresh", Family.MESSAGE, (_SENDER,), "Whether a message arrived in this tick.", _NUMBER, boolean=True),
 )
 
 _STATEFUL = (
@@ -274,4 +282,4 @@ _DRAWS = (
     ),
 )
 
-FUNCTIONS = {function.name: function for function in (*_PURE, *_WORLD, *_STATEFUL, *_DRAWS)}
+FUNCTIONS = {function.name: function for function in (*_PURE, *_WORLD, *_MESSAGE, *_STATEFUL, *_DRAWS)}

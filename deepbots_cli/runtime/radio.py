@@ -55,6 +55,7 @@ class Radio:
         self.range = inf
         for figure, setting in route.settings:
             setattr(self, figure, float(setting.value.value) if isinstance(setting.value, Const) else 0.0)
+        self._timestep = timestep
         self._queue: list[tuple[float, int, int, Any]] = []
         self.begin(Streams(0))
 
@@ -68,6 +69,11 @@ class Radio:
         self._losing: bool | None = None
         self.latest = None
         self.fresh = False
+
+    @property
+    def age(self) -> float:
+        """Time (s) since the message that arrived last was made, at the end of a tick."""
+        return (self._tick - self.measured) * self._timestep
 
     def deliver(self, message: Any) -> None:
         """Hand over the first message of an episode, at once and for certain."""

@@ -15,6 +15,8 @@ from deepbots_cli.lang.scalar import Scalar, World, walk
 _XYZ = {"x": 0, "y": 1, "z": 2, "w": 3}
 _METHODS = {"joints": "joint_states", "torques": "joint_torques", "pose": "pose", "velocity": "velocity"}
 _OF_LINKS = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
+ARRIVALS = ("age", "fresh")
+"""What the channel tells, and no engine."""
 _PART = {"position": 0, "orientation": 1, "velocity": 0, "angular_velocity": 1, "joint_position": 0, "joint_velocity": 1}
 """Where a fact stands in what its reader returns, or returns for a joint."""
 
@@ -75,7 +77,7 @@ def _reader(leaf: World) -> tuple[str, str]:
 
 
 def _facts(expressions: Iterable[Scalar]) -> Iterator[World]:
-    return (node for expression in expressions for node in walk(expression) if isinstance(node, World))
+    return (node for expression in expressions for node in walk(expression) if isinstance(node, World) and node.function not in ARRIVALS)
 
 
 def _arguments(subject: str, joints: list[str]) -> str:

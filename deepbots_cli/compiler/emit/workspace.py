@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.reads import Reads
+from deepbots_cli.compiler.emit.reads import ARRIVALS, Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.ir import Choices, CompiledScenario, Robot, own_action
 from deepbots_cli.lang.scalar import Name, Scalar, World, names_in
@@ -87,7 +87,7 @@ class Workspace:
 
     def _resolve(self, leaf: Name | World) -> str:
         if isinstance(leaf, World):
-            return self.reads.code(leaf)
+            return self._arrival(leaf) if leaf.function in ARRIVALS else self.reads.code(leaf)
         if leaf.name == "time":
             return f"({self.tick} * {self.scenario.world.timestep!r})"
         if leaf.name == "step":
@@ -99,3 +99,13 @@ class Workspace:
         if leaf.name in self._parameters:
             return self.parameter(leaf.name, leaf.component)
         return self.names(leaf.name, leaf.component)
+
+    def _arrival(self, leaf: World) -> str:
+        """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this tick."""
+        robot = next(robot for robot in self.scenario.robots if robot.name == leaf.subjects[0])
+        if self.scenario.format != "none" and not robot.from_route.perfect:
+            return f"self.from_{robot.name}.{leaf.function}"
+        if leaf.function == "fresh":
+            return "True"
+        late = self.scenario.format != "none" and self.scenario.timing == "paper"
+        return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"

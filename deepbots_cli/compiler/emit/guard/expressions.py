@@ -26,6 +26,7 @@ _ARGUMENTS: dict[str, tuple[int, float]] = {
 _FACTS: dict[str, tuple[str | None, ...]] = {
     **dict.fromkeys(("position", "velocity", "angular_velocity"), ("x", "y", "z")),
     "orientation": ("x", "y", "z", "w"),
+    **dict.fromkeys(("age", "fresh"), (None,)),
     **dict.fromkeys(("joint_position", "joint_velocity", "joint_torque"), (None,)),
 }
 

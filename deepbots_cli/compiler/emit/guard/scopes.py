@@ -7,9 +7,10 @@ from graphlib import CycleError, TopologicalSorter
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
+from deepbots_cli.compiler.emit.reads import ARRIVALS
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.ir import CompiledScenario, Ending, own_action
-from deepbots_cli.lang.scalar import Name
+from deepbots_cli.lang.scalar import Name, World
 
 _BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended", "previous_reward", "episode_return"))
 
@@ -22,6 +23,7 @@ def require_known_names(scenario: CompiledScenario) -> None:
     known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
     known |= {("previous_action", component) for component in own_action(scenario.action)}
     _require_parameters(scenario)
+    _require_senders(scenario)
     supervisor = [scenario.action, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
     _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
     for robot in scenario.robots:
@@ -37,6 +39,17 @@ def _require_parameters(scenario: CompiledScenario) -> None:
         _require_in([entry.values, entry.redraw], known)
         known.update(flat([entry]))
     _require_in([(robot.to_route, robot.from_route) for robot in scenario.robots], known)
+
+
+def _require_senders(scenario: CompiledScenario) -> None:
+    """Only the supervisor knows how old messages are, and only those of robots."""
+    on_board = tuple((robot.emit, robot.apply) for robot in scenario.robots)
+    if _senders((scenario.reset, on_board)) or not _senders(scenario) <= {robot.name for robot in scenario.robots}:
+        raise CanonicalError("the age of a message that the supervisor knows nothing of")
+
+
+def _senders(expressions: object) -> set[str]:
+    return {node.subjects[0] for node in nodes(expressions) if isinstance(node, World) and node.function in ARRIVALS}
 
 
 def require_order(endings: tuple[Ending, ...]) -> None:
