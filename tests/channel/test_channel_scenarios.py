@@ -1,0 +1,170 @@
+"""Messages on their way, from the text of a scenario to what a step returns, on a cart that does at once what it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.runtime import Supervisor
+
+Make = Callable[..., Supervisor]
+DRIVES = (1.0, -1.0, 0.5, -0.5, 0.25, 0.75)
+NEARLY = 1e-4
+PAIR = Path(__file__).parents[1] / "data" / "scenarios" / "pair.yaml"
+
+
+def terms(environment: Supervisor, drives: Sequence[float] = DRIVES, seed: int = 0) -> dict[str, list[float]]:
+    """Each reward term over an episode that takes these actions."""
+    environment.reset(seed=seed)
+    rows = [environment.step(np.array([drive]))[4]["reward_terms"] for drive in drives]
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+@pytest.mark.parametrize(("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)])
+def test_a_robot_acts_when_the_message_arrives(make: Make, latency: str, ticks: int) -> None:
+    found = terms(make(f"messages.to_robot={{latency: {latency}}}"))
+    assert found["truth"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
+    assert found["sent"] == pytest.approx(found["truth"])
+
+
+@pytest.mark.parametrize(("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)])
+def test_a_supervisor_goes_by_what_has_arrived(make: Make, latency: str, ticks: int) -> None:
+    found = terms(make(f"messages.from_robot={{latency: {latency}}}"))
+    assert found["truth"] == pytest.approx(DRIVES, abs=NEARLY)
+    assert found["sent"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
+
+
+def test_paper_timing_is_one_tick_more_either_way(make: Make) -> None:
+    route = "{to_robot: {latency: 20 ms}, from_robot: {latency: 20 ms}"
+    immediate, paper = (terms(make(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "paper"))
+    assert immediate["truth"] == pytest.approx([0.0, *DRIVES[:5]], abs=NEARLY)
+    assert immediate["sent"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
+    assert paper["truth"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
+    assert paper["sent"] == pytest.approx([0.0] * 4 + [*DRIVES[:2]], abs=NEARLY)
+
+
+@pytest.mark.parametrize("format", ["struct", "csv", "json", "msgpack"])
+def test_every_format_may_be_late_and_lost(make: Make, format: str) -> None:
+    environment = make(f"messages={{format: {format}, to_robot: {{loss: 100 %, on_loss: zero}}, from_robot: {{latency: 20 ms}}}}")
+    assert terms(environment)["truth"] == pytest.approx([0.0] * 6, abs=NEARLY)
+
+
+@pytest.mark.parametrize(
+    ("on_loss", "moves"), [("hold", [0.0] * 6), ("skip", [0.0] * 6), ("zero", [1.0] * 6)], ids=lambda value: str(value)[:4]
+)
+def test_what_a_robot_makes_of_a_lost_message(make: Make, on_loss: str, moves: list[float]) -> None:
+    """All is lost here: the robot acts on zeros or on nothing at all."""
+    environment = make(f"messages.to_robot={{loss: 1, on_loss: {on_loss}}}", "robots.cart.apply.motor=0.1 m/s + drive * 0.1 m/s")
+    assert terms(environment, [0.5] * 6)["truth"] == pytest.approx(moves, abs=NEARLY)
+
+
+@pytest.mark.parametrize(("on_loss", "grown"), [("hold", True), ("skip", False)])
+def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(make: Make, on_loss: str, grown: bool) -> None:
+    environment = make(
+        f"messages.to_robot={{loss: 50 %, on_loss: {on_loss}}}",
+        "robots.cart.apply.motor=accumulate(drive * 0.1 m/s, -9 .. 9 m/s, 0 m/s)",
+    )
+    environment.reset(seed=1)
+    last = [environment.step(np.array([0.1]))[4]["reward_terms"]["truth"] for _ in range(40)][-1]
+    assert (last == pytest.approx(4.0, abs=0.2)) == grown or (last < 3.5 and not grown)
+
+
+def test_what_the_supervisor_holds_or_zeroes_is_what_arrived(make: Make) -> None:
+    held, zeroed = (terms(make(f"messages.from_robot={{loss: 0.5, on_loss: {word}}}"), [1.0] * 60) for word in ("hold", "zero"))
+    lost = [value == 0.0 for value in zeroed["sent"]]
+    assert 10 < sum(lost) < 50
+    first = lost.index(False)
+    assert held["sent"][:first] == [0.0] * first
+    assert held["sent"][first:] == pytest.approx([1.0] * (60 - first), abs=NEARLY)
+
+
+def test_beyond_its_range_a_robot_hears_nothing(make: Make) -> None:
+    near, far = (make("messages.to_robot={range: 1 m}", f"robots.cart.pose={{y: {y} m}}") for y in (0.5, 1.5))
+    assert terms(near)["truth"] == pytest.approx(DRIVES, abs=NEARLY)
+    assert terms(far)["truth"] == pytest.approx([0.0] * 6, abs=NEARLY)
+
+
+# What the supervisor knows of it
+
+TOLD = "signals: {stale: age(cart), came: fresh(cart)}\n"
+GRANT = "augment: {shown: velocity(cart.cart).x * s / m}"
+SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
+
+
+@pytest.mark.parametrize(
+    ("route", "ages", "fresh"),
+    [
+        ("messages.from_robot={latency: 0 ms}", [0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]),
+        ("messages.from_robot={latency: 30 ms}", [1, 2, 2, 2, 2, 2], [0, 0, 1, 1, 1, 1]),
+        ("messages.from_robot={loss: 1}", [1, 2, 3, 4, 5, 6], [0, 0, 0, 0, 0, 0]),
+        ("messages.from_robot={loss: 1, on_loss: zero}", [1, 2, 3, 4, 5, 6], [0, 0, 0, 0, 0, 0]),
+        ("messages.timing=paper", [1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1]),
+        ("messages.format=none", [0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]),
+    ],
+)
+def test_age_counts_from_measurement_and_fresh_says_that_one_came(make: Make, route: str, ages: list[int], fresh: list[int]) -> None:
+    found = terms(make(route, SEEN, more=TOLD))
+    assert found["age"] == pytest.approx(ages)
+    assert found["came"] == fresh
+
+
+def test_the_first_message_of_an_episode_is_there_at_once(make: Make) -> None:
+    observed = "observation={stale: 0 .. 1 s, came: auto, cart.place: -2.4 .. 2.4 m}"
+    environment = make("messages.from_robot={latency: 300 ms, loss: 0.9}", observed, "reset.set={cart.slider: 1.2 m}", more=TOLD)
+    assert environment.reset(seed=0)[0].tolist() == pytest.approx([-1.0, 1.0, 0.5])
+
+
+def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
+    environment = make("messages.from_robot={latency: uniform(0 .. 60 ms) each step, order: newest}", SEEN, more=TOLD)
+    ages = {round(age) for age in terms(environment, [0.0] * 200)["age"]}
+    assert ages == {1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    ("signal", "codes"),
+    [
+        ("age(cart) / s", []),
+        ("where(fresh(cart), cart.place / m, previous(drive) + time / s)", []),
+        ("limit * step * inner", []),
+        ("wind * cart.place / m", ["DB609"]),
+        ("position(cart.cart).x / m", ["DB609"]),
+        ("2 * hidden", ["DB609"]),
+        ("2 * shown", []),
+    ],
+)
+def test_what_is_made_of_messages_is_no_privilege(make: Make, tmp_path: Path, signal: str, codes: list[str]) -> None:
+    names = f'inner: cart.rate * s / m, hidden: yaw(cart.cart) / rad, seen: "{signal}"'
+    make("observation={seen: -1 .. 1}", more=f"parameters: {{limit: 2, wind: uniform(0 .. 1)}}\n{GRANT}\nsignals: {{{names}}}\n")
+    found = api.lint(tmp_path / "cart_0.yaml", sets=["observation={seen: -1 .. 1}"])
+    assert [finding.code for finding in found if finding.code == "DB609"] == codes
+
+
+# Episodes and robots
+
+
+def test_a_new_episode_knows_nothing_of_the_last(make: Make) -> None:
+    route = "{to_robot: {latency: 60 ms, loss: 0.3, burst: 4}, from_robot: {latency: uniform(0 .. 50 ms) each step, loss: 0.3}}"
+    environment = make(f"messages={route}")
+    first = terms(environment)
+    terms(environment, [0.3] * 11, seed=5)
+    assert terms(environment) == first
+    assert terms(make(f"messages={route}")) == first
+
+
+def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
+    """Robot `left` is out of reach of the supervisor in one world; what `right` hears and says stays the same, bit by bit."""
+
+    def right(reach: str, *sets: str) -> list[float]:
+        drawn = "{latency: uniform(0 .. 60 ms) each step, loss: 0.3, burst: 2, range: REACH}".replace("REACH", reach)
+        environment = make(f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *sets, text=PAIR.read_text())
+        observations = [environment.reset(seed=3)[0]]
+        observations += [environment.step(np.array([step % 3, 0]))[0] for step in range(50)]
+        return [float(observation[2]) for observation in observations]
+
+    both, one = right("3 m"), right("3 m", "robots.left.pose={y: 5 m}", "termination={}")
+    assert len(set(both)) > 10
+    assert both == one
