@@ -52,6 +52,7 @@ def other_conditions(run: CompiledScenario, scenario: CompiledScenario) -> list[
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
+        ("repeat", str(run.agent.repeat), str(scenario.agent.repeat)),
     )
     return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
 

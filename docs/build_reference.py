@@ -36,7 +36,6 @@ _KEYS_LATER: dict[Route, tuple[str, ...]] = {
     route: tuple(key for other, key in support.LATER if other == route) for route, _ in support.LATER
 }
 _KINDS_RUN: dict[Route, frozenset[str]] = {
-    ("train",): support.TRAINED,
     ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),
     ("robots", "*", "actuators", "*"): frozenset(support.MOTORS),
 }

@@ -14,7 +14,7 @@ controllers.py  messages of a robot; actuators.py what it drives
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees
 channels.py     what messages meet on their way, draws that are repeated
-scoring.py      signals, reward, endings, training
+scoring.py      signals, reward, endings; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       places and joints at the start; poses.py named positions of joints
 inputs.py       the files that it was made from, as a run keeps copies of them
@@ -39,8 +39,9 @@ from deepbots_cli.compiler.observations import Observations
 from deepbots_cli.compiler.resets import joint_starts, placements
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, training, truncation
+from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
 from deepbots_cli.compiler.support import check_support
+from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
 from deepbots_cli.diagnostics import Finding, Findings
@@ -181,6 +182,7 @@ class _Pass:
             namespace.settle(name)
         world = WorldBuilder(spec, namespace).build(scenes)
         action = actions.parts()
+        limits = truncation(spec, namespace)
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
         return Task(
             spec.name,
@@ -196,12 +198,12 @@ class _Pass:
             Observations(spec, namespace).entries(),
             reward_terms(spec, namespace),
             signals.endings(),
-            truncation(spec, namespace),
+            limits,
             placements(spec, namespace),
             joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
             self._settle(world.timestep),
             solved(spec, values),
-            training(spec, values, action),
+            training(spec, values, action, limits, world.timestep),
             Evaluation(spec.evaluation.episodes),
             frozenset(spec.augment),
             tuple(namespace.variations),

@@ -1,4 +1,4 @@
-"""What the episode is worth and when it ends: signals, reward, endings, truncation, solved, training."""
+"""What the episode is worth and when it ends: signals, reward, endings, truncation, solved."""
 
 from __future__ import annotations
 
@@ -12,14 +12,10 @@ from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.types import Context, Symbol
-from deepbots_cli.schema.plain import read_schedule
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskEnding, Valued
-
-_ON_CHOICES = frozenset({"DQN"})
-_ON_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 
 
 class Signals:
@@ -119,30 +115,3 @@ def solved(spec: Scenario, values: Values) -> ir.Solved | None:
     rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return ir.Solved(spec.solved.episodes, mean_return, rate)
-
-
-def training(spec: Scenario, values: Values, action: tuple[ir.Choices | ir.Interval, ...]) -> ir.Training | None:
-    """The training section; an algorithm that cannot act in this action space is a finding."""
-    if spec.train is None:
-        return None
-    _check_algorithm(spec.train.algorithm, values, action)
-    figures = []
-    for name, given in spec.train.hyperparameters.items():
-        if isinstance(given, (bool, int, float, str)) or given is None:
-            ramp = read_schedule(given) if isinstance(given, str) else None
-            figures.append(ir.Hyperparameter(name, ir.Schedule(*ramp) if ramp else given))
-    policy = ir.Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation)
-    return ir.Training(spec.train.algorithm, spec.train.total_timesteps, spec.train.environments, tuple(figures), policy)
-
-
-def _check_algorithm(algorithm: str, values: Values, action: tuple[ir.Choices | ir.Interval, ...]) -> None:
-    if not action:
-        return
-    continuous = [part for part in action if isinstance(part, ir.Interval)]
-    span = values.span(("train", "algorithm"))
-    if algorithm in _ON_CHOICES and (continuous or len(action) > 1):
-        values.findings.add("DB612", span, f"{algorithm} needs one choice as its action", help="use PPO, or give the action as `choices`")
-    elif algorithm in _ON_INTERVALS and len(continuous) < len(action):
-        values.findings.add(
-            "DB612", span, f"{algorithm} cannot choose between options", help="use PPO or DQN, or give the action as a range"
-        )

@@ -15,7 +15,6 @@ from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 
 MOTORS = ("velocity_motor", "position_motor", "torque_motor")
-TRAINED = frozenset({"A2C", "DDPG", "DQN", "PPO", "SAC", "TD3"})
 
 # A key of the parts found at a path (a `*` stands for any name) that is not delivered yet.
 LATER: tuple[tuple[tuple[str, ...], str], ...] = (
@@ -48,8 +47,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("reset", "place", "*"), "at_most"),
     (("reset", "place", "*"), "velocity"),
     (("reset", "place", "*"), "angular_velocity"),
-    (("train",), "replay"),
-    (("train",), "action_noise"),
 )
 
 
@@ -68,8 +65,6 @@ def check_support(spec: Scenario, values: Values) -> None:
                 _report(values, (*path, key), f"`{key}`")
         if "python" in part.model_fields_set:
             _report(values, (*path, "python"), "a Python term")
-    if spec.train is not None and spec.train.algorithm not in TRAINED:
-        _report(values, ("train", "algorithm"), f"training with {spec.train.algorithm}")
     mixed = {hasattr(part, "choices") for part in spec.action.values()}
     if len(mixed) > 1:
         _report(values, ("action",), "an action of both choices and ranges")

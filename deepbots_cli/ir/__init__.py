@@ -53,7 +53,7 @@ from deepbots_cli.ir.task import (
     own_action,
     viewed,
 )
-from deepbots_cli.ir.training import Criterion, Evaluation, Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.ir.training import ActionNoise, Criterion, Evaluation, Hindsight, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.ir.values import NamedValues, Parameter, Redraw
 from deepbots_cli.ir.world import (
     MOST_BODIES,
@@ -75,6 +75,7 @@ __all__ = [
     "MOST_SEEN",
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
+    "ActionNoise",
     "Actuator",
     "Agent",
     "Arena",
@@ -91,6 +92,7 @@ __all__ = [
     "Faults",
     "Field",
     "Ground",
+    "Hindsight",
     "Hyperparameter",
     "Interval",
     "Lookup",
@@ -162,6 +164,11 @@ class CompiledScenario:
     cases: tuple[Case, ...] = ()
     curriculum: tuple[Stage, ...] = ()
     version: int = IR_VERSION
+
+    @property
+    def period(self) -> float:
+        """Simulated time of a whole step of the agent, in s."""
+        return self.world.timestep * self.agent.repeat
 
     def case(self, name: str) -> Case:
         """The case of the evaluation of that name.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -127,6 +128,11 @@ class Truncation:
 
     max_steps: int | None = None
     max_time: float | None = None
+
+    def most_steps(self, period: float) -> int:
+        """Steps of the agent, of `period` s each, after which an episode is cut short at the latest."""
+        time = [math.ceil(self.max_time / period - 1e-9)] if self.max_time else []
+        return max(1, min([self.max_steps or 2**63, *time]))
 
 
 @dataclass(frozen=True)

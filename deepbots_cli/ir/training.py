@@ -40,12 +40,31 @@ class Hyperparameter:
 
 
 @dataclass(frozen=True)
+class ActionNoise:
+    """Noise on the actions while training; `sigma` is its standard deviation in the agent's [-1, 1], `theta` is per step."""
+
+    type: Literal["normal", "ornstein_uhlenbeck"]
+    sigma: Schedule
+    theta: float = 0.15
+
+
+@dataclass(frozen=True)
+class Hindsight:
+    """Hindsight experience replay: `goals` made-up goals per step, from later in the episode, its end, or anywhere in it."""
+
+    goals: int = 4
+    strategy: Literal["future", "final", "episode"] = "future"
+
+
+@dataclass(frozen=True)
 class Training:
     algorithm: str
     total_timesteps: int
     environments: int = 1
     hyperparameters: tuple[Hyperparameter, ...] = ()
     policy: Policy = Policy()
+    action_noise: ActionNoise | None = None
+    replay: Hindsight | None = None
 
 
 @dataclass(frozen=True)

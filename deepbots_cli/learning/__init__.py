@@ -9,6 +9,7 @@ atomic.py        whole files, and JSON read with suspicion
 exclusive.py     one training at a time in a run
 weights.py       networks and optimisers as plain arrays; no pickle is ever loaded
 algorithms.py    the table of algorithms and our defaults
+noise.py         noise on the actions of algorithms that explore by it
 environments.py  copies of one world, stepped in turn in one process
 episodes.py      what an episode leaves behind: log, statistics, solved
 callbacks.py     what happens during training: best model, checkpoints, logging

@@ -5,23 +5,26 @@ Our defaults suit small networks and light worlds on a CPU; every other figure i
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from inspect import signature
 from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.her import HerReplayBuffer
 from torch import nn
 
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.errors import UsageError
-from deepbots_cli.ir import Policy, Schedule, Training
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.ir import ActionNoise, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.learning.noise import noise
 
 Settings = dict[str, Any]
 
@@ -84,37 +87,85 @@ ALGORITHMS: Mapping[str, Algorithm] = {
     "A2C": Algorithm("stable_baselines3.A2C", True, _sb3_own),
     "DDPG": Algorithm("stable_baselines3.DDPG", False, _actor_critic, exploration_noise=True),
     "DQN": Algorithm("stable_baselines3.DQN", False, _dqn),
+    "MaskablePPO": Algorithm("sb3_contrib.MaskablePPO", True, _ppo),
     "PPO": Algorithm("stable_baselines3.PPO", True, _ppo),
     "SAC": Algorithm("stable_baselines3.SAC", False, _actor_critic),
     "TD3": Algorithm("stable_baselines3.TD3", False, _actor_critic, exploration_noise=True),
+    "TQC": Algorithm("sb3_contrib.TQC", False, _actor_critic),
 }
+_EXPLORATION = ActionNoise("normal", Schedule(0.1, 0.1))
 
 
-def create(training: Training, copies: VecEnv, *, seed: int, total_timesteps: int, to_learn: bool = True) -> BaseAlgorithm:
+def create(
+    training: Training, copies: VecEnv, *, seed: int, total_timesteps: int, longest_episode: int = 1, to_learn: bool = True
+) -> BaseAlgorithm:
     """A fresh model for the copies, on the CPU. One that is not to learn gets no room for experience.
+
+    `longest_episode` is in steps; hindsight begins to learn when one has ended for sure.
 
     Raises:
         UsageError: The algorithm is unknown, or refuses the settings or the spaces.
+        MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
-    settings = algorithm.defaults(training, total_timesteps) | {h.name: _value(h.value) for h in training.hyperparameters}
-    if algorithm.exploration_noise and isinstance(copies.action_space, gym.spaces.Box):
-        size = copies.action_space.shape
-        settings["action_noise"] = NormalActionNoise(np.zeros(size, np.float32), np.full(size, 0.1, np.float32))
+    settings = algorithm.defaults(training, total_timesteps)
+    if training.replay is not None:
+        settings |= _hindsight(training, longest_episode)
+    settings |= {h.name: _value(h) for h in training.hyperparameters}
+    kind = training.action_noise or (_EXPLORATION if algorithm.exploration_noise else None)
+    models: list[BaseAlgorithm] = []
+    if kind is not None and isinstance(copies.action_space, gym.spaces.Box):
+        settings["action_noise"] = noise(kind, copies.action_space.shape, lambda: models[0]._current_progress_remaining)
     if not to_learn:
         settings |= (
-            {"n_steps": 2} | ({"batch_size": 2} if training.algorithm == "PPO" else {}) if algorithm.on_policy else {"buffer_size": 1}
+            {"n_steps": 2, **({} if training.algorithm == "A2C" else {"batch_size": 2})} if algorithm.on_policy else {"buffer_size": 1}
         )
+        for name in ("replay_buffer_class", "replay_buffer_kwargs"):
+            settings.pop(name, None)
+    else:
+        check_replay(settings, copies.observation_space)
     policy = "MultiInputPolicy" if isinstance(copies.observation_space, gym.spaces.Dict) else "MlpPolicy"
-    home, _, name = algorithm.place.rpartition(".")
     try:
-        model: BaseAlgorithm = getattr(import_module(home), name)(
-            policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=_networks(training.policy, algorithm), **settings
+        models.append(
+            _imported(algorithm)(
+                policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=_networks(training.policy, algorithm), **settings
+            )
         )
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error
-    return model
+    return models[0]
+
+
+def _imported(algorithm: Algorithm) -> Callable[..., BaseAlgorithm]:
+    home, _, name = algorithm.place.rpartition(".")
+    try:
+        found: Callable[..., BaseAlgorithm] = getattr(import_module(home), name)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("contrib", f"training with {name}") from error
+    return found
+
+
+def _hindsight(training: Training, longest_episode: int) -> Settings:
+    """What hindsight replay takes; goals come from episodes that have ended, so learning waits for the first."""
+    assert training.replay is not None
+    kwargs = {"n_sampled_goal": training.replay.goals, "goal_selection_strategy": training.replay.strategy}
+    return {
+        "replay_buffer_class": HerReplayBuffer,
+        "replay_buffer_kwargs": kwargs,
+        "learning_starts": max(1_000, longest_episode * training.environments),
+    }
+
+
+def takes_masks(model: BaseAlgorithm) -> bool:
+    """Whether the policy wants to know which choices are forbidden."""
+    return "action_masks" in signature(model.predict).parameters
+
+
+def has_masks(model: BaseAlgorithm) -> bool:
+    """Whether the model's worlds say so."""
+    worlds = model.get_env()
+    return worlds is not None and worlds.has_attr("action_masks")
 
 
 def check(training: Training) -> None:
@@ -137,13 +188,32 @@ def check_memory(copies: int, memory: int | None = None) -> None:
     Raises:
         UsageError: They do not.
     """
-    if memory is None:
-        if not hasattr(os, "sysconf"):  # not on Windows
-            return
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = _memory() if memory is None else memory
     needed = copies * _BYTES_PER_COPY
-    if needed > memory:
+    if memory is not None and needed > memory:
         raise UsageError(f"{copies} environments need about {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB")
+
+
+def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None = None) -> None:
+    """Whether the remembered steps fit into this machine; `memory` as for `check_memory`.
+
+    Raises:
+        UsageError: They do not.
+    """
+    memory = _memory() if memory is None else memory
+    steps = settings.get("buffer_size", 0)
+    parts = space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
+    needed = 2 * steps * sum(math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize for part in parts)
+    if memory is not None and needed > memory:
+        raise UsageError(
+            f"{steps:_} remembered steps need {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB; "
+            f"give 'buffer_size' under 'train'"
+        )
+
+
+def _memory() -> int | None:
+    """Bytes of this machine; None where it does not say (on Windows)."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else None
 
 
 def _entry(name: str) -> Algorithm:
@@ -163,8 +233,11 @@ def _networks(policy: Policy, algorithm: Algorithm) -> Settings:
     return {"net_arch": shape, "activation_fn": _ACTIVATIONS[policy.activation]}
 
 
-def _value(value: bool | int | float | str | Schedule | None) -> object:
-    if not isinstance(value, Schedule):
-        return value
-    start, end = value.start, value.end
+def _value(given: Hyperparameter) -> object:
+    if given.name == "train_freq" and isinstance(given.value, str):
+        count, _, unit = given.value.partition(" ")
+        return int(count), unit.rstrip("s")
+    if not isinstance(given.value, Schedule):
+        return given.value
+    start, end = given.value.start, given.value.end
     return lambda remaining: end + (start - end) * remaining

@@ -17,7 +17,7 @@ from deepbots_cli.learning.progress import Reporter, Standing
 from deepbots_cli.learning.run import Run
 
 CHECKPOINT_SECONDS = 10.0
-"""Time between checkpoints: what a killed training loses at most. Writing one takes about 3 ms."""
+"""Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare. A small one takes about 3 ms."""
 
 
 class Keeper:
@@ -101,9 +101,12 @@ class Watch(BaseCallback):
     def _look_after(self) -> None:
         self.told.update(self.standing())
         self.keeper.keep_best(self.model)
-        if time.monotonic() >= self._next_checkpoint:
+        began = time.monotonic()
+        if began >= self._next_checkpoint:
             self.keeper.keep_last(self.model)
-            self._next_checkpoint = time.monotonic() + CHECKPOINT_SECONDS
+            done = time.monotonic()
+            # A replay buffer of a gigabyte takes seconds; at most a twentieth of the time goes into writing.
+            self._next_checkpoint = done + max(CHECKPOINT_SECONDS, 20 * (done - began))
         self._record()
 
     def _record(self) -> None:

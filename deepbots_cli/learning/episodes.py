@@ -83,8 +83,9 @@ class SolvedAt:
 class Statistics:
     """Counts and moving means of a training, in order of completion over all copies of the environment."""
 
-    def __init__(self, timestep: float, solved: Solved | None) -> None:
-        self.timestep = timestep
+    def __init__(self, period: float, solved: Solved | None) -> None:
+        """`period` is the time that a step of the agent takes, in s."""
+        self.period = period
         self.solved = solved
         self.steps = 0
         self.episodes = 0
@@ -94,7 +95,7 @@ class Statistics:
 
     @property
     def simulated_hours(self) -> float:
-        return self.steps * self.timestep / 3600
+        return self.steps * self.period / 3600
 
     @property
     def cpu_seconds(self) -> float:

@@ -117,7 +117,7 @@ def evaluate(
         policy = load(known, model, worlds[0])
         done = rollout(policy, worlds, seeds, deterministic=deterministic)
     if video_to is not None:
-        with closing(make(ir, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / ir.world.timestep) as filmed:
+        with closing(make(ir, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / ir.period) as filmed:
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
     return _summary(known, ir, case, model, root, done, deterministic=deterministic, video_to=video_to)
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from deepbots_cli.learning import algorithms
 from deepbots_cli.learning.environments import World
 from deepbots_cli.learning.episodes import Episode, Tally
 from deepbots_cli.runtime.streams import derive
@@ -26,14 +27,14 @@ ROWS = 8
 def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool) -> list[Episode]:
     """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy only one."""
     together = min(len(worlds), ROWS) if deterministic else 1
-    batch = _Batch(worlds[0].observation_space)
+    batch = _Batch(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
     for first in range(0, min(ROWS, len(seeds)), together):
         rows = range(first, min(first + together, ROWS, len(seeds)))
         lanes = [_Lane(world, row, range(row, len(seeds), ROWS), seeds) for world, row in zip(worlds, rows, strict=False)]
         running = [lane for lane in lanes if lane.begin(batch)]
         while running:
-            actions, _ = model.predict(batch.observations, deterministic=deterministic)
+            actions, _ = model.predict(batch.observations, deterministic=deterministic, **batch.masks)
             for lane in running:
                 episode = lane.step(actions[lane.row], batch)
                 if episode is not None:
@@ -43,19 +44,33 @@ def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int],
 
 
 class _Batch:
-    """The observations of one forward pass; rows of worlds that do not run keep what they last held."""
+    """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
-    def __init__(self, space: gym.Space[Any]) -> None:
+    Where the policy heeds them, `masks` say beside them which of the agent's `choices` are allowed.
+    """
+
+    def __init__(self, space: gym.Space[Any], choices: int | None) -> None:
+        self.masks: dict[str, Any] = {} if choices is None else {"action_masks": np.ones((ROWS, choices), dtype=bool)}
         self.observations: Any = (
             {key: _zeros(part) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space)
         )
 
-    def put(self, row: int, observation: Any) -> None:
+    def put(self, row: int, observation: Any, world: World) -> None:
+        for masks in self.masks.values():
+            masks[row] = world.get_wrapper_attr("action_masks")()
         if isinstance(self.observations, dict):
             for key, rows in self.observations.items():
                 rows[row] = observation[key]
         else:
             self.observations[row] = observation
+
+
+def _choices(world: World) -> int | None:
+    """How many options the agent has, over all parts of its action; None where the world forbids none."""
+    if not world.has_wrapper_attr("action_masks"):
+        return None
+    space: Any = world.action_space
+    return int(space.n) if isinstance(space, gym.spaces.Discrete) else int(space.nvec.sum())
 
 
 def _zeros(space: gym.Space[Any]) -> np.ndarray[Any, np.dtype[Any]]:
@@ -81,12 +96,12 @@ class _Lane:
         self.number = number
         # Only a policy that samples draws from this.
         torch.manual_seed(derive(self._seeds[number], "policy"))
-        batch.put(self.row, self._world.reset(seed=self._seeds[number])[0])
+        batch.put(self.row, self._world.reset(seed=self._seeds[number])[0], self._world)
         return True
 
     def step(self, action: Any, batch: _Batch) -> Episode | None:
         """The episode, if this step was its last."""
         observation, reward, terminated, truncated, info = self._world.step(action)
         self._tally.add(float(reward), info)
-        batch.put(self.row, observation)
+        batch.put(self.row, observation, self._world)
         return self._tally.close(info) if terminated or truncated else None

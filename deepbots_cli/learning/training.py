@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -134,7 +135,7 @@ def train(
     )
     with sole_trainer(path):
         new = Run.create(path, record, compiled)
-        statistics = Statistics(compiled.ir.world.timestep, compiled.ir.solved)
+        statistics = Statistics(compiled.ir.period, compiled.ir.solved)
         return _learn(new, training, Keeper(new, statistics), build, reporter(progress))
 
 
@@ -174,7 +175,7 @@ def _go_on(
 ) -> TrainingResult:
     record = known.record
     training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
-    statistics = Statistics(known.ir.world.timestep, known.ir.solved)
+    statistics = Statistics(known.ir.period, known.ir.solved)
     best = None
     if not known.stillborn:
         state = weights.read_state(known.checkpoint)
@@ -227,7 +228,13 @@ def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> No
     """Fail before there is a run directory, if the world cannot be built or the algorithm refuses its settings."""
     with closing(build(ir)) as world:
         copies = Copies([world] * training.environments, [0] * training.environments, on_step=lambda: None, on_episode=lambda episode: None)
-        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps)
+        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=_longest_episode(ir))
+
+
+def _longest_episode(ir: CompiledScenario) -> int:
+    """In steps of the agent, over the scenario and its stages."""
+    stages = [ir, *(stage.scenario for stage in ir.curriculum)]
+    return max(stage.truncation.most_steps(stage.period) for stage in stages)
 
 
 def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | None, told: Reporter) -> TrainingResult:
@@ -296,7 +303,13 @@ def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, s
 def _model(run: Run, training: Training, copies: Copies, statistics: Statistics) -> BaseAlgorithm:
     """A fresh model, or that of the checkpoint when there is something to go on from."""
     seed = run.record.seed
-    model = algorithms.create(training, copies, seed=derive(seed, "policy"), total_timesteps=training.total_timesteps)
+    model = algorithms.create(
+        training,
+        copies,
+        seed=derive(seed, "policy"),
+        total_timesteps=training.total_timesteps,
+        longest_episode=_longest_episode(run.ir),
+    )
     if statistics.steps:
         weights.put(model, weights.read(run.checkpoint, model))
         model.num_timesteps = statistics.steps
@@ -307,7 +320,8 @@ def _model(run: Run, training: Training, copies: Copies, statistics: Statistics)
 
 def _drive(model: BaseAlgorithm, watch: Watch, run: Run) -> Status:
     try:
-        model.learn(watch.total - model.num_timesteps, callback=watch, reset_num_timesteps=False)
+        masks: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
+        model.learn(watch.total - model.num_timesteps, callback=watch, reset_num_timesteps=False, **masks)
     except KeyboardInterrupt:
         return "interrupted"
     except ValueError as error:

@@ -7,7 +7,8 @@ has are read, so that a file from a stranger can cost no more memory than the mo
     policy/action_net.weight              a tensor of a module
     policy.optimizer/3/exp_avg            what an optimiser remembers of its parameter 3
     variable/log_ent_coef                 a tensor of the algorithm
-    replay/observations                   transitions of an off-policy algorithm
+    replay/observations                   transitions of an off-policy algorithm, oldest first
+    replay/observations/camera            the same for a part of what is seen
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from gymnasium.spaces import Discrete
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.atomic import Entries, atomic, parse_object
@@ -83,7 +85,7 @@ def everything(model: BaseAlgorithm) -> dict[str, Array]:
     arrays |= {f"variable/{name}": _array(tensor) for name, tensor in _variables(model)}
     replay = _replay(model)
     if replay is not None:
-        arrays |= {f"replay/{name}": getattr(replay, name)[: replay.size()] for name in _REPLAY}
+        arrays |= {f"replay/{name}": _in_order(array, replay) for name, array in _columns(replay).items()}
     return arrays
 
 
@@ -104,7 +106,7 @@ def put(model: BaseAlgorithm, arrays: Mapping[str, Array]) -> None:
             tensor.data.copy_(torch.tensor(arrays[f"variable/{name}"]))
     replay = _replay(model)
     if replay is not None and "replay/rewards" in arrays:
-        _refill(replay, {name: arrays[f"replay/{name}"] for name in _REPLAY})
+        _refill(replay, arrays)
 
 
 def digest(arrays: Mapping[str, Array]) -> str:
@@ -232,8 +234,7 @@ def _slots(model: BaseAlgorithm) -> dict[str, Slot]:
         slots[f"variable/{name}"] = Slot(_array(tensor).dtype, tuple(tensor.shape), required=False)
     replay = _replay(model)
     if replay is not None:
-        for name in _REPLAY:
-            array = getattr(replay, name)
+        for name, array in _columns(replay).items():
             slots[f"replay/{name}"] = Slot(array.dtype, array.shape, required=False, rows=True, group="replay")
     return slots
 
@@ -261,19 +262,44 @@ def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
 
 
 def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
-    """The replay buffer where it is one of plain arrays; another kind is not kept."""
-    if isinstance(model, OffPolicyAlgorithm) and type(model.replay_buffer) is ReplayBuffer and not model.optimize_memory_usage:
-        return model.replay_buffer
-    return None
+    """The replay buffer, unless it keeps each observation once only: that kind is not kept."""
+    return model.replay_buffer if isinstance(model, OffPolicyAlgorithm) and not model.optimize_memory_usage else None
+
+
+def _columns(replay: ReplayBuffer) -> dict[str, Array]:
+    """The arrays of a replay buffer by name, a row per step; what is seen in parts has one for each part."""
+    columns: dict[str, Array] = {}
+    for name in _REPLAY:
+        column = getattr(replay, name)
+        columns |= {f"{name}/{part}": array for part, array in column.items()} if isinstance(column, dict) else {name: column}
+    return columns
+
+
+def _in_order(array: Array, replay: ReplayBuffer) -> Array:
+    """The rows of a ring that are filled, oldest first."""
+    return np.concatenate((array[replay.pos :], array[: replay.pos])) if replay.full and replay.pos else array[: replay.size()]
 
 
 def _refill(replay: ReplayBuffer, arrays: Mapping[str, Array]) -> None:
-    """A buffer that was full is filled from its first row on, whatever row had its turn."""
-    count = len(arrays["rewards"])
-    for name, array in arrays.items():
-        getattr(replay, name)[:count] = array
+    count = len(arrays["replay/rewards"])
+    for name, column in _columns(replay).items():
+        column[:count] = arrays[f"replay/{name}"]
     replay.pos = count % replay.buffer_size
     replay.full = count == replay.buffer_size
+    if isinstance(replay, HerReplayBuffer):
+        _find_episodes(replay, count)
+
+
+def _find_episodes(replay: HerReplayBuffer, count: int) -> None:
+    """Where each remembered step's episode begins and how long it is; 0 for those that had not ended, which are not drawn from."""
+    for copy in range(replay.n_envs):
+        first = 0
+        for end in np.flatnonzero(replay.dones[:count, copy]) + 1:
+            replay.ep_start[first:end, copy] = first
+            replay.ep_length[first:end, copy] = end - first
+            first = int(end)
+    # What is under way is begun anew.
+    replay._current_ep_start[:] = replay.pos
 
 
 def _array(tensor: torch.Tensor) -> Array:

@@ -67,7 +67,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"] if "rendering" in engine.capabilities else [],
-            "render_fps": max(1, round(1 / scenario.world.timestep)),
+            "render_fps": max(1, round(1 / scenario.period)),
         }
         self.observation_space = observation_space(scenario)
         self.action_space = action_space(scenario)

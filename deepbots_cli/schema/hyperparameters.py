@@ -29,7 +29,7 @@ class ActionNoise(Part):
         description="Independent (`normal`) or drifting (`ornstein_uhlenbeck`)."
     )
     sigma: Ramp = Field(description="Standard deviation in the agent's [-1, 1], or a schedule such as `0.5 -> 0.1`.")
-    theta: Positive = Field(default=0.15, description="How fast drifting noise returns to zero.")
+    theta: Positive = Field(default=0.15, description="How fast drifting noise returns to zero: by the factor `exp(-theta)` in a step.")
 
 
 class Hindsight(Part):

@@ -49,7 +49,7 @@ def test_the_interval_of_a_mean_needs_two_values_and_shrinks_to_nothing_for_equa
 
 
 def test_solved_is_noted_the_first_time_that_enough_consecutive_episodes_reach_it() -> None:
-    statistics = Statistics(timestep=0.5, solved=Solved(3, mean_return=10.0))
+    statistics = Statistics(period=0.5, solved=Solved(3, mean_return=10.0))
     for total in (30.0, 0.0, 0.0, 10.0, 20.0, 50.0):
         statistics.steps += 7_200
         statistics.add(Episode(total, 1, False, "end"))
@@ -58,14 +58,14 @@ def test_solved_is_noted_the_first_time_that_enough_consecutive_episodes_reach_i
 
 
 def test_episodes_before_the_window_is_full_solve_nothing() -> None:
-    statistics = Statistics(timestep=0.5, solved=Solved(3, mean_return=10.0))
+    statistics = Statistics(period=0.5, solved=Solved(3, mean_return=10.0))
     for _ in range(2):
         statistics.add(Episode(100.0, 1, True, "end"))
     assert statistics.solved_at is None
 
 
 def test_both_figures_of_solved_must_be_reached() -> None:
-    statistics = Statistics(timestep=0.5, solved=Solved(1, mean_return=10.0, success_rate=1.0))
+    statistics = Statistics(period=0.5, solved=Solved(1, mean_return=10.0, success_rate=1.0))
     statistics.add(Episode(10.0, 1, False, "end"))
     assert statistics.solved_at is None
     statistics.add(Episode(10.0, 1, True, "end"))

@@ -1,0 +1,78 @@
+"""How the policy is trained: the `train` section, and whether its algorithm suits the task."""
+
+from __future__ import annotations
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.values import Values
+from deepbots_cli.schema.hyperparameters import ActionNoise, Hindsight
+from deepbots_cli.schema.plain import read_schedule
+from deepbots_cli.schema.scenario import Scenario
+
+_ONE_CHOICE = frozenset({"DQN"})
+_CHOICES = frozenset({"DQN", "MaskablePPO"})
+_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
+
+Action = tuple[ir.Choices | ir.Interval, ...]
+
+
+def training(spec: Scenario, values: Values, action: Action, limits: ir.Truncation, tick: float) -> ir.Training | None:
+    """The training section; `tick` is the timestep in s.
+
+    An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
+    """
+    if spec.train is None:
+        return None
+    _check_algorithm(spec.train.algorithm, values, action)
+    own = spec.train.hyperparameters
+    figures = []
+    for name, given in own.items():
+        if name != "replay" and (isinstance(given, (bool, int, float, str)) or given is None):
+            ramp = read_schedule(given) if isinstance(given, str) else None
+            figures.append(ir.Hyperparameter(name, ir.Schedule(*ramp) if ramp else given))
+    replay = _hindsight(own.get("replay"), spec, values)
+    starts = own.get("learning_starts")
+    if replay is not None and starts is not None and limits != ir.Truncation():
+        longest = spec.train.environments * limits.most_steps(tick * spec.agent.repeat)
+        if starts < longest:
+            headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
+            values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
+    return ir.Training(
+        spec.train.algorithm,
+        spec.train.total_timesteps,
+        spec.train.environments,
+        tuple(figures),
+        ir.Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
+        _action_noise(own.get("action_noise")),
+        replay,
+    )
+
+
+def _action_noise(given: ActionNoise | None) -> ir.ActionNoise | None:
+    if given is None:
+        return None
+    start, end = read_schedule(given.sigma) or (0.0, 0.0)  # the schema has read it before
+    return ir.ActionNoise(given.type, ir.Schedule(start, end), given.theta)
+
+
+def _hindsight(given: Hindsight | str | None, spec: Scenario, values: Values) -> ir.Hindsight | None:
+    if given is None or given == "uniform":
+        return None
+    if spec.goal is None and not values.is_lost("goal"):
+        help = "add a `goal`, with what is achieved and what is desired, or take `replay` out"
+        values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a goal to make up", help=help)
+    return ir.Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, Hindsight) else ir.Hindsight()
+
+
+def _check_algorithm(algorithm: str, values: Values, action: Action) -> None:
+    intervals = [part for part in action if isinstance(part, ir.Interval)]
+    if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
+        headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
+    elif algorithm in _CHOICES and intervals:
+        headline, help = "a range, where `MaskablePPO` can only choose between options", "use PPO, or give the action as `choices`"
+    elif algorithm in _INTERVALS and len(intervals) < len(action):
+        headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
+    elif intervals and len(intervals) < len(action):
+        headline, help = "no algorithm acts by both choices and ranges", "give the ranges as choices, or the choices as ranges"
+    else:
+        return
+    values.findings.add("DB612", values.span(("train", "algorithm")), headline, help=help)

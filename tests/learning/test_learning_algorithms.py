@@ -1,0 +1,220 @@
+"""What the algorithms are given: noise, hindsight, masks, pictures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import stand_in
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.ir import ActionNoise, CompiledScenario, Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train, weights
+from deepbots_cli.learning.noise import noise
+
+SMALL = Policy((8,))
+
+
+def learned(world: Any, tmp_path: Path, training: Training, *, continuous: bool = False) -> TrainingResult:
+    return train(stand_in.compiled(training=training, continuous=continuous), run=tmp_path / "run", build=world)
+
+
+def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
+    return tuple(Hyperparameter(name, value) for name, value in figures.items())
+
+
+# Noise
+
+
+@pytest.mark.parametrize("theta", [0.15, 1.0])
+def test_drifting_noise_has_the_deviation_and_the_memory_that_it_is_given(theta: float) -> None:
+    np.random.seed(1)
+    drawn = noise(ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.5), theta), (20_000,), lambda: 1.0)
+    first, second = drawn(), drawn()
+    for sample in (first, second):
+        assert sample.std() == pytest.approx(0.5, rel=0.03)
+    assert np.corrcoef(first, second)[0, 1] == pytest.approx(math.exp(-theta), abs=0.03)
+    drawn.reset()
+    assert abs(np.corrcoef(second, drawn())[0, 1]) < 0.03
+
+
+@pytest.mark.parametrize("kind", ["normal", "ornstein_uhlenbeck"])
+def test_noise_goes_from_its_first_deviation_to_its_last(kind: Any) -> None:
+    np.random.seed(2)
+    left = [1.0]
+    drawn = noise(ActionNoise(kind, Schedule(0.5, 0.1)), (20_000,), lambda: left[0])
+    for share, deviation in ((1.0, 0.5), (0.5, 0.3), (0.0, 0.1)):
+        left[0] = share
+        assert drawn().std() == pytest.approx(deviation, rel=0.03)
+
+
+@pytest.mark.parametrize("algorithm", ["TD3", "DDPG", "SAC", "TQC"])
+def test_noise_fades_while_the_training_goes_on(tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[float] = []
+    plain = algorithms.noise
+
+    def watched(kind: Any, size: Any, remaining: Any) -> Any:
+        return plain(kind, size, lambda: seen.append(remaining()) or remaining())
+
+    monkeypatch.setattr(algorithms, "noise", watched)
+    training = Training(algorithm, 300, 2, hyper(learning_starts=50), SMALL, ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.1)))
+    learned(stand_in.build, tmp_path, training, continuous=True)
+    assert seen[0] > 0.8
+    assert seen[-1] < 0.05
+    assert seen == sorted(seen, reverse=True)
+
+
+# Hindsight
+
+
+class Reach(stand_in.CartPole):
+    """A point on a line that has to get to another; its reward follows from the two."""
+
+    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+        super().__init__(ir, render_mode)
+        one = gym.spaces.Box(-1, 1, (1,), np.float32)
+        self.observation_space = gym.spaces.Dict({"observation": one, "achieved_goal": one, "desired_goal": one})
+        self.action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place, self.goal = 0.0, float(self.np_random.uniform(-1, 1))
+        return self._seen(), self._info(None)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.place = float(np.clip(self.place + 0.2 * action[0], -1, 1))
+        self.steps += 1
+        seen = self._seen()
+        reward = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}))
+        cut = self.steps >= 10
+        return seen, reward, False, cut, self._info("max_steps" if cut else None) | {"is_success": reward == 0.0}
+
+    def _seen(self) -> dict[str, Any]:
+        place = np.array([self.place], np.float32)
+        return {"observation": place, "achieved_goal": place, "desired_goal": np.array([self.goal], np.float32)}
+
+    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
+        return -(np.abs(achieved - desired)[..., 0] > 0.1).astype(np.float32)
+
+
+REACH = Training(
+    "SAC", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Policy((32,)), None, Hindsight()
+)
+
+
+@pytest.fixture(scope="module")
+def reached(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
+    return learned(Reach, tmp_path_factory.mktemp("reach"), REACH)
+
+
+def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) -> None:
+    assert evaluate(reached.run, episodes=20, model="last", build=Reach).successes >= 15
+
+
+def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(reached: TrainingResult) -> None:
+    ir = stand_in.scenario(training=REACH)
+    worlds = copies_of(ir)
+    model = algorithms.create(REACH, worlds, seed=0, total_timesteps=1_500)
+    weights.put(model, weights.read(reached.run / "checkpoint.npz", model))
+    replay = model.replay_buffer
+    assert replay.size() == 500  # 1 000 for two copies, and the ring has gone round
+    # All episodes have ten steps; the oldest has lost some, the newest may not have ended.
+    assert set(np.unique(replay.ep_length[10:490])) == {10}
+    assert (replay.ep_start[10:490] % 10 == replay.ep_start[10] % 10).all()
+    result = resume(reached.run, total_timesteps=1_600, build=Reach)
+    assert result.steps >= 1_600
+
+
+def copies_of(ir: CompiledScenario) -> Any:
+    from deepbots_cli.learning.environments import Copies
+
+    return Copies([Reach(ir), Reach(ir)], [0, 1], on_step=lambda: None, on_episode=lambda episode: None)
+
+
+def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
+    training = replace(REACH, total_timesteps=100, hyperparameters=())
+    base = stand_in.compiled(training=training, max_steps=700)
+    model = algorithms.create(training, copies_of(base.ir), seed=0, total_timesteps=100, longest_episode=700)
+    assert model.learning_starts == 1_400
+    assert train(base, run=tmp_path / "run", build=Reach).steps == 100
+
+
+# Masks
+
+
+class OneWay(stand_in.CartPole):
+    """The second option is forbidden whenever the cart is right of the middle, and taking it then is a fault."""
+
+    def action_masks(self) -> Any:
+        return np.array([True, self.x <= 0.0])
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        assert self.action_masks()[action], "a forbidden action"
+        return super().step(action)
+
+
+def test_forbidden_choices_are_never_taken_in_training_and_evaluation(tmp_path: Path) -> None:
+    run = learned(OneWay, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)).run
+    assert evaluate(run, episodes=9, build=OneWay).episodes == 9
+    assert evaluate(run, episodes=2, deterministic=False, build=OneWay).episodes == 2
+    assert resume(run, total_timesteps=400, build=OneWay).steps >= 400
+
+
+def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> None:
+    run = learned(stand_in.build, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)).run
+    assert evaluate(run, episodes=3, build=stand_in.build).episodes == 3
+
+
+def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(algorithms.ALGORITHMS, "TQC", replace(algorithms.ALGORITHMS["TQC"], place="not_there.TQC"))  # type: ignore[arg-type]
+    with pytest.raises(MissingExtraError, match=r"training with TQC needs the 'contrib' extra; .*deepbots-cli\[contrib\]"):
+        learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
+    assert not (tmp_path / "run").exists()
+
+
+# Pictures
+
+
+class Seeing(stand_in.CartPole):
+    """The cart-pole with a picture beside its numbers."""
+
+    SIZE = 36
+
+    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+        super().__init__(ir, render_mode)
+        picture = gym.spaces.Box(0, 255, (self.SIZE, self.SIZE, 3), np.uint8)
+        self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "cart_camera": picture})
+
+    def _observation(self) -> Any:
+        picture = np.zeros((self.SIZE, self.SIZE, 3), np.uint8)
+        picture[:, int(18 + 30 * self.x)] = 255
+        return {"observation": super()._observation(), "cart_camera": picture}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "continuous", "settings"),
+    [("PPO", False, {"n_steps": 32, "batch_size": 32}), ("DQN", False, {"learning_starts": 50}), ("SAC", True, {"learning_starts": 50})],
+)
+def test_a_policy_that_sees_pictures_is_trained_kept_evaluated_and_gone_on_with(
+    tmp_path: Path, algorithm: str, continuous: bool, settings: dict[str, int]
+) -> None:
+    run = learned(Seeing, tmp_path, Training(algorithm, 100, 2, hyper(**settings), SMALL), continuous=continuous).run
+    first, again = (evaluate(run, episodes=3, model="last", build=Seeing) for _ in range(2))
+    assert first == again
+    assert resume(run, total_timesteps=150, build=Seeing).steps >= 150
+
+
+def test_more_remembered_pictures_than_memory_holds_are_refused_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"remembered steps need .* GB of memory"):
+        learned(Seeing, tmp_path, Training("DQN", 10**9, 1, hyper(buffer_size=10**8)))
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_frequency_of_updates_may_be_given_in_episodes(tmp_path: Path) -> None:
+    training = Training("DQN", 200, 1, hyper(train_freq="2 episodes", learning_starts=50), SMALL)
+    assert learned(stand_in.build, tmp_path, training).steps >= 200
