@@ -10,6 +10,7 @@ readers.py   joints, poses and velocities
 motors.py    motors, and springs with dampers on joints
 pushes.py    forces on links
 contacts.py  what touches what, how hard, and distances between surfaces
+rays.py      how far rays from a link are free
 figures.py   masses, friction, colours that an episode varies, and their way back
 substeps.py  what acts and looks around every engine step
 backdrop.py  floor and sky of a picture

@@ -14,7 +14,7 @@ from deepbots_cli.port import STILL
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.urdf.model import RobotModel
+    from deepbots_cli.urdf.model import Link, RobotModel
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,11 @@ class Dynamics:
 
 
 class Body:
-    """One PyBullet body. `brakes` is the friction (N m or N) of each joint by index; `anchor` a link that moves and touches."""
+    """One PyBullet body.
+
+    `brakes` is the friction (N m or N) of each joint by index, `anchor` a link that moves and touches, `still` the links
+    that never move.
+    """
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
@@ -42,8 +46,8 @@ class Body:
             self.joints[info[1].decode()] = index
             self.links[info[12].decode()] = index
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
-        still = held_by(model, model.root) if fixed else {}
-        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in still]
+        self.still = frozenset(held_by(model, model.root) if fixed else ())
+        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.still]
         self.anchor = touching[0] if touching else None
         self._client = client
         self._dynamics: dict[int, Dynamics] = {}
@@ -57,6 +61,9 @@ class Body:
             info = p.getDynamicsInfo(self.number, index, self._client)
             self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
         return self._dynamics[index]
+
+    def link(self, index: int) -> Link:
+        return self.model.link(next(name for name, its in self.links.items() if its == index))
 
     def weigh(self, index: int, factor: float) -> None:
         """So many times the mass that a link was loaded with, and the inertia."""

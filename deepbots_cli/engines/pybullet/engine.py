@@ -18,6 +18,7 @@ from deepbots_cli.engines.pybullet.backdrop import axes, backdrop, lit, smoothed
 from deepbots_cli.engines.pybullet.figures import Colour, Figures
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.substeps import Substeps
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
         Part,
         PoseReader,
         Pusher,
+        RayReader,
         TorqueReader,
         VelocityReader,
         View,
@@ -65,6 +67,7 @@ class PyBulletEngine:
         self._figures = Figures(self._client, world.gravity)
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._watches: dict[int, contacts.Watch] = {}
+        self._rays: Rays | None = None
         self._backdrop: tuple[View, Image] | None = None
         try:
             self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
@@ -187,6 +190,11 @@ class PyBulletEngine:
         if not any(pool.pooled for pool in pools):
             return read
         return lambda: read() if all(pool.present for pool in pools) else inf
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+        if self._rays is None:
+            self._rays = Rays(self._client, [body for pool in self._pools.values() for body in pool])
+        return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
 
     def _watch(self, body: Body) -> contacts.Watch:
         if body.number not in self._watches:

@@ -1,0 +1,140 @@
+"""Rays from a link: how far each is free."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import inf, sqrt
+from typing import TYPE_CHECKING
+
+from deepbots_cli import frames
+from deepbots_cli.engines.pybullet import readers
+from deepbots_cli.engines.pybullet.library import BASE
+from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.errors import EngineError
+from deepbots_cli.urdf.model import Capsule, Cylinder, Sphere
+
+if TYPE_CHECKING:
+    from deepbots_cli.engines.pybullet.body import Body
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.port import PoseReader, RayReader
+
+FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
+EVERYTHING, NOT_STATIC = -1, ~2  # masks of what moves, and of what does not
+DOUBT = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
+Round = Sphere | Cylinder | Capsule
+
+
+class Rays:
+    """Casts rays in one client. The body that casts is in a collision group of its own, which its rays pass through."""
+
+    def __init__(self, client: int, bodies: Sequence[Body]) -> None:
+        self._client = client
+        self._groups: dict[int, int] = {}
+        self._rounded = {
+            (body.number, index): rounded
+            for body in bodies
+            for index in body.links.values()
+            if (rounded := _rounded(client, body, index)) is not None
+        }
+
+    def reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
+        starts, ends = _in_frame_of_inertia(body.dynamics(index).inertia_frame, rays, reach)
+        cast = partial(
+            p.rayTestBatch,
+            starts,
+            ends,
+            numThreads=1,
+            parentObjectUniqueId=body.number,
+            parentLinkIndex=index,
+            collisionFilterMask=~self._group(body),
+            physicsClientId=self._client,
+        )
+        refresh = None if index == BASE else partial(p.getLinkState, body.number, index, 0, 1, self._client)
+        pose, rounded = readers.pose(self._client, body, index), self._rounded
+
+        def read() -> list[float]:
+            if refresh is not None:
+                refresh()
+            hits = cast()
+            free = [hit[2] * reach for hit in hits]
+            if rounded:
+                for place, hit in enumerate(hits):
+                    if (surface := rounded.get(hit[:2])) is not None:
+                        ray = frames.inside(pose(), rays[place])
+                        free[place] = surface.met(ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place])
+            return free
+
+        return read
+
+    def _group(self, body: Body) -> int:
+        """The bit of a body's own group; what it collides with stays as it was."""
+        if body.number not in self._groups:
+            place = FIRST_GROUP + len(self._groups)
+            if place > LAST_GROUP:
+                raise EngineError(f"PyBullet tells {LAST_GROUP - FIRST_GROUP + 1} robots with rays apart, and '{body.name}' is one more")
+            self._groups[body.number] = 1 << place
+            for name, index in body.links.items():
+                mask = NOT_STATIC if name in body.still else EVERYTHING
+                p.setCollisionFilterGroupMask(body.number, index, 1 << place, mask, self._client)
+        return self._groups[body.number]
+
+
+def _in_frame_of_inertia(inertia: Frame, rays: Sequence[Frame], reach: float) -> tuple[list[Triple], list[Triple]]:
+    back = frames.inverse(inertia[1])
+    starts: list[Triple] = []
+    ends: list[Triple] = []
+    for origin, turned in rays:
+        end = frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0)))
+        for points, point in ((starts, origin), (ends, end)):
+            points.append(frames.rotate(back, frames.subtract(point, inertia[0])))
+    return starts, ends
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A round surface, where PyBullet's answer is off by 1 mm, and by 7 mm where a ray grazes it: met in closed form."""
+
+    shape: Round
+    pose: PoseReader
+    origin: Frame
+
+    def met(self, start: Triple, direction: Triple, near: float) -> float:
+        """How far (m) along a unit direction the surface is met, if that is close to the answer `near`."""
+        centre, turned = frames.inside(self.pose(), self.origin)
+        back = frames.inverse(turned)
+        s, d = frames.rotate(back, frames.subtract(start, centre)), frames.rotate(back, direction)
+        r = self.shape.radius
+        if isinstance(self.shape, Sphere):
+            met = _ball(s, d, 0.0, r)
+        else:
+            half = self.shape.length / 2
+            met = _first(d[0] * d[0] + d[1] * d[1], s[0] * d[0] + s[1] * d[1], s[0] * s[0] + s[1] * s[1] - r * r)
+            if abs(s[2] + met * d[2]) > half:
+                if isinstance(self.shape, Cylinder):
+                    return near  # its ends are flat
+                met = min(_ball(s, d, half, r), _ball(s, d, -half, r))
+        return met if abs(met - near) < DOUBT else near
+
+
+def _ball(s: Triple, d: Triple, height: float, radius: float) -> float:
+    z = s[2] - height
+    return _first(1.0, s[0] * d[0] + s[1] * d[1] + z * d[2], s[0] * s[0] + s[1] * s[1] + z * z - radius * radius)
+
+
+def _first(a: float, b: float, c: float) -> float:
+    """The lesser root of a t^2 + 2 b t + c, and infinity where there is none."""
+    discriminant = b * b - a * c
+    return (-b - sqrt(discriminant)) / a if a > 0.0 and discriminant >= 0.0 else inf
+
+
+def _rounded(client: int, body: Body, index: int) -> Surface | None:
+    """The surface of a link that collides with one round shape and nothing else."""
+    link = body.link(index)
+    if len(link.collisions) != 1:
+        return None
+    geometry = link.collisions[0]
+    if not isinstance(geometry.shape, Round):
+        return None
+    return Surface(geometry.shape, readers.pose(client, body, index), frames.frame(geometry.origin))
