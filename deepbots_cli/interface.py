@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 
-from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageLayout, Observed
+from deepbots_cli.ir import Choices, CompiledScenario, Field, Interval, MessageLayout, Observed
 
 
 def interface(ir: CompiledScenario) -> dict[str, str]:
@@ -77,9 +77,10 @@ def _action(part: Choices | Interval) -> str:
 
 def _message(layout: MessageLayout) -> dict[str, str]:
     prefix = f"message {layout.direction.replace('_', ' ')} {layout.robot}"
-    return {
-        f"{prefix}.{field.name}": " ".join(
-            filter(None, (field.dtype, f"[{', '.join(field.components)}]" if field.components else "", field.unit))
-        )
-        for field in layout.fields
-    }
+    return {f"{prefix}.{field.name}": " ".join(filter(None, (field.dtype, _inside(field), field.unit))) for field in layout.fields}
+
+
+def _inside(field: Field) -> str:
+    """The components of a vector, the sides of a picture."""
+    listed = field.components or tuple(map(str, field.shape))
+    return f"[{', '.join(listed)}]" if listed else ""

@@ -5,12 +5,12 @@ A table is a list of rows; figures are in SI units. Expressions are shown as the
 
 from __future__ import annotations
 
-import struct
+import math
 from collections.abc import Mapping as Dictionary
 
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
-from deepbots_cli.ir import Choices, CompiledScenario, Interval, MessageFormat, MessageLayout, viewed
+from deepbots_cli.ir import Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, viewed
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
 
@@ -188,14 +188,24 @@ def _messages(scenario: CompiledScenario) -> list[Row]:
 
 def message_size(layout: MessageLayout, format: MessageFormat) -> int | None:
     """Bytes of a message: the stamp and the values; None where that depends on their figures."""
-    dtypes = [field.dtype for field in layout.fields for _ in field.components or (None,)]
+    sizes = [_size(field) for field in layout.fields for _ in field.components or (None,)]
     if format == "struct":
-        return struct.calcsize("<I" + "".join("?" if dtype == "bool" else "d" for dtype in dtypes))
+        return 4 + sum(sizes)
     if format == "msgpack":
-        head = 1 if len(dtypes) < 15 else 3
+        head = 1 if len(sizes) < 15 else 3
         stamp = next(size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.stamp < end)
-        return head + stamp + sum(1 if dtype == "bool" else 9 for dtype in dtypes)
+        return head + stamp + sum(size + _msgpack_head(size) for size in sizes)
     return None
+
+
+def _msgpack_head(size: int) -> int:
+    """Bytes before a truth value (1 byte, which is its own head), a number (8), or a picture."""
+    return 0 if size == 1 else 1 if size == 8 else 2 if size < 2**8 else 3 if size < 2**16 else 5
+
+
+def _size(field: Field) -> int:
+    """Bytes of one value."""
+    return {"bool": 1, "float64": 8}.get(field.dtype) or math.prod(field.shape)
 
 
 def _fields(scenario: CompiledScenario) -> list[Row]:
@@ -205,7 +215,7 @@ def _fields(scenario: CompiledScenario) -> list[Row]:
             "direction": layout.direction.replace("_", " "),
             "field": field.name,
             "components": list(field.components),
-            "dtype": field.dtype,
+            "dtype": field.dtype + "".join(f" x {count}" for count in field.shape),
             "unit": field.unit,
         }
         for layout in _layouts(scenario)

@@ -11,7 +11,7 @@ values.py       texts to typed trees, findings at their places; lost.py names th
 world.py        timestep, ground, arena, objects
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  messages of a robot; actuators.py what it drives
-sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, faults.py how they err
+sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees
 channels.py     what messages meet on their way, draws that are repeated
 scoring.py      signals, reward, endings; training.py how the policy is trained

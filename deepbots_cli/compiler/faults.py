@@ -33,8 +33,8 @@ class FaultReader:
     def read(self, spec: Sensor, known: Type) -> tuple[ir.Faults | None, Interval]:
         """Its faults, period apart, and the interval of its readings; None where there are none."""
         drawn = len(self.namespace.variations)
-        if known.boolean:
-            faults = self._of_truths(spec)
+        if known.boolean or known.picture:
+            faults = self._of_no_numbers(spec, known)
             return self._unless_none(faults, drawn), known.interval
         noise, relative_noise = self._figures(spec, "noise", known)
         bias, relative_bias = self._figures(spec, "bias", known)
@@ -55,10 +55,11 @@ class FaultReader:
         """None for a perfect sensor, of which no figure has been drawn since there were `drawn` of them."""
         return None if faults == ir.Faults() and len(self.namespace.variations) == drawn else faults
 
-    def _of_truths(self, spec: Sensor) -> ir.Faults:
-        for key in _OF_NUMBERS:
+    def _of_no_numbers(self, spec: Sensor, known: Type) -> ir.Faults:
+        tells, keys = ("takes pictures", _OF_NUMBERS[:-1]) if known.picture else ("tells true or false", _OF_NUMBERS)
+        for key in keys:
             if key in spec.model_fields_set:
-                headline = f"`{key}` of a sensor that tells true or false"
+                headline = f"`{key}` of a sensor that {tells}"
                 self.namespace.values.findings.add("DB403", self.namespace.values.key_span((*self.path, key)), headline, help="take it out")
         return ir.Faults(latency=self._latency(spec))
 

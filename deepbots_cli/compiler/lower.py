@@ -176,6 +176,8 @@ def _action_fields(action: tuple[ir.NamedValues, ...], task: Task) -> tuple[ir.F
 
 def _field(value: Valued) -> ir.Field:
     known = value.typed.type
+    if known.picture:
+        return ir.Field(value.name, "", (), "uint8", known.picture)
     return ir.Field(
         value.name, "" if known.boolean else str(known.dimension), known.components or (), "bool" if known.boolean else "float64"
     )
@@ -183,7 +185,8 @@ def _field(value: Valued) -> ir.Field:
 
 def _layout(robot: str, direction: ir.Direction, fields: tuple[ir.Field, ...]) -> ir.MessageLayout:
     """The stamp is a CRC-32 over everything that both ends must agree on."""
-    text = "|".join([f"v{ir.IR_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{','.join(f.components)}" for f in fields)])
+    parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in fields)
+    text = "|".join([f"v{ir.IR_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)])
     return ir.MessageLayout(robot, direction, fields, zlib.crc32(text.encode()))
 
 

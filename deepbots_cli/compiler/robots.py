@@ -37,8 +37,8 @@ class RobotScene:
         """The joint, link, group or, where `kinds` asks for one, sensor called `part`; where several share the name, the one of `kinds`."""
         full = f"{self.name}.{part}"
         is_link = part in self.link_names
-        if kinds and Kind.SENSOR in kinds and part in self.spec.sensors:
-            return Subject(full, Kind.SENSOR)
+        if part in self.spec.sensors and kinds and not kinds.isdisjoint({Kind.SENSOR, Kind.CAMERA}):
+            return Subject(full, Kind.CAMERA if self.spec.sensors[part].type == "camera" else Kind.SENSOR)
         if part in self.groups:
             kind, members = self.groups[part]
             names = tuple(f"{self.name}.{member}" for member in members)

@@ -11,12 +11,13 @@ from deepbots_cli.compiler.joints import hull, sensed_dimension
 from deepbots_cli.compiler.matching import expand, joints_of, unmatched
 from deepbots_cli.compiler.mounts import mount
 from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.optics import optics
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.sensors import SENSOR_KINDS, SensorKind
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.lang.types import Components, Kind, Stage, Symbol, Type
-from deepbots_cli.schema.sensors import ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
+from deepbots_cli.schema.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
 from deepbots_cli.source.nodes import Path
 
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS})
@@ -54,6 +55,8 @@ class Sensing:
                 made = self._of_contacts(name, spec, kind, place)
             case Fan():
                 made = self._of_rays(name, spec, kind, place)
+            case Camera():
+                made = self._of_camera(name, spec, place)
             case LinkSensor():
                 made = self._of_link(name, spec, kind, place)
             case _:
@@ -65,7 +68,8 @@ class Sensing:
         faults, reach = reader.read(spec, known)
         if isinstance(spec, RaySensor) and spec.lookup is None:
             sensor = self._reaching(sensor, spec, faults, place)
-        self._sensors[name] = replace(sensor, unit="" if known.boolean else str(known.dimension), faults=faults)
+        unitless = known.boolean or known.picture
+        self._sensors[name] = replace(sensor, unit="" if unitless else str(known.dimension), faults=faults)
         self.symbols[name] = Symbol(name, known._replace(interval=reach, stage=Stage.STEP))
 
     def _of_joints(self, name: str, spec: JointSensor, place: Path) -> tuple[ir.Sensor, Type] | None:
@@ -100,6 +104,13 @@ class Sensing:
         frame = mount(self._values, (*place, "pose"), spec.pose)
         sensor = _sensor(name, spec.type, (spec.link,), beams.components)
         return replace(sensor, mount=frame, beams=beams.beams), _type(beams.dimension, beams.components, beams.interval)
+
+    def _of_camera(self, name: str, spec: Camera, place: Path) -> tuple[ir.Sensor, Type] | None:
+        seen = optics(self._values, place, spec)
+        if not self._is_link(spec.link, place) or seen is None:
+            return None
+        frame = mount(self._values, (*place, "pose"), spec.pose)
+        return replace(_sensor(name, spec.type, (spec.link,), ()), mount=frame, optics=seen), Type(picture=seen.shape, stage=Stage.STEP)
 
     def _reaching(self, sensor: ir.Sensor, spec: RaySensor, faults: ir.Faults | None, place: Path) -> ir.Sensor:
         """The sensor with rays that go to the end of its range."""

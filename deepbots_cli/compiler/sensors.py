@@ -52,6 +52,7 @@ SENSOR_KINDS: dict[str, SensorKind] = {
     "sonar": SensorKind("rays", LENGTH),
     "laser": SensorKind("rays", LENGTH),
     "lidar": SensorKind("rays", LENGTH),
+    "camera": SensorKind("camera"),
 }
 
 

@@ -17,12 +17,13 @@ Direction = Literal["to_robot", "from_robot"]
 
 @dataclass(frozen=True)
 class Field:
-    """One named entry of a message; a vector lists its components."""
+    """One named entry of a message; a vector lists its components, a picture (`uint8`) its rows, columns and channels."""
 
     name: str
     unit: str
     components: tuple[str, ...] = ()
-    dtype: Literal["float64", "bool"] = "float64"
+    dtype: Literal["float64", "bool", "uint8"] = "float64"
+    shape: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

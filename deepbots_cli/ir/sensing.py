@@ -61,12 +61,16 @@ class Beams:
 
 @dataclass(frozen=True)
 class Optics:
-    """A picture of so many columns and rows, that covers `fov` rad from top to bottom; `far` m is white in a picture of depths."""
+    """A picture of so many columns and rows, that covers `fov` rad from top to bottom.
+
+    In a picture of depths, `near` m is black and `far` m white.
+    """
 
     width: int
     height: int
     fov: float
     channels: Channels = "rgb"
+    near: float = 0.0
     far: float = 10.0
 
     @property

@@ -16,7 +16,9 @@ _EXAMPLE = {LENGTH: "0.5 m", MASS: "0.5 kg", TIME: "20 ms", ANGLE: "30 deg"}
 
 
 def numbers(values: Sequence[Typed], report: Report) -> bool:
-    """Whether all are numbers; DB403 for each that is a truth value."""
+    """Whether all are numbers; DB403 for each that is a truth value, DB404 for each picture."""
+    if not _pictureless(values, report):
+        return False
     wrong = [value for value in values if value.type.boolean]
     for value in wrong:
         report("DB403", value.start, value.end, "a truth value where a number belongs", "make it a number with `where(condition, 1, 0)`")
@@ -24,11 +26,20 @@ def numbers(values: Sequence[Typed], report: Report) -> bool:
 
 
 def truths(values: Sequence[Typed], report: Report) -> bool:
-    """Whether all are truth values; DB403 for each number."""
+    """Whether all are truth values; DB403 for each number, DB404 for each picture."""
+    if not _pictureless(values, report):
+        return False
     wrong = [value for value in values if not value.type.boolean]
     for value in wrong:
         report("DB403", value.start, value.end, "a number where a truth value belongs", "compare it, as in `x > 0`")
     return not wrong
+
+
+def _pictureless(values: Sequence[Typed], report: Report) -> bool:
+    pictures = [value for value in values if value.type.picture]
+    for value in pictures:
+        report("DB404", value.start, value.end, "a picture where a single value belongs", "pictures are sent and observed as they are")
+    return not pictures
 
 
 def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) -> Dimension | None:

@@ -52,7 +52,7 @@ def expect(
     single value only, a tuple takes those components or a single value for all of them, `ANY_SHAPE`
     takes everything. A bare number counts as SI where a length or a mass is due, a bare zero everywhere.
     """
-    if boolean != value.type.boolean:
+    if boolean != value.type.boolean or value.type.picture:
         (agree.truths if boolean else agree.numbers)([value], report)
         return None
     if not boolean and dimension is not None:

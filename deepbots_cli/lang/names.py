@@ -14,7 +14,7 @@ NOT_YET = "take it out for now; the language reference lists what each version r
 """The help that goes with DB108."""
 
 # What is asked most often of a part of the world that is no place.
-_ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age"}
+_ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
 
 
 def reference(node: syntax.Name, scope: Scope, report: Report) -> Typed | None:

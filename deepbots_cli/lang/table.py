@@ -59,8 +59,8 @@ _OTHER = Param("other", Form.SUBJECT, kinds=_PLACES)
 _TOUCHED = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.GROUND})
 _JOINT = Param("joint", Form.SUBJECT, kinds=frozenset({Kind.JOINT, Kind.JOINTS}))
 _LINE = Param("line", Form.SUBJECT, kinds=frozenset({Kind.LINE}))
-_SENSOR = Param("sensor", Form.SUBJECT, kinds=frozenset({Kind.SENSOR}))
-_SENDER = Param("sender", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.SENSOR}))
+_CAMERA = Param("camera", Form.SUBJECT, kinds=frozenset({Kind.CAMERA}))
+_SENDER = Param("sender", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.SENSOR, Kind.CAMERA}))
 
 _PURE = (
     Function("abs", Family.PURE, (_X,), "The size of x without its sign.", _same, interval=lambda a, _n: iv.absolute(a[0])),
@@ -193,7 +193,7 @@ _WORLD = (
         interval=_known(iv.POSITIVE),
     ),
     Function("reachable", Family.WORLD, (_BODY, _OTHER), "Whether there is a way around what is solid.", _NUMBER, boolean=True),
-    Function("visible", Family.WORLD, (_SENSOR, _OTHER), "Whether a camera sees a body.", _NUMBER, boolean=True),
+    Function("visible", Family.WORLD, (_CAMERA, _OTHER), "Whether a camera's newest picture shows a body.", _NUMBER, boolean=True),
     Function("contact", Family.WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this tick.", _NUMBER, boolean=True),
     Function("collided", Family.WORLD, (_BODIES,), "Whether a body touched anything but the ground.", _NUMBER, boolean=True),
     Function("joint_position", Family.WORLD, (_JOINT,), "The angle or travel of a joint.", _same, interval=_first),

@@ -12,6 +12,7 @@ from deepbots_cli.lang.intervals import EVERYTHING, Interval
 Components = tuple[str, ...]
 PLANE: Components = ("x", "y")
 SPACE: Components = ("x", "y", "z")
+Shape = tuple[int, int, int]
 QUATERNION: Components = ("x", "y", "z", "w")
 
 
@@ -30,7 +31,8 @@ class Stage(IntEnum):
 class Type(NamedTuple):
     """Dimension, components (None for a single value), truth or number, interval in SI, stage.
 
-    The interval of a vector covers all of its components; that of a truth value means nothing.
+    The interval of a vector covers all of its components; that of a truth value means nothing. A picture,
+    which is neither truth nor number, says its rows, columns and channels.
     """
 
     dimension: Dimension = NUMBER
@@ -38,11 +40,12 @@ class Type(NamedTuple):
     boolean: bool = False
     interval: Interval = EVERYTHING
     stage: Stage = Stage.FIXED
+    picture: Shape | None = None
 
     @property
     def words(self) -> str:
         """For a sentence: `a speed (m/s)`, `a truth value`."""
-        return "a truth value" if self.boolean else self.dimension.words
+        return "a picture" if self.picture else "a truth value" if self.boolean else self.dimension.words
 
     @property
     def shape_words(self) -> str:
@@ -83,6 +86,7 @@ class Kind(StrEnum):
     OBJECTS = "group of objects"
     LINE = "line"
     SENSOR = "sensor"
+    CAMERA = "camera"
     GROUND = "ground"
     BROKEN = "broken"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from deepbots_cli.ir import CompiledScenario, Direction, Robot
 from deepbots_cli.port import Engine
-from deepbots_cli.runtime.messages import codec, scalar_fields
+from deepbots_cli.runtime.messages import codec, zeros
 from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.streams import Streams
 
@@ -47,6 +47,5 @@ def channel(scenario: CompiledScenario, robot: Robot, direction: Direction, engi
     ticks_matter = late and direction == "to_robot" and scenario.agent.repeat > 1
     if scenario.format == "none" or (route.perfect and not ticks_matter):
         return Channel(1 if late else 0)
-    encode = codec(layout, scenario.format).encode
-    nothing = [False if dtype == "bool" else 0.0 for _, dtype in scalar_fields(layout)]
-    return Radio(f"{robot.name}.{direction}", route, scenario.world.timestep, 1 if late else 0, engine.pose(robot.name), encode(*nothing))
+    silence = codec(layout, scenario.format).encode(*zeros(layout))
+    return Radio(f"{robot.name}.{direction}", route, scenario.world.timestep, 1 if late else 0, engine.pose(robot.name), silence)

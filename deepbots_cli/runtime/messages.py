@@ -2,24 +2,27 @@
 
 Every message opens with the layout's stamp, so that one of another layout, version or robot is
 recognised. Encoding takes the values in field order (a vector as its components); decoding returns
-the stamp and the values. All formats carry 64-bit floats exactly.
+the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text in base64.
 """
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Callable, Sequence
+from base64 import b64decode, b64encode
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import GenericAlias
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from deepbots_cli.errors import MessageError
 from deepbots_cli.ir import Field, MessageFormat, MessageLayout
 
-Value = float | bool
+Value = float | bool | bytes
 
 MALFORMED = (ValueError, TypeError, AttributeError, RecursionError, struct.error, msgspec.MsgspecError)
 """What decoding raises for a message that is not of the layout."""
@@ -42,30 +45,68 @@ def _scalar_names(field: Field) -> list[str]:
     return [f"{field.name}.{c}" for c in field.components] if field.components else [field.name]
 
 
+def zeros(layout: MessageLayout) -> list[Any]:
+    """The values of a message that says nothing."""
+    usual = {"bool": False, "float64": 0.0}
+    return [
+        np.zeros(field.shape, np.uint8) if field.dtype == "uint8" else usual[field.dtype]
+        for field in layout.fields
+        for _ in field.components or (None,)
+    ]
+
+
 def codec(layout: MessageLayout, format: MessageFormat) -> Codec:
     """The codec of `format` for `layout`; `none` has no messages and no codec (KeyError)."""
-    return _CODECS[format](layout.stamp, [dtype for _, dtype in scalar_fields(layout)])
+    made = _CODECS[format](layout.stamp, struct_codes(layout))
+    pictures = {index: value.shape for index, value in enumerate(zeros(layout)) if isinstance(value, np.ndarray)}
+    return _with_pictures(made, pictures) if pictures else made
 
 
-def _struct_codec(stamp: int, dtypes: list[str]) -> Codec:
-    form = struct.Struct("<I" + "".join("?" if dtype == "bool" else "d" for dtype in dtypes))
+def struct_codes(layout: MessageLayout) -> list[str]:
+    """How `struct` writes each value."""
+    codes = {"bool": "?", "float64": "d"}
+    fields = [(codes.get(field.dtype) or f"{math.prod(field.shape)}s", field.components) for field in layout.fields]
+    return [code for code, components in fields for _ in components or (None,)]
+
+
+def _with_pictures(made: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec:
+    """The codec with pictures as arrays of these shapes, by the number of the value, instead of bytes."""
+
+    def encode(*values: Any) -> Any:
+        plain = list(values)
+        for index in shapes:
+            plain[index] = plain[index].tobytes()
+        return made.encode(*plain)
+
+    def decode(message: Any) -> list[Any]:
+        values = list(made.decode(message))
+        for index, shape in shapes.items():
+            values[index + 1] = np.frombuffer(values[index + 1], np.uint8).reshape(shape)
+        return values
+
+    return Codec(encode, decode)
+
+
+def _struct_codec(stamp: int, codes: list[str]) -> Codec:
+    form = struct.Struct("<I" + "".join(codes))
     return Codec(partial(form.pack, stamp), form.unpack)
 
 
-def _csv_codec(stamp: int, dtypes: list[str]) -> Codec:
+def _csv_codec(stamp: int, codes: list[str]) -> Codec:
     head = str(stamp)
 
     def encode(*values: Value) -> str:
-        return ",".join([head, *map(repr, values)])
+        return ",".join([head, *map(_csv_cell, values)] if mixed else [head, *map(repr, values)])
 
-    if "bool" not in dtypes:
+    mixed = any(code[-1] == "s" for code in codes)
+    if set(codes) <= {"d"}:
 
         def decode(message: str) -> list[float]:
             return [float(cell) for cell in message.split(",")]
 
         return Codec(encode, decode)
 
-    readers = [float, *(_csv_truth if dtype == "bool" else float for dtype in dtypes)]
+    readers = [float, *(_CSV_READERS[code[-1]] for code in codes)]
 
     def decode_mixed(message: str) -> list[Value]:
         return [read(cell) for read, cell in zip(readers, message.split(","), strict=True)]
@@ -79,20 +120,28 @@ def _csv_truth(cell: str) -> bool:
     return cell == "True"
 
 
-def _tuple_type(dtypes: list[str]) -> Any:
+def _csv_cell(value: Value) -> str:
+    return b64encode(value).decode() if isinstance(value, bytes) else repr(value)
+
+
+_CSV_READERS: dict[str, Callable[[str], Value]] = {"?": _csv_truth, "d": float, "s": partial(b64decode, validate=True)}
+
+
+def _tuple_type(codes: list[str]) -> Any:
     """The type `tuple[int, float, ...]` that msgspec checks a message against."""
-    kinds = tuple(bool if dtype == "bool" else float for dtype in dtypes)
+    types = {"?": bool, "d": float, "s": bytes}
+    kinds = tuple(types[code[-1]] for code in codes)
     return GenericAlias(tuple, (int, *kinds))
 
 
-def _json_codec(stamp: int, dtypes: list[str]) -> Codec:
+def _json_codec(stamp: int, codes: list[str]) -> Codec:
     encoder = msgspec.json.Encoder().encode
-    return Codec(lambda *values: encoder((stamp, *values)), msgspec.json.Decoder(_tuple_type(dtypes)).decode)
+    return Codec(lambda *values: encoder((stamp, *values)), msgspec.json.Decoder(_tuple_type(codes)).decode)
 
 
-def _msgpack_codec(stamp: int, dtypes: list[str]) -> Codec:
+def _msgpack_codec(stamp: int, codes: list[str]) -> Codec:
     encoder = msgspec.msgpack.Encoder().encode
-    return Codec(lambda *values: encoder((stamp, *values)), msgspec.msgpack.Decoder(_tuple_type(dtypes)).decode)
+    return Codec(lambda *values: encoder((stamp, *values)), msgspec.msgpack.Decoder(_tuple_type(codes)).decode)
 
 
 _CODECS: dict[str, Callable[[int, list[str]], Codec]] = {
@@ -133,12 +182,12 @@ def _loose(format: MessageFormat, message: Any, layout: MessageLayout) -> list[o
         return list(msgspec.json.decode(message))
     if format == "msgpack":
         return list(msgspec.msgpack.decode(message))
-    dtypes = ["?" if dtype == "bool" else "d" for _, dtype in scalar_fields(layout)]
-    for count in range(len(dtypes), -1, -1):
-        form = struct.Struct("<I" + "".join(dtypes[:count]))
+    codes = struct_codes(layout)
+    for count in range(len(codes), -1, -1):
+        form = struct.Struct("<I" + "".join(codes[:count]))
         if form.size <= len(message):
             values = list(form.unpack_from(message))
-            return values if form.size == len(message) or count < len(dtypes) else [*values, message[form.size :]]
+            return values if form.size == len(message) or count < len(codes) else [*values, message[form.size :]]
     raise ValueError("shorter than a stamp")
 
 
@@ -152,6 +201,8 @@ def _number_or_text(cell: str) -> object:
 
 
 def _fits(value: object, dtype: str) -> bool:
+    if dtype == "uint8":
+        return isinstance(value, (bytes, str))
     return isinstance(value, bool) if dtype == "bool" else isinstance(value, (int, float)) and not isinstance(value, bool)
 
 

@@ -7,6 +7,7 @@ frames.py       where a sensor sits, and what is read there
 inertial.py     gyro, accelerometer, inclinometer
 ranging.py      rays and their lookup tables
 contacts.py     touch and force
+camera.py       pictures
 """
 
 from deepbots_cli.runtime.sensing.device import Device

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Robot, Sensor, Variation
+from deepbots_cli.ir import MOST_PIXELS, MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Optics, Robot, Sensor, Variation
 
 _MOST_TICKS = 1e5
 _FAULTS = ("noise", "relative_noise", "bias", "relative_bias", "drift")
@@ -34,6 +34,8 @@ def _is_sound(sensor: Sensor, timestep: float) -> bool:
             fits = sensor.components in ((), sensor.subjects) and len(sensor.subjects) == count
         case "link":
             fits = sensor.components == kind.components
+        case "camera":
+            fits = sensor.optics is not None and not sensor.components and _are_optics(sensor.optics)
         case _:
             fits = sensor.beams is not None and _are_beams(sensor.beams, sensor)
     return fits and (sensor.faults is None or _are_faults(sensor.faults, count, timestep))
@@ -44,6 +46,11 @@ def _are_beams(beams: Beams, sensor: Sensor) -> bool:
     named = each and len(sensor.components) == count if sensor.components else count == 1 or not each
     sound = 0 < count <= MOST_RAYS and named and 0.0 <= beams.spot < 1e3
     return sound and (sensor.kind == "reflectance" or 0.0 < beams.reach < 1e6) and (beams.lookup is None or _is_table(beams.lookup))
+
+
+def _are_optics(optics: Optics) -> bool:
+    sides = 1 <= min(optics.width, optics.height) <= max(optics.width, optics.height) <= MOST_PIXELS
+    return sides and 0.0 < optics.fov < math.pi and optics.near < optics.far
 
 
 def _is_table(lookup: Lookup) -> bool:

@@ -1,0 +1,70 @@
+"""Cameras: what the engine sees becomes a picture of bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.frames import Frame
+from deepbots_cli.ir import Optics, Sensor
+from deepbots_cli.port import Engine, Sight
+from deepbots_cli.runtime.sensing.device import Instrument
+
+if TYPE_CHECKING:
+    from deepbots_cli.port import Image
+    from deepbots_cli.runtime.sensing.device import Device
+
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)
+"""How bright red, green and blue are (ITU-R BT.601)."""
+
+
+def camera(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrument:
+    """A picture, uint8 of the shape of the optics; behind it what the engine saw, for `sees`."""
+    optics = sensor.optics or Optics(1, 1, 1.0)
+    read, taken = engine.camera((robot, sensor.subjects[0]), mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
+
+    def picture() -> tuple[Image, Sight]:
+        sight = read()
+        return taken(sight, optics), sight
+
+    return Instrument(picture)
+
+
+def sees(device: Device, bodies: tuple[str, ...]) -> Callable[[], bool]:
+    """Whether the newest picture of a camera shows at least one pixel of any of `bodies`."""
+
+    def seen() -> bool:
+        sight: Sight = device.reading[1]
+        return any(name in sight.names and bool((sight.bodies == sight.names.index(name)).any()) for name in bodies)
+
+    return seen
+
+
+def _colours(sight: Sight, _optics: Optics) -> Image:
+    return sight.colours
+
+
+def _grey(sight: Sight, _optics: Optics) -> Image:
+    return _bytes(np.asarray(sight.colours @ _GREY))
+
+
+def _depth(sight: Sight, optics: Optics) -> Image:
+    """Black at `near`, white at `far` and beyond."""
+    share = (sight.depth - optics.near) / (optics.far - optics.near)
+    return _bytes(255.0 * np.clip(share, 0.0, 1.0))
+
+
+def _mask(sight: Sight, _optics: Optics) -> Image:
+    """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from there on."""
+    return _bytes(np.clip(sight.bodies + 1, 0, 255))
+
+
+def _bytes(figures: NDArray[Any]) -> Image:
+    """One channel of whole figures from 0 to 255."""
+    return np.asarray(np.rint(figures), np.uint8)[..., None]
+
+
+_PICTURES: dict[str, Callable[[Sight, Optics], Image]] = {"rgb": _colours, "grey": _grey, "depth": _depth, "mask": _mask}
