@@ -11,6 +11,7 @@ from deepbots_cli.compiler.values import Text
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.names import NOT_YET
 from deepbots_cli.lang.typed import Typed, zero
 from deepbots_cli.lang.types import Context, Stage
 from deepbots_cli.schema.scenario import Scenario
@@ -66,6 +67,9 @@ class Observations:
 
     def _bounds(self, typed: Typed, text: Text) -> Bounds | None:
         count = len(typed.type.components or ("",))
+        if typed.type.picture:
+            self._values.findings.add("DB108", text.span, "observing a picture is not supported yet", help=NOT_YET)
+            return None
         if typed.type.boolean:
             if text.text != "auto":
                 self._values.findings.add("DB403", text.span, "a range for a truth value", help="write `auto`: it is seen as 0 or 1")
