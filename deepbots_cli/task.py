@@ -171,6 +171,7 @@ class Task:
     evaluation: ir.Evaluation
     augmented: frozenset[str]
     variations: tuple[Varied, ...] = ()
+    colours: tuple[ir.Variation, ...] = ()
     agent: ir.Agent = ir.Agent()
     to_robot: TaskRoute = TaskRoute()
     from_robot: TaskRoute = TaskRoute()

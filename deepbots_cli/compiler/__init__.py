@@ -8,7 +8,7 @@ namespace.py    one flat namespace, each name typed when first asked for
 scopes.py       what an expression may see from its place
 variations.py   figures that every episode draws anew
 values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
-world.py        timestep, ground, arena, objects
+world.py        timestep, ground, arena, objects; strokes.py painted lines and walls, colours.py
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  messages of a robot; actuators.py what it drives
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
@@ -40,6 +40,7 @@ from deepbots_cli.compiler.resets import joint_starts, placements
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
+from deepbots_cli.compiler.strokes import lines
 from deepbots_cli.compiler.support import check_support
 from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
@@ -166,9 +167,10 @@ class _Pass:
                 self.values.lose(name)  # a group of things, which `support` has refused
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
+        self.lines = lines(spec, namespace)
         scope = ParameterScope(namespace, Context.FIELD)
         for name, robot in spec.robots.items():
-            namespace.robots[name] = load_robot(name, robot, self.document, self.values, scope) if self._is_whole(name) else None
+            namespace.robots[name] = load_robot(name, robot, self.document, namespace, scope) if self._is_whole(name) else None
         actions = Actions(spec, namespace)
         scenes = [scene for scene in namespace.robots.values() if scene is not None]
         controllers = [Controller(scene, namespace) for scene in scenes]
@@ -180,7 +182,7 @@ class _Pass:
         spec, namespace, values = self.spec, self.namespace, self.values
         for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
             namespace.settle(name)
-        world = WorldBuilder(spec, namespace).build(scenes)
+        world = WorldBuilder(spec, namespace).build(scenes, self.lines)
         action = actions.parts()
         limits = truncation(spec, namespace)
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
@@ -207,6 +209,7 @@ class _Pass:
             Evaluation(spec.evaluation.episodes),
             frozenset(spec.augment),
             tuple(namespace.variations),
+            tuple(namespace.colours),
             ir.Agent(spec.agent.repeat, spec.agent.stack),
             route(spec, "to_robot", namespace),
             route(spec, "from_robot", namespace),

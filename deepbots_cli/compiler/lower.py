@@ -46,7 +46,7 @@ def lower(task: Task) -> ir.CompiledScenario:
             tuple(_place(placement) for placement in task.placements),
             tuple(start for joints in task.joint_starts for start in _joint_starts(joints)),
             task.settle,
-            tuple(_variation(varied) for varied in task.variations),
+            (*(_variation(varied) for varied in task.variations), *task.colours),
         ),
         task.solved,
         task.training,

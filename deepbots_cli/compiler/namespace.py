@@ -13,6 +13,8 @@ from enum import Enum
 
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import Values
+from deepbots_cli.ir import Variation
+from deepbots_cli.lang.intervals import EVERYTHING, exact
 from deepbots_cli.lang.types import Kind, Subject, Symbol
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Varied
@@ -56,13 +58,21 @@ class Namespace:
         self.values = values
         self.definitions: dict[str, Definition] = {}
         self.robots: dict[str, RobotScene | None] = {}
+        self.lengths: dict[str, float] = {}
+        """Of painted lines, m."""
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[Varied] = []
         """Figures that are drawn anew in every episode, in the order in which they were found."""
+        self.colours: list[Variation] = []
+        """The same for colours."""
         self.built_in: dict[str, Callable[[], Symbol]] = {}
         """Names that the language gives, and whose type the scenario decides."""
         self._open: list[Definition] = []
+
+    def varies(self, what: str, of: tuple[str, ...]) -> bool:
+        """Whether an episode draws this figure."""
+        return any((known.what, known.of) == (what, of) for known in self.variations)
 
     def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:
         """Add a name; a second definition is a finding, and the first one stays."""
@@ -140,7 +150,8 @@ class Namespace:
         if robot is not None:
             return robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
         if definition is not None and definition.origin in _WHOLE and not rest:
-            return Subject(head, _WHOLE[definition.origin], link=head)
+            length = self.lengths.get(head)
+            return Subject(head, _WHOLE[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))
         return None
 
     def subjects(self) -> Iterable[str]:

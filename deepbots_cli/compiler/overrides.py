@@ -7,11 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+from deepbots_cli.compiler import variations
+from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.matching import Group, expand, motionless, unmatched
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.dimensions import MASS, NUMBER, TIME, Dimension
+from deepbots_cli.lang.intervals import exact
 from deepbots_cli.lang.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type
 from deepbots_cli.schema.robot import JointOverride, LinkOverride
 from deepbots_cli.schema.robot import Robot as RobotSpec
@@ -19,8 +23,16 @@ from deepbots_cli.source.nodes import Path
 from deepbots_cli.urdf import override
 from deepbots_cli.urdf.model import Joint, Limit, Link, RobotModel
 
-# Keys of an override, and what `override.with_friction` calls them.
-_CONTACT = {"friction": "lateral", "spinning_friction": "spinning", "rolling_friction": "rolling", "restitution": "restitution"}
+if TYPE_CHECKING:
+    from deepbots_cli.compiler.namespace import Namespace
+
+# Keys of an override: what `override.with_friction` and the table of variations call them.
+_CONTACT = {
+    "friction": ("lateral", "lateral_friction"),
+    "spinning_friction": ("spinning", "spinning_friction"),
+    "rolling_friction": ("rolling", "rolling_friction"),
+    "restitution": ("restitution", "restitution"),
+}
 
 
 _UNKNOWN = Symbol("urdf", None, refused="the robot file does not say")
@@ -52,12 +64,19 @@ class _WithUrdf:
 
 @dataclass(frozen=True)
 class Overrides:
-    """The changes that stand in the scenario at `path`, the robot's."""
+    """The changes that stand in the scenario at `path`, the robot's.
+
+    A figure that is drawn is drawn for each link or joint that a pattern means.
+    """
 
     path: Path
     groups: Mapping[str, Group]
-    values: Values
+    namespace: Namespace
     scope: Scope
+
+    @property
+    def values(self) -> Values:
+        return self.namespace.values
 
     def apply(self, model: RobotModel, spec: RobotSpec) -> RobotModel:
         """The model with all changes made that can be made; findings about the others."""
@@ -82,10 +101,18 @@ class Overrides:
             unmatched(self.values, self.values.key_span(place), pattern, what, names)
         return members
 
-    def _figure(self, place: Path, given: object, urdf: float | None, dimension: Dimension) -> float | None:
-        """The SI value of a change; None where none is given, or after a finding."""
-        figure = Symbol("urdf", Type(dimension), (urdf,)) if urdf is not None else _UNKNOWN
-        return self.values.figure(place, given, dimension, _WithUrdf(self.scope, figure))
+    def _figure(
+        self, place: Path, given: object, urdf: float | None, dimension: Dimension, what: str | None = None, of: str = ""
+    ) -> float | None:
+        """The SI value of a change; None where none is given, or after a finding.
+
+        `what` is its entry in the table of variations if an episode may draw it, `of` the link or joint.
+        """
+        figure = Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,)) if urdf is not None else _UNKNOWN
+        scope = _WithUrdf(self.scope, figure)
+        if what is None:
+            return self.values.figure(place, given, dimension, scope)
+        return variations.figure(self.namespace, place, given, dimension, scope, what, (str(self.path[-1]), of))
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride, place: Path) -> RobotModel:
         factors = self.values.figures((*place, "stretch"), change.stretch, NUMBER, self.scope, SPACE)
@@ -94,14 +121,19 @@ class Overrides:
             model = self._accepted(model, override.stretch(model, link.name, (x, y, z)), (*place, "stretch"))
         if change.mass is not None:
             model = self._change_mass(model, model.link(link.name), change.mass, place)
-        contact = {field: self._figure((*place, key), getattr(change, key), None, NUMBER) for key, field in _CONTACT.items()}
-        return override.with_friction(model, link.name, **contact)
+        contact = {
+            field: self._figure((*place, key), getattr(change, key), None, NUMBER, what, link.name)
+            for key, (field, what) in _CONTACT.items()
+        }
+        paint = colour(self.namespace, (*place, "colour"), change.colour, (str(self.path[-1]), link.name))
+        model = override.with_friction(model, link.name, **contact)
+        return override.with_colour(model, link.name, paint) if paint else model
 
     def _change_mass(self, model: RobotModel, link: Link, given: object, place: Path) -> RobotModel:
         if link.inertial is None and link.name != place[-1]:
             return model  # a pattern means the links that have a mass
-        mass = self._figure((*place, "mass"), given, link.inertial.mass if link.inertial else None, MASS)
-        if mass == 0:
+        mass = self._figure((*place, "mass"), given, link.inertial.mass if link.inertial else None, MASS, "mass", link.name)
+        if mass == 0 and not self.namespace.varies("mass", (str(self.path[-1]), link.name)):
             self.values.findings.add("DB105", self.values.span((*place, "mass")), "`mass` is 0 kg", help="give more than 0 kg")
         return self._accepted(model, override.with_mass(model, link.name, mass), (*place, "mass")) if mass else model
 
@@ -114,8 +146,8 @@ class Overrides:
 
     def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride, place: Path) -> RobotModel:
         position, effort, limit = joint_dimension(joint), effort_of(joint), joint.limit
-        damping = self._figure((*place, "damping"), change.damping, joint.damping, effort * TIME / position)
-        friction = self._figure((*place, "friction"), change.friction, joint.friction, effort)
+        damping = self._figure((*place, "damping"), change.damping, joint.damping, effort * TIME / position, "joint_damping", joint.name)
+        friction = self._figure((*place, "friction"), change.friction, joint.friction, effort, "joint_friction", joint.name)
         torque = self._figure((*place, "max_torque"), change.max_torque, limit.effort, effort)
         velocity = self._figure((*place, "max_velocity"), change.max_velocity, limit.velocity, position / TIME)
         limit = replace(

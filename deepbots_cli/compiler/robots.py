@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.joints import hull, joint_dimension, joint_interval
 from deepbots_cli.compiler.matching import Group, expand, unmatched
@@ -16,6 +17,9 @@ from deepbots_cli.source.nodes import Path as NodePath
 from deepbots_cli.urdf import mesh
 from deepbots_cli.urdf.model import RobotModel
 from deepbots_cli.urdf.reader import RobotFile, read
+
+if TYPE_CHECKING:
+    from deepbots_cli.compiler.namespace import Namespace
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +61,10 @@ class RobotScene:
         return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names, *self.spec.sensors]
 
 
-def load_robot(name: str, spec: RobotSpec, document: Document, values: Values, scope: Scope) -> RobotScene | None:
+def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namespace, scope: Scope) -> RobotScene | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
     path: NodePath = ("robots", name)
+    values = namespace.values
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
         return None
@@ -67,7 +72,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, values: Values, s
     if file is None:
         return None
     groups = _groups(file.model, spec, path, values)
-    model = Overrides(path, groups, values, scope).apply(file.model, spec)
+    model = Overrides(path, groups, namespace, scope).apply(file.model, spec)
     return RobotScene(name, located.resolve(), spec, file, model, groups)
 
 

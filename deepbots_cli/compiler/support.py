@@ -18,20 +18,11 @@ MOTORS = ("velocity_motor", "position_motor", "torque_motor")
 
 # A key of the parts found at a path (a `*` stands for any name) that is not delivered yet.
 LATER: tuple[tuple[tuple[str, ...], str], ...] = (
-    (("world",), "walls"),
     (("world",), "terrain"),
-    (("world",), "lines"),
-    (("world",), "light"),
-    (("world", "ground"), "colour"),
-    (("world", "arena"), "colour"),
     (("objects", "*"), "count"),
     (("objects", "*"), "one_of"),
     (("objects", "*"), "file"),
-    (("objects", "*"), "spinning_friction"),
-    (("objects", "*"), "rolling_friction"),
-    (("objects", "*"), "restitution"),
     (("robots", "*"), "count"),
-    (("robots", "*", "links", "*"), "colour"),
     (("agent",), "each"),
     ((), "goal"),
     ((), "disturbances"),

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.types import Components, Scope, Stage
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Valued, Varied
+
+if TYPE_CHECKING:
+    from deepbots_cli.compiler.namespace import Namespace
 
 
 def figure(
@@ -21,6 +24,11 @@ def figure(
     """
     found = figures(namespace, path, given, dimension, scope, what, of)
     return found[0] if found else None
+
+
+def forget(namespace: Namespace, what: str, of: tuple[str, ...]) -> None:
+    """A figure that is given again, as for a link that two patterns mean, replaces what was to be drawn."""
+    namespace.variations[:] = [known for known in namespace.variations if (known.what, known.of) != (what, of)]
 
 
 def figures(
@@ -43,10 +51,11 @@ def figures(
     if typed is None:
         return None
     count = len(components or spread or ("",))
+    forget(namespace, what, of)
     if typed.type.stage is Stage.FIXED:
         fixed = values.fixed(typed, text, called)
         return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
-    owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of)
+    owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
     namespace.variations.append(Varied(what, of, Valued(str(path[-1]), text.span, text.text, typed, owner), components, spread))
     reach = typed.type.interval
     return ((reach.low + reach.high) / 2 if math.isfinite(reach.low) and math.isfinite(reach.high) else 0.0,) * count

@@ -1,14 +1,17 @@
-"""The world section and the objects: fixed figures, in the form an engine builds."""
+"""The world section and the objects, in the form an engine builds; figures that an episode may vary are noted as variations."""
 
 from __future__ import annotations
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.strokes import walls
+from deepbots_cli.compiler.variations import figure, figures
 from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, MASS, NUMBER, TIME
 from deepbots_cli.lang.types import PLANE, SPACE, Context
-from deepbots_cli.schema.objects import BoxObject, CapsuleObject, CylinderObject, Placed, SphereObject
+from deepbots_cli.schema.objects import BoxObject, CapsuleObject, CylinderObject, Material, Placed, SphereObject
 from deepbots_cli.schema.plain import COLOURS
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
@@ -26,31 +29,42 @@ class WorldBuilder:
 
     def __init__(self, spec: Scenario, namespace: Namespace) -> None:
         self._spec = spec
+        self._namespace = namespace
         self._values = namespace.values
         self._scope = ParameterScope(namespace, Context.FIXED)
         self._drawn = ParameterScope(namespace, Context.FIELD)
 
-    def build(self, robots: list[RobotScene]) -> ir.WorldModel:
+    def build(self, robots: list[RobotScene], painted: tuple[ir.Line, ...]) -> ir.WorldModel:
         spec = self._spec.world
         self._check_bodies()
         timestep = self._values.number(("world", "timestep"), spec.timestep, TIME, self._scope)
         if timestep is not None:
             self._check_timestep(timestep)
-        gravity = self._values.figures(("world", "gravity"), spec.gravity, ACCELERATION, self._drawn, SPACE) or (0.0, 0.0, -9.81)
+        path: Path = ("world", "gravity")
+        gravity = figures(self._namespace, path, spec.gravity, ACCELERATION, self._drawn, "gravity", (), SPACE) or (0.0, 0.0, -9.81)
         if gravity[2] > 0:
             self._values.findings.add(
-                "DB505", self._values.span(("world", "gravity")), "gravity that pulls upwards", help="z points up: write `0 0 -9.81 m/s^2`"
+                "DB505", self._values.span(path), "gravity that pulls upwards", help="z points up: write `0 0 -9.81 m/s^2`"
             )
-        friction = self._number(("world", "ground", "friction"), spec.ground.friction, 1.0)
-        restitution = self._number(("world", "ground", "restitution"), spec.ground.restitution, 0.0)
+        objects = [body for name, thing in self._spec.objects.items() if (body := self._object(name, thing)) is not None]
         return ir.WorldModel(
             timestep or 0.032,
             spec.substeps,
             (gravity[0], gravity[1], gravity[2]),
-            ir.Ground(friction, restitution),
+            self._ground(),
             self._arena(),
             tuple(ir.RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
-            tuple(body for name, spec in self._spec.objects.items() if (body := self._object(name, spec)) is not None),
+            (*walls(self._spec, self._namespace), *objects),
+            lines=painted,
+            light=self._number(("world", "light"), spec.light, 1.0, "light", ()),
+        )
+
+    def _ground(self) -> ir.Ground:
+        spec, path, body = self._spec.world.ground, ("world", "ground"), (ir.GROUND, "")
+        return ir.Ground(
+            self._number((*path, "friction"), spec.friction, 1.0, "lateral_friction", body),
+            self._number((*path, "restitution"), spec.restitution, 0.0, "restitution", body),
+            colour(self._namespace, (*path, "colour"), spec.colour, body),
         )
 
     def _check_bodies(self) -> None:
@@ -66,9 +80,9 @@ class WorldBuilder:
             span = self._values.span(("world", "timestep"))
             self._values.findings.add(code, span, f"a timestep of {timestep:g} s", help="10 to 100 ms are usual")
 
-    def _number(self, path: Path, given: object, default: float) -> float:
+    def _number(self, path: Path, given: object, default: float, what: str, of: tuple[str, ...]) -> float:
         """A plain number that may be drawn."""
-        number = self._values.figure(path, given, NUMBER, self._drawn)
+        number = figure(self._namespace, path, given, NUMBER, self._drawn, what, of)
         return default if number is None else number
 
     def _arena(self) -> ir.Arena | None:
@@ -79,10 +93,11 @@ class WorldBuilder:
         size = self._values.numbers((*path, "size"), spec.size, LENGTH, PLANE, self._scope)
         height = self._length((*path, "wall_height"), spec.wall_height)
         thickness = self._length((*path, "wall_thickness"), spec.wall_thickness)
-        friction = self._number((*path, "friction"), spec.friction, 1.0)
+        friction = self._number((*path, "friction"), spec.friction, 1.0, "walls_friction", ir.ARENA_WALLS)
         if size is None or height is None or thickness is None:
             return None
-        return ir.Arena((size[0], size[1]), height, thickness, friction)
+        paint = colour(self._namespace, (*path, "colour"), spec.colour)
+        return ir.Arena((size[0], size[1]), height, thickness, friction, paint)
 
     def _length(self, path: Path, given: object) -> float | None:
         return self._values.number(path, given, LENGTH, self._scope)
@@ -92,20 +107,25 @@ class WorldBuilder:
         shape = self._shape(spec, path)
         if shape is None:
             return None
-        fixed, solid = bool(getattr(spec, "fixed", False)), getattr(spec, "solid", None) is not False
-        given = getattr(spec, "mass", None)
-        mass = self._values.figure((*path, "mass"), given, MASS, self._drawn) if given is not None else _WATER * (volume(shape) or 0.0)
-        friction = getattr(spec, "friction", None)
-        colour = self._colour(getattr(spec, "colour", None), path)
+        material, body = spec if isinstance(spec, Material) else Material(), (name, "")
+        given = self._mass((*path, "mass"), material, body)
         return ir.ObjectBody(
             name,
             shape,
-            mass=mass or 0.0,
-            colour=colour,
-            friction=self._number((*path, "friction"), friction, 1.0),
-            fixed=fixed,
-            solid=solid,
+            mass=_WATER * (volume(shape) or 0.0) if given is None else given,
+            colour=colour(self._namespace, (*path, "colour"), material.colour, body) or (*COLOURS["grey"], 1.0),
+            fixed=bool(material.fixed),
+            solid=material.solid is not False,
+            friction=self._number((*path, "friction"), material.friction, 1.0, "lateral_friction", body),
+            spinning_friction=self._number((*path, "spinning_friction"), material.spinning_friction, 0.0, "spinning_friction", body),
+            rolling_friction=self._number((*path, "rolling_friction"), material.rolling_friction, 0.0, "rolling_friction", body),
+            restitution=self._number((*path, "restitution"), material.restitution, 0.0, "restitution", body),
         )
+
+    def _mass(self, path: Path, material: Material, body: tuple[str, str]) -> float | None:
+        if not material.fixed and material.solid is not False:
+            return figure(self._namespace, path, material.mass, MASS, self._drawn, "mass", body)
+        return None if material.mass is None else self._values.figure(path, material.mass, MASS, self._drawn)
 
     def _shape(self, spec: Placed, path: Path) -> Shape | None:
         if isinstance(spec, BoxObject):
@@ -119,12 +139,3 @@ class WorldBuilder:
             kind = Cylinder if isinstance(spec, CylinderObject) else Capsule
             return kind(radius, height) if radius and height else None
         return None  # `support` has said that this shape is not delivered yet
-
-    def _colour(self, given: str | None, path: Path) -> tuple[float, float, float, float]:
-        word = (given or "grey").strip()
-        if word.startswith("#"):
-            return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
-        if word not in COLOURS:  # the schema lets words of this table through, and draws
-            span = self._values.span((*path, "colour"))
-            self._values.findings.add("DB108", span, "a colour that is drawn anew is not supported yet", help="give one colour")
-        return (*COLOURS.get(word, COLOURS["grey"]), 1.0)

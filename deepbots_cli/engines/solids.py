@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from deepbots_cli.ir import Arena, ObjectBody
+from deepbots_cli.ir import ARENA_WALLS, Arena, ObjectBody
 from deepbots_cli.urdf import inertia
 from deepbots_cli.urdf.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
 
@@ -31,7 +31,7 @@ def as_robot(body: ObjectBody) -> RobotModel:
         inertial=inertia.of(body.shape, body.mass) or Inertial(body.mass),
         visuals=(seen,),
         collisions=(seen,) if body.solid else (),
-        friction=Friction(lateral=body.friction),
+        friction=Friction(body.friction, body.spinning_friction, body.rolling_friction, body.restitution),
     )
     return RobotModel(name=body.name, links=(link,), joints=(), root=body.name)
 
@@ -39,20 +39,20 @@ def as_robot(body: ObjectBody) -> RobotModel:
 def walls(arena: Arena) -> tuple[ObjectBody, ...]:
     """Four fixed boxes around the inner size of the arena. Four, not one of four parts: an engine sorts out far boxes cheaply."""
     (x, y), height, thick = arena.size, arena.wall_height, arena.wall_thickness
-    sides = {
-        "front": ((x + thick) / 2, 0.0, thick, y + 2 * thick),
-        "back": (-(x + thick) / 2, 0.0, thick, y + 2 * thick),
-        "left": (0.0, (y + thick) / 2, x, thick),
-        "right": (0.0, -(y + thick) / 2, x, thick),
-    }
+    sides = (
+        ((x + thick) / 2, 0.0, thick, y + 2 * thick),
+        (-(x + thick) / 2, 0.0, thick, y + 2 * thick),
+        (0.0, (y + thick) / 2, x, thick),
+        (0.0, -(y + thick) / 2, x, thick),
+    )
     return tuple(
         ObjectBody(
-            name=f"{side} wall",
+            name=name,
             shape=Box((along_x, along_y, height)),
             pose=Pose((at_x, at_y, height / 2)),
-            colour=WALL_COLOUR,
+            colour=arena.colour or WALL_COLOUR,
             friction=arena.friction,
             fixed=True,
         )
-        for side, (at_x, at_y, along_x, along_y) in sides.items()
+        for name, (at_x, at_y, along_x, along_y) in zip(ARENA_WALLS, sides, strict=True)
     )

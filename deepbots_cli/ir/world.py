@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from deepbots_cli.urdf.model import Pose, RobotModel, Shape, Vector
+from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.urdf.model import Mesh, Pose, RobotModel, Shape, Vector
 
 # What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
 MOST_BODIES = 500
 MOST_SUBSTEPS = 10_000
 MOST_SETTLING_STEPS = 100_000
+MOST_POINTS = 10_000  # of all painted lines together
+
+# Bodies of the world that are not objects; neither word may name one.
+GROUND = "ground"
+ARENA_WALLS = ("front wall", "back wall", "left wall", "right wall")
+
+Point = tuple[float, float]
+Colour = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -18,6 +29,75 @@ class Ground:
 
     friction: float = 1.0
     restitution: float = 0.0
+    colour: Colour | None = None
+
+
+@dataclass(frozen=True)
+class Pit:
+    """A bowl around the origin, 20 m wide; `deepbots_cli.terrain` has the formula. Height and radius in m, noise a share."""
+
+    height: float
+    radius: float
+    noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Heights from a grey PNG, black at 0 and white at `height` (m); its first row is the farthest along y.
+
+    The path of the file, its digest (sha256, hex), and what it covers along x and y (m), around the origin.
+    """
+
+    path: str
+    digest: str
+    size: tuple[float, float]
+    height: float
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Heights (m) as an expression of the names `x` and `y` (m), over `size` (m) around the origin."""
+
+    heights: Scalar
+    size: tuple[float, float]
+
+
+Relief = Pit | Picture | Formula | Mesh
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Ground that is not flat, in place of the plane; what it is made of is called `GROUND` too."""
+
+    relief: Relief
+    friction: float = 1.0
+    colour: Colour | None = None
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line painted on the ground: through points (m) in order, a stroke of `width` (m) that throws back so much light.
+
+    A closed one goes on from its last point to its first.
+    """
+
+    name: str
+    points: tuple[Point, ...]
+    closed: bool
+    width: float
+    reflectance: float = 0.0
+    colour: Colour = (0.1, 0.1, 0.1, 1.0)
+
+    @property
+    def pieces(self) -> tuple[tuple[Point, Point], ...]:
+        """Its straight pieces, in order."""
+        ends = (*self.points[1:], self.points[0]) if self.closed else self.points[1:]
+        return tuple(zip(self.points, ends, strict=False))
+
+    @property
+    def length(self) -> float:
+        """In m, along the middle of the stroke."""
+        return sum(math.dist(*piece) for piece in self.pieces)
 
 
 @dataclass(frozen=True)
@@ -28,6 +108,7 @@ class Arena:
     wall_height: float
     wall_thickness: float = 0.01
     friction: float = 1.0
+    colour: Colour | None = None
 
 
 @dataclass(frozen=True)
@@ -54,12 +135,15 @@ class ObjectBody:
     shape: Shape
     pose: Pose = Pose()
     mass: float = 0.0
-    colour: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    colour: Colour = (0.7, 0.7, 0.7, 1.0)
     friction: float = 1.0
     fixed: bool = False
     solid: bool = True
     pooled: bool = False
     variants: tuple[Variant, ...] = ()
+    spinning_friction: float = 0.0
+    rolling_friction: float = 0.0
+    restitution: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +158,10 @@ class RobotBody:
 
 @dataclass(frozen=True)
 class WorldModel:
-    """All that an engine needs. `timestep` (s) is one control tick, made of `substeps` engine steps."""
+    """All that an engine needs. `timestep` (s) is one control tick, made of `substeps` engine steps.
+
+    Where there is a terrain there is no plane. `light` is the brightness of pictures, 1 the ordinary one.
+    """
 
     timestep: float
     substeps: int
@@ -83,3 +170,9 @@ class WorldModel:
     arena: Arena | None = None
     robots: tuple[RobotBody, ...] = ()
     objects: tuple[ObjectBody, ...] = ()
+    terrain: Terrain | None = None
+    lines: tuple[Line, ...] = ()
+    light: float = 1.0
+
+    def line(self, name: str) -> Line:
+        return next(line for line in self.lines if line.name == name)

@@ -14,7 +14,8 @@ Scalars = tuple[Scalar, ...]
 
 _REDUCTIONS = {"sum": "add", "norm": "hypot", "any": "or", "all": "and", "min": "min", "max": "max"}
 # Read at the link that stands for the subject; a robot is where its base link is.
-_OF_LINKS = frozenset({"position", "velocity", "angular_velocity", "orientation", "local", *geometry.OF_ONE, *geometry.OF_TWO})
+_OF_LINKS = frozenset({"position", "velocity", "angular_velocity", "orientation", "local", "beside", "along"})
+_OF_LINKS |= geometry.OF_ONE.keys() | geometry.OF_TWO.keys()
 
 
 def lower(value: Typed, owner: str, spread: Components | None = None) -> Scalars:
@@ -79,6 +80,8 @@ class _Lowering:
                 return tuple(Draw(value.function, args, self._place(value, index) + target) for index, args in enumerate(columns))
 
     def _pure(self, value: Invocation) -> Scalars:
+        if value.function == "length":  # of a line, known before anything runs
+            return (Const(value.type.interval.low),)
         if len(value.args) == 1 and value.type.components is None and value.args[0].type.components is not None:
             parts = self.scalars(value.args[0])
             if value.function == "mean":

@@ -130,6 +130,7 @@ _PURE = (
         Shape.GATHER,
         interval=lambda a, _n: iv.hull(a),
     ),
+    Function("length", Family.PURE, (_LINE,), "The length of a line.", _LENGTH, interval=_first),
 )
 
 _WORLD = (
@@ -203,7 +204,6 @@ _WORLD = (
     ),
     Function("beside", Family.WORLD, (_BODY, _LINE), "How far a body is to the left of a line.", _LENGTH),
     Function("along", Family.WORLD, (_BODY, _LINE), "How far a body has come along a line.", _LENGTH),
-    Function("length", Family.WORLD, (_LINE,), "The length of a line.", _LENGTH, interval=_known(iv.POSITIVE)),
 )
 
 _MESSAGE = (

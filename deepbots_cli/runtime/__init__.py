@@ -5,6 +5,7 @@ robot.py       base of the generated robot controllers
 actuation/     actuators that are more than a motor of the engine
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
+lines.py       painted lines: places beside and along them, light
 streams.py     named random streams under one root seed
 spaces.py      action and observation spaces; view.py a camera that sees the whole scene
 load.py        generated text to a module whose tracebacks show its lines
@@ -13,10 +14,11 @@ Nothing here reads YAML or knows an engine beyond the port.
 """
 
 from deepbots_cli.runtime.actuation import Motor
+from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.urdf.rotation import quaternion
 
-__all__ = ["MALFORMED", "Motor", "RobotController", "Supervisor", "clipped", "load_module", "quaternion", "unbounded"]
+__all__ = ["MALFORMED", "Follower", "Motor", "RobotController", "Supervisor", "clipped", "load_module", "quaternion", "unbounded"]

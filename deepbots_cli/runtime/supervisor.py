@@ -218,6 +218,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         controller: RobotController = getattr(self, f"robot_{robot}")
         controller.devices[sensor].vary(fault, values)
 
+    def rub(self, bodies: tuple[str, ...], friction: float) -> None:
+        """Let several bodies, such as the walls around an arena, have the same coefficient of friction."""
+        for body in bodies:
+            self.engine.set_friction(body, None, lateral=friction)
+
     # The end of an episode, and failures: off the fast path
 
     def _terminate(self, endings: Mapping[str, bool], *, success: bool = False) -> None:

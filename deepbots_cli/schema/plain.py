@@ -158,15 +158,19 @@ COLOURS = {
 _DRAWN = r"choice\(([^()]*)\)"
 
 
+def colour_options(text: str) -> list[str]:
+    """The colours that one may be drawn from, or the single one."""
+    drawn = re.fullmatch(_DRAWN, text.strip())
+    return [part.strip() for part in drawn[1].split("|")] if drawn else [text.strip()]
+
+
 class Colour(Leaf):
     """A word of `COLOURS`, `"#rrggbb"`, or a choice of them per episode."""
 
     noun = "a colour"
 
     def examine(self, value: object) -> None:
-        text = str(value).strip()
-        drawn = re.fullmatch(_DRAWN, text)
-        for word in [part.strip() for part in drawn[1].split("|")] if drawn else [text]:
+        for word in colour_options(str(value)):
             if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
                 raise problem("DB104", f"unknown colour `{word[:40]}`", f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`")
 

@@ -66,6 +66,12 @@ def with_friction(
     return with_link(model, replace(old, friction=new))
 
 
+def with_colour(model: RobotModel, link: str, colour: tuple[float, float, float, float]) -> RobotModel:
+    """The link with all that is seen of it in one colour; one without visuals shows what it collides with."""
+    old = model.link(link)
+    return with_link(model, replace(old, visuals=tuple(replace(seen, colour=colour) for seen in old.visuals or old.collisions)))
+
+
 def with_joint(
     model: RobotModel,
     joint: str,

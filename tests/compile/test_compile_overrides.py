@@ -57,6 +57,26 @@ def test_a_stretch_may_be_one_factor_for_all_axes(workshop, cartpole) -> None:
     assert pole.link("pole").inertial.mass == pytest.approx(8 * 0.2)
 
 
+def test_a_drawn_figure_is_drawn_for_each_link_that_a_pattern_means(workshop, cartpole) -> None:
+    varied = workshop.compile(cartpole(with_cart('links: {"wheel_*": {mass: urdf * uniform(0.8 .. 1.2)}}'))).ir
+    assert [(v.what, v.of) for v in varied.reset.variations] == [
+        ("mass", ("cart", f"wheel_{end}_{side}")) for end in ("front", "rear") for side in ("left", "right")
+    ]
+    assert len({str(v.values) for v in varied.reset.variations}) == 4
+    assert varied.world.robots[0].model.link("wheel_rear_left").inertial.mass == pytest.approx(0.1005)
+
+
+def test_a_later_figure_of_the_same_link_replaces_a_draw(workshop, cartpole) -> None:
+    varied = workshop.compile(cartpole(with_cart('links: {"*": {friction: uniform(0.5 .. 1)}, pole: {friction: 0.3}}'))).ir
+    assert ("cart", "pole") not in [v.of for v in varied.reset.variations]
+    assert varied.world.robots[0].model.link("pole").friction.lateral == 0.3
+
+
+def test_a_colour_of_a_link_is_seen_on_all_of_it(workshop, cartpole) -> None:
+    cart = model(workshop.compile(cartpole(with_cart("links: {wheel_rear_left: {colour: red}}"))))
+    assert {seen.colour for seen in cart.link("wheel_rear_left").visuals} == {(0.85, 0.2, 0.2, 1.0)}
+
+
 WRONG = {
     "links: {pole: {mass: 0}}": "DB105",
     "links: {pole: {mass: 1 m}}": "DB503",
@@ -65,7 +85,7 @@ WRONG = {
     'links: {"pol_*": {mass: 1 kg}}': "DB206",
     "links: {pole: {stretch: 1 1 0}}": "DB105",
     "links: {wheel_front_left: {stretch: 1 1 2}}": "DB105",
-    "links: {pole: {friction: uniform(0.5 .. 1)}}": "DB108",
+    "links: {pole: {friction: uniform(-0.5 .. 1)}}": "DB105",
     "links: {pole: {friction: -0.5}}": "DB105",
     "joints: {pole_hing: {damping: 1 N*m*s/rad}}": "DB302",
     "joints: {tip_mount: {damping: 1 N*m*s/rad}}": "DB303",

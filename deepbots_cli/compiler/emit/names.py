@@ -8,6 +8,7 @@ import math
 import re
 
 RUNTIME = (
+    "Follower",
     "MALFORMED",
     "Motor",
     "RobotController",

@@ -12,12 +12,15 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple
 from deepbots_cli.lang.scalar import Scalar, World, walk
 
+_FOLLOWED = ("beside", "along")
+"""What is told of a body and a line; a follower computes it from the body's pose."""
 _XYZ = {"x": 0, "y": 1, "z": 2, "w": 3}
 _METHODS = {"joints": "joint_states", "torques": "joint_torques", "pose": "pose", "velocity": "velocity"}
 _OF_LINKS = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
 ARRIVALS = ("age", "fresh")
 """What the channel tells, and no engine."""
 _PART = {"position": 0, "orientation": 1, "velocity": 0, "angular_velocity": 1, "joint_position": 0, "joint_velocity": 1}
+_PART |= {name: index for index, name in enumerate(_FOLLOWED)}
 """Where a fact stands in what its reader returns, or returns for a joint."""
 
 
@@ -29,7 +32,7 @@ class Reads:
 
     def __init__(self, expressions: Iterable[Scalar], names: Names) -> None:
         self._names = names
-        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in _METHODS}
+        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in (*_METHODS, "line")}
         """The subjects of each kind of reader, with the joints that it is asked for."""
         for leaf in _facts(expressions):
             self._note(leaf)
@@ -40,20 +43,38 @@ class Reads:
         if what in ("joints", "torques"):
             joint = leaf.subjects[0].split(".", 1)[1]
             joints += [] if joint in joints else [joint]
+        elif what == "line":
+            self._note(_place_of(leaf.subjects[0]))
 
     def bind_lines(self) -> list[str]:
         """Statements that take the readers from `engine`."""
-        return [
-            f"self.read_{self._local(subject, what)} = engine.{_METHODS[what]}({_arguments(subject, joints)})"
-            for what, table in self._needed.items()
-            for subject, joints in table.items()
+        readers = [
+            f"self.read_{self._local(subject, what)} = engine.{method}({_arguments(subject, joints)})"
+            for what, method in _METHODS.items()
+            for subject, joints in self._needed[what].items()
         ]
+        lines = [quoted(subject.partition(" ")[2]) for subject in self._needed["line"]]
+        followed = zip(self._followers, lines, strict=True)
+        return [*readers, *(f"{follower} = Follower(self.scenario.world.line({line}))" for follower, line in followed)]
+
+    def start_lines(self) -> list[str]:
+        """Statements that begin an episode."""
+        return [f"{follower}.reset()" for follower in self._followers]
+
+    @property
+    def _followers(self) -> list[str]:
+        return [f"self.read_{self._local(subject, 'line')}" for subject in self._needed["line"]]
 
     def call_lines(self, expressions: Iterable[Scalar]) -> list[str]:
         """Statements that read once what these expressions need."""
         needed = {_reader(leaf) for leaf in _facts(expressions)}
-        locals_ = [self._local(subject, what) for what, table in self._needed.items() for subject in table if (subject, what) in needed]
-        return [f"{name} = self.read_{name}()" for name in locals_]
+        needed |= {(subject.partition(" ")[0], "pose") for subject, what in needed if what == "line"}
+        ordered = [(subject, what) for what, table in self._needed.items() for subject in table if (subject, what) in needed]
+        return [f"{self._local(*reader)} = self.read_{self._local(*reader)}({self._argument(*reader)})" for reader in ordered]
+
+    def _argument(self, subject: str, what: str) -> str:
+        """What a reader is given in every tick: a follower the position of the body, the others nothing."""
+        return self.code(_place_of(subject.partition(" ")[0])).removesuffix("[0]") if what == "line" else ""
 
     def code(self, leaf: World) -> str:
         """The code of one number, after its reader was called."""
@@ -61,6 +82,8 @@ class Reads:
         local = self._local(subject, what)
         if what in ("pose", "velocity"):
             return f"{local}[{_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
+        if what == "line":
+            return f"{local}[{_PART[leaf.function]}]"
         index = self._needed[what][subject].index(leaf.subjects[0].split(".", 1)[1])
         return f"{local}[{index}]" if what == "torques" else f"{local}[{index}][{_PART[leaf.function]}]"
 
@@ -73,7 +96,13 @@ def _reader(leaf: World) -> tuple[str, str]:
     subject = leaf.subjects[0]
     if leaf.function in _OF_LINKS:
         return subject, _OF_LINKS[leaf.function]
+    if leaf.function in _FOLLOWED:
+        return f"{subject} {leaf.subjects[1]}", "line"
     return subject.split(".", 1)[0], "torques" if leaf.function == "joint_torque" else "joints"
+
+
+def _place_of(body: str) -> World:
+    return World("position", (body,), "x")
 
 
 def _facts(expressions: Iterable[Scalar]) -> Iterator[World]:

@@ -21,6 +21,7 @@ def start(space: Workspace) -> list[str]:
     printer = space.printer(starting=True)
     printer.line('"""Receive the first messages and compute what the first observation needs."""')
     zeros = _acting(space)
+    printer.lines += space.reads.start_lines()
     if zeros:
         printer.line(" = ".join([*zeros, "0.0"]))
     for robot in space.scenario.robots:

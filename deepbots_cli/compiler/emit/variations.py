@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from deepbots_cli.compiler.emit.text import quoted, tuple_code
+from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
 from deepbots_cli.ir import Variation
 
 Code = Callable[[Sequence[str], Sequence[str]], str]
 
 
 class Setter(NamedTuple):
-    """`names` is the length of `of`; `values` that of `values`, None for any; `code` prints the statement from both."""
+    """`names` is the length of `of`, `values` that of `values`, None for any; `code` prints the statement from both."""
 
-    names: int
+    names: int | None
     values: int | None
     code: Code
 
@@ -36,6 +36,18 @@ def _actuator(figure: str, *, each: bool = True) -> Code:
     return lambda of, values: f"self.robot_{of[0]}.drive_{of[1]}.{figure} = {tuple_code(values) if each else values[0]}"
 
 
+def _walls(of: Sequence[str], values: Sequence[str]) -> str:
+    """One figure for all of some fixed bodies."""
+    return f"self.rub({quoted_tuple(of)}, {values[0]})"
+
+
+def _colour(of: Sequence[str], values: Sequence[str]) -> str:
+    """The first value says which of the colours behind it, three shares each."""
+    which, *shares = values
+    options = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
+    return f"self.engine.set_colour({_body(of[0], of[1])}, {options}[int({which})])"
+
+
 def _friction(which: str) -> Code:
     return lambda of, values: f"self.engine.set_friction({_body(of[0], of[1])}, {which}={values[0]})"
 
@@ -51,6 +63,8 @@ SETTERS: Mapping[str, Setter] = {
     "gravity": Setter(0, 3, lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))"),
     "sensor": Setter(3, None, lambda of, values: f"self.vary_sensor({', '.join(map(quoted, of))}, {tuple_code(values)})"),
     "light": Setter(0, 1, _engine("set_light")),
+    "walls_friction": Setter(None, 1, _walls),
+    "colour": Setter(2, None, _colour),
 }
 """A link is named by body and link, the root link of an object by an empty link; a fault of a sensor by robot, sensor and fault."""
 

@@ -36,7 +36,9 @@ def require_variations(scenario: CompiledScenario) -> None:
     """Each figure that an episode varies is in the table, with its names and values."""
     for variation in scenario.reset.variations:
         setter = SETTERS.get(variation.what)
-        if setter is None or len(variation.of) != setter.names or setter.values not in (None, len(variation.values)):
+        if setter is None or setter.names not in (None, len(variation.of)) or setter.values not in (None, len(variation.values)):
+            raise CanonicalError(f"{variation.what[:40]!r} is nothing that an episode varies")
+        if variation.what == "colour" and (len(variation.values) < 4 or len(variation.values) % 3 != 1):
             raise CanonicalError(f"{variation.what[:40]!r} is nothing that an episode varies")
 
 
