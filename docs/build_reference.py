@@ -37,7 +37,7 @@ _KEYS_LATER: dict[Route, tuple[str, ...]] = {
 }
 _KINDS_RUN: dict[Route, frozenset[str]] = {
     ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),
-    ("robots", "*", "actuators", "*"): frozenset(support.MOTORS),
+    ("robots", "*", "actuators", "*"): support.ACTUATED,
 }
 
 

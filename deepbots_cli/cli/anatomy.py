@@ -10,7 +10,7 @@ from collections.abc import Mapping as Dictionary
 
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
-from deepbots_cli.ir import Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, viewed
+from deepbots_cli.ir import Actuator, Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, Thrust, viewed
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
 
@@ -151,18 +151,23 @@ def _sensors(scenario: CompiledScenario) -> list[Row]:
 
 
 def _actuators(scenario: CompiledScenario) -> list[Row]:
+    return [row for robot in scenario.robots for actuator in robot.actuators for row in _parts_of(robot.name, actuator)]
+
+
+def _parts_of(robot: str, actuator: Actuator) -> list[Row]:
+    """One row for each part that an actuator drives; all have the same columns."""
+    response = actuator.response
+    strength = response.strength if response.strength != 1.0 else None
+    answers: Row = {"strength": strength, "delay_s": response.delay or None, "lag_s": response.lag or None}
+    if isinstance(actuator, Thrust):
+        known: Row = {"robot": robot, "actuator": actuator.name, "type": "thrust"}
+        limits: Row = {"max_torque": None, "max_velocity": None, "thrust": [actuator.low, actuator.high]}
+        return [{**known, "part": link, **limits, **answers} for link in actuator.links]
+    known = {"robot": robot, "actuator": actuator.name, "type": actuator.kind}
+    rows = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
     return [
-        {
-            "robot": robot.name,
-            "actuator": actuator.name,
-            "type": actuator.kind,
-            "joint": joint,
-            "max_torque": torque,
-            "max_velocity": velocity,
-        }
-        for robot in scenario.robots
-        for actuator in robot.actuators
-        for joint, torque, velocity in zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
+        {**known, "part": joint, "max_torque": torque, "max_velocity": velocity, "thrust": None, **answers}
+        for joint, torque, velocity in rows
     ]
 
 

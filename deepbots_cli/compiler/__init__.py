@@ -10,7 +10,7 @@ variations.py   figures that every episode draws anew
 values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
 world.py        timestep, ground, arena, objects; strokes.py painted lines and walls, colours.py
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
-controllers.py  messages of a robot; actuators.py what it drives
+controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees
 channels.py     what messages meet on their way, draws that are repeated

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from deepbots_cli import ir
-from deepbots_cli.compiler.matching import expand
+from deepbots_cli.compiler.actuators import driven_parts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.lang.dimensions import NUMBER
@@ -122,10 +122,7 @@ class Actions:
         if subject is not None and subject.components:
             return subject.components
         if robot is not None and rest in robot.spec.actuators:
-            actuator = robot.spec.actuators[rest]
-            patterns = getattr(actuator, "joints", None) or getattr(actuator, "joint", None) or ()
-            joints, _ = expand([joint.name for joint in robot.model.moving_joints], patterns, robot.groups)
-            return joints or None
+            return driven_parts(robot, robot.spec.actuators[rest])
         if not self._namespace.is_broken(reference):
             scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
             known = dict.fromkeys(f"{scene.name}.{part}" for scene in scenes for part in (*scene.groups, *scene.spec.actuators))

@@ -9,6 +9,7 @@ from dataclasses import replace
 from deepbots_cli import ir
 from deepbots_cli.lang import lower as lang
 from deepbots_cli.lang.fold import op
+from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Const, Draw, Name, Scalar, walk
 from deepbots_cli.task import (
     Command,
@@ -140,21 +141,27 @@ def _route(route: TaskRoute, owner: str) -> ir.Route:
 
 
 def _command(command: Command) -> ir.NamedValues:
-    """One target per component, within the joint's velocity limit where the actuator commands velocities."""
+    """One target per component, within the velocity limits of joints and the range of thrusts."""
     actuator = command.actuator
     values = _scalars(command.target)
     if len(values) == 1:
         values = values * len(actuator.components)
-    if actuator.kind == "velocity_motor":
-        reach = command.target.typed.type.interval
-        values = tuple(_limited(value, limit, reach.low, reach.high) for value, limit in zip(values, actuator.max_velocity, strict=True))
+    reach = command.target.typed.type.interval
+    match actuator:
+        case ir.Motor(kind="velocity_motor"):
+            values = tuple(_limited(value, limit, reach) for value, limit in zip(values, actuator.max_velocity, strict=True))
+        case ir.Thrust(low=low, high=high):
+            values = tuple(_clamped(value, low, high, reach) for value in values)
     return ir.NamedValues(actuator.name, actuator.components, values)
 
 
-def _limited(value: Scalar, limit: float | None, low: float, high: float) -> Scalar:
-    if limit is None or (-limit <= low and high <= limit):
-        return value
-    return op("clamp", value, Const(-limit), Const(limit))
+def _limited(value: Scalar, limit: float | None, reach: Interval) -> Scalar:
+    return value if limit is None else _clamped(value, -limit, limit, reach)
+
+
+def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
+    """The value kept within bounds, where it may leave them: it is known to stay within `reach`."""
+    return value if low <= reach.low and reach.high <= high else op("clamp", value, Const(low), Const(high))
 
 
 def _action_variables(apply: tuple[ir.NamedValues, ...], task: Task) -> tuple[ir.NamedValues, ...]:

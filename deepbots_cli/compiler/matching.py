@@ -51,6 +51,22 @@ def joint_missing(values: Values, span: Span, pattern: str, model: RobotModel) -
         unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
 
 
+def links_of(values: Values, links: Sequence[str], groups: Mapping[str, Group], spec: object, place: Path) -> tuple[str, ...]:
+    """The links that `link` or `links` of the sensor or actuator at `place` names; none after a finding."""
+    one = getattr(spec, "link", None)
+    if one is not None:
+        if one not in links:
+            values.unknown(values.span((*place, "link")), "link", one, links)
+        return (one,) if one in links else ()
+    patterns = getattr(spec, "links", None) or ()  # neither is left where the schema had a finding about it
+    names, missing = expand(links, patterns, groups)
+    for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
+        if pattern in missing:
+            span = values.span((*place, "links") if isinstance(patterns, str) else (*place, "links", index))
+            unmatched(values, span, pattern, "link", links)
+    return () if missing else names
+
+
 def motionless(values: Values, span: Span, joint: Joint, model: RobotModel) -> None:
     names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"

@@ -8,7 +8,7 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.beams import BeamReader
 from deepbots_cli.compiler.faults import FaultReader, period
 from deepbots_cli.compiler.joints import hull, sensed_dimension
-from deepbots_cli.compiler.matching import expand, joints_of, unmatched
+from deepbots_cli.compiler.matching import joints_of, links_of
 from deepbots_cli.compiler.mounts import mount
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.optics import optics
@@ -89,7 +89,7 @@ class Sensing:
         return replace(sensor, mount=frame), _type(kind.dimension, kind.components, kind.interval)
 
     def _of_contacts(self, name: str, spec: ContactSensor, kind: SensorKind, place: Path) -> tuple[ir.Sensor, Type] | None:
-        links = self._links(spec, place)
+        links = links_of(self._values, self._scene.link_names, self._scene.groups, spec, place)
         against = self._against(spec, place) if isinstance(spec, TouchSensor) and spec.against is not None else None
         if not links:
             return None
@@ -128,18 +128,6 @@ class Sensing:
         if not known:
             self._values.unknown(self._values.span((*place, "link")), "link", link, self._scene.link_names)
         return known
-
-    def _links(self, spec: ContactSensor, place: Path) -> tuple[str, ...]:
-        """The links that `link` or `links` names; none after a finding."""
-        if spec.link is not None:
-            return (spec.link,) if self._is_link(spec.link, place) else ()
-        patterns = spec.links or ()
-        names, missing = expand(self._scene.link_names, patterns, self._scene.groups)
-        for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
-            if pattern in missing:
-                span = self._values.span((*place, "links") if isinstance(patterns, str) else (*place, "links", index))
-                unmatched(self._values, span, pattern, "link", self._scene.link_names)
-        return () if missing else names
 
     def _against(self, spec: TouchSensor, place: Path) -> tuple[str, ...]:
         """The full names of what a touch sensor feels."""

@@ -26,7 +26,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.ir.actuation import Actuator, Motor, MotorKind, Response
+from deepbots_cli.ir.actuation import Actuator, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.resets import Place, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
@@ -147,6 +147,7 @@ __all__ = [
     "Stage",
     "Term",
     "Terrain",
+    "Thrust",
     "Timing",
     "Training",
     "Truncation",

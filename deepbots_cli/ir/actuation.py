@@ -45,4 +45,24 @@ class Motor:
         return self.joints
 
 
-Actuator = Motor
+@dataclass(frozen=True)
+class Thrust:
+    """Links that are pushed along their z axis with `low` to `high` N, as by a rotor.
+
+    Each is turned about that axis with `drag` (m) times thrust times its `spin`.
+    """
+
+    name: str
+    links: tuple[str, ...]
+    low: float
+    high: float
+    drag: float
+    spin: tuple[float, ...]
+    response: Response = Response()
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return self.links
+
+
+Actuator = Motor | Thrust

@@ -13,7 +13,7 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
-from deepbots_cli.runtime.actuation import Motor
+from deepbots_cli.runtime.actuation import Motor, Thrust
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
@@ -21,4 +21,15 @@ from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.urdf.rotation import quaternion
 
-__all__ = ["MALFORMED", "Follower", "Motor", "RobotController", "Supervisor", "clipped", "load_module", "quaternion", "unbounded"]
+__all__ = [
+    "MALFORMED",
+    "Follower",
+    "Motor",
+    "RobotController",
+    "Supervisor",
+    "Thrust",
+    "clipped",
+    "load_module",
+    "quaternion",
+    "unbounded",
+]

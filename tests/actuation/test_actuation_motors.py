@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.engines.exact import ExactEngine
 from deepbots_cli.runtime import Supervisor
 
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
 Make = Callable[..., Supervisor]
-
-pytestmark = pytest.mark.skipif(not hasattr(ExactEngine, "before_substep"), reason="needs an engine that lets devices act in every substep")
 
 TICK = 0.02
 FORWARD, BACKWARD = 0, 1

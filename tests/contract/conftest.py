@@ -25,6 +25,7 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("drawn", ()),
     ("drawn", ("messages.timing=paper",)),
     ("pair", ()),
+    ("drone", ()),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
-from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Robot
+from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Robot, Thrust
 
 
 class Driving:
@@ -31,9 +31,14 @@ class Driving:
         return bool(self._actuators)
 
     def _code(self, actuator: Actuator) -> str:
+        if isinstance(actuator, Thrust):
+            return self._thrust(actuator)
         return self._device(actuator) if self._is_device(actuator) else self._plain(actuator)
 
-    def _is_device(self, motor: Motor) -> bool:
+    def _is_device(self, actuator: Actuator) -> bool:
+        return not isinstance(actuator, Motor) or self._is_device_motor(actuator)
+
+    def _is_device_motor(self, motor: Motor) -> bool:
         varies = any(self._varies(motor, figure) for figure in ("strength", "max_torque", "stiffness", "damping"))
         return varies or self._responds(motor) or (motor.kind == "torque_motor" and motor.response.strength != 1.0)
 
@@ -58,8 +63,7 @@ class Driving:
         arguments = ["engine", quoted(motor.kind), self._joints(motor), _limits(motor)]
         gains = (("stiffness", motor.stiffness), ("damping", motor.damping))
         arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
-        if motor.response.strength != 1.0:
-            arguments.append(f"strength={motor.response.strength!r}")
+        arguments += _strength(motor)
         if self._responds(motor):
             arguments.append(f"substep={self._substep!r}")
             arguments += _late(motor)
@@ -67,8 +71,17 @@ class Driving:
                 arguments.append(f"rates={tuple_code([_figure(rate) for rate in rates])}")
         return f"Motor({', '.join(arguments)})"
 
+    def _thrust(self, thrust: Thrust) -> str:
+        arguments = ["engine", quoted(self._robot.name), quoted_tuple(thrust.links), repr(thrust.drag)]
+        arguments += [tuple_code([repr(sense) for sense in thrust.spin]), repr(self._substep), *_strength(thrust), *_late(thrust)]
+        return f"Thrust({', '.join(arguments)})"
+
     def _joints(self, motor: Motor) -> str:
         return f"{quoted(self._robot.name)}, {quoted_tuple(motor.joints)}"
+
+
+def _strength(actuator: Actuator) -> list[str]:
+    return [f"strength={actuator.response.strength!r}"] if actuator.response.strength != 1.0 else []
 
 
 def _late(actuator: Actuator) -> list[str]:

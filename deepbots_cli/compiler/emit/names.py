@@ -13,6 +13,7 @@ RUNTIME = (
     "Motor",
     "RobotController",
     "Supervisor",
+    "Thrust",
     "clipped",
     "quaternion",
     "unbounded",

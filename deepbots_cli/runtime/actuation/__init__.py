@@ -2,10 +2,12 @@
 
 response.py  commands on their way: delayed, lagging, changing only so fast
 motors.py    motors with a strength and a response
+thrust.py    rotors
 hold.py      what keeps a robot where it is while its world settles
 """
 
 from deepbots_cli.runtime.actuation.hold import Drive, hold
 from deepbots_cli.runtime.actuation.motors import Motor
+from deepbots_cli.runtime.actuation.thrust import Thrust
 
-__all__ = ["Drive", "Motor", "hold"]
+__all__ = ["Drive", "Motor", "Thrust", "hold"]

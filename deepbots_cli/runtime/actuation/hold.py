@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from deepbots_cli.ir import Motor
+from deepbots_cli.ir import Actuator, Motor
 from deepbots_cli.port import Engine, MotorWriter
 
 
@@ -19,11 +19,11 @@ class Drive(Protocol):
         """Keep what it drives where it is, as far as it can."""
 
 
-def hold(engine: Engine, robot: str, motor: Motor, drive: MotorWriter | Drive) -> None:
-    """Keep the joints of a motor where they are; one that commands torques lets them go."""
+def hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter | Drive) -> None:
+    """Keep what an actuator drives where it is; a motor that commands torques lets its joints go."""
     if isinstance(drive, Drive):
         drive.hold()
-    elif motor.kind == "velocity_motor":
-        drive((0.0,) * len(motor.joints))
-    elif motor.kind == "position_motor":
-        drive([state[0] for state in engine.joint_states(robot, motor.joints)()])
+    elif isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
+        drive((0.0,) * len(actuator.joints))
+    elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
+        drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from math import isfinite
-
 from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Variation
+from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Thrust, Variation
 
 _LONGEST = 1e9  # s or substeps; a delay or lag beyond is nothing that was compiled
+_MOST = 1e30
 _PREFIX = "actuator_"
 
 
@@ -29,16 +28,22 @@ def require_actuators(scenario: CompiledScenario) -> None:
 
 
 def _require_sound(actuator: Actuator, substep: float) -> None:
-    if not actuator.components:
-        raise CanonicalError(f"'{actuator.name[:40]}' drives nothing")
-    if any(len(limits) != len(actuator.joints) for limits in (actuator.max_torque, actuator.max_velocity)):
-        raise CanonicalError(f"'{actuator.name[:40]}' has not one limit per joint")
     response = actuator.response
     if not all(0.0 <= span <= _LONGEST and span / substep <= _LONGEST for span in (response.delay, response.lag)):
         raise CanonicalError(f"'{actuator.name[:40]}' answers after {response.delay} s, with a lag of {response.lag} s")
-    gains = [gain for gain in (response.strength, actuator.stiffness, actuator.damping, actuator.max_acceleration) if gain is not None]
-    limits = [limit for limit in (*actuator.max_torque, *actuator.max_velocity) if limit is not None]
-    if not all(isfinite(gain) and gain >= 0.0 for gain in gains) or not all(limit >= 0.0 for limit in limits):
+    match actuator:
+        case Motor():
+            counts = {len(actuator.joints), len(actuator.max_torque), len(actuator.max_velocity)}
+            limits: tuple[float | None, ...] = (*actuator.max_torque, *actuator.max_velocity)
+            gains: tuple[float | None, ...] = (actuator.stiffness, actuator.damping, actuator.max_acceleration)
+        case Thrust():
+            counts, limits, gains = {len(actuator.links), len(actuator.spin)}, (), (actuator.drag, *map(abs, actuator.spin))
+            if not -_MOST < actuator.low < actuator.high < _MOST:
+                raise CanonicalError(f"'{actuator.name[:40]}' pushes with {actuator.low} to {actuator.high} N")
+    if len(counts) != 1 or 0 in counts:
+        raise CanonicalError(f"'{actuator.name[:40]}' has not one figure for each part")
+    figures = (response.strength, *gains)
+    if any(gain is not None and not 0.0 <= gain < _MOST for gain in figures) or any(limit is not None and limit < 0.0 for limit in limits):
         raise CanonicalError(f"'{actuator.name[:40]}' has a figure below 0 or beyond all bounds")
 
 

@@ -1,0 +1,76 @@
+"""The figures of one actuator: its limits beside those of the robot file, its strength, how promptly it answers."""
+
+from __future__ import annotations
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.joints import effort_of, joint_dimension
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.variations import figure, figures
+from deepbots_cli.lang.dimensions import NUMBER, TIME, Dimension
+from deepbots_cli.lang.types import Context
+from deepbots_cli.schema.actuators import Actuator
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.urdf.model import Joint
+
+Limits = tuple[float | None, ...]
+
+
+class Figures:
+    """Reads figures of the actuator called `name`; what an episode draws anew becomes a variation `actuator_...` of it."""
+
+    def __init__(self, robot: str, name: str, namespace: Namespace) -> None:
+        self.place: Path = ("robots", robot, "actuators", name)
+        self._of = (robot, name)
+        self._namespace = namespace
+        self._values = namespace.values
+        self.scope = ParameterScope(namespace, Context.FIELD)
+
+    def response(self, spec: Actuator, parts: tuple[str, ...]) -> ir.Response:
+        """Strength is drawn for each of the parts, delay and lag for all of them together."""
+        strength = self.each("strength", spec.strength, NUMBER, parts)
+        delay, lag = (self._single(key, getattr(spec, key), TIME) for key in ("delay", "lag"))
+        return ir.Response(1.0 if strength is None else strength, delay or 0.0, lag or 0.0)
+
+    def max_torque(self, given: object, joints: tuple[Joint, ...]) -> Limits:
+        """The largest torque or force of each joint: the scenario's, else that of the robot file."""
+        own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_of(joints[0])
+        found = self.each("max_torque", given, effort, tuple(joint.name for joint in joints))
+        if found is None:
+            return own
+        drawn = self._namespace.variations[known:]
+        self._compare("max_torque", drawn[0].value.typed.type.interval.high if drawn else found, effort, own)
+        return (found,) * len(own)
+
+    def max_velocity(self, given: object, joints: tuple[Joint, ...]) -> Limits:
+        """The same for velocities, which are not drawn."""
+        own = tuple(joint.limit.velocity for joint in joints)
+        if given is None:
+            return own
+        rate = joint_dimension(joints[0]) / TIME
+        found = self._values.number((*self.place, "max_velocity"), given, rate, self.scope)
+        if found is None:
+            return own
+        self._compare("max_velocity", found, rate, own)
+        return (found,) * len(own)
+
+    def number(self, key: str, given: object, dimension: Dimension) -> float | None:
+        """A fixed figure; None where none is given, and after a finding."""
+        return None if given is None else self._values.number((*self.place, key), given, dimension, self.scope)
+
+    def each(self, key: str, given: object, dimension: Dimension, parts: tuple[str, ...]) -> float | None:
+        """A figure of all parts alike, or one that every episode draws anew for each of them."""
+        place = (*self.place, key)
+        found = figures(self._namespace, place, given, dimension, self.scope, f"actuator_{key}", self._of, None, parts)
+        return found[0] if found else None
+
+    def _single(self, key: str, given: object, dimension: Dimension) -> float | None:
+        return figure(self._namespace, (*self.place, key), given, dimension, self.scope, f"actuator_{key}", self._of)
+
+    def _compare(self, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
+        """DB304 for a limit beyond those of the robot file."""
+        over = [least for least in own if least is not None and limit > least * (1 + 1e-9)]
+        if over:
+            headline = f"a limit of {limit:g} {dimension}, where the robot file allows {min(over):g}"
+            help = f"lower it, or raise `{key}` under `joints` if the motor can do more"
+            self._values.findings.add("DB304", self._values.span((*self.place, key)), headline, help=help)
