@@ -9,11 +9,8 @@ from deepbots_cli.runtime.sensing.device import Instrument
 
 def touch(engine: Engine, robot: str, sensor: Sensor) -> Instrument:
     """Whether each link touched something in any engine step since the tick before."""
-    others: list[Part] | None = None
-    if sensor.against is not None:
-        others = [_part(name) for name in sensor.against if name != "ground"]
-    ground = sensor.against is None or "ground" in sensor.against
-    readers = [engine.contact((robot, link), others, ground=ground) for link in sensor.subjects]
+    others = None if sensor.against is None else [_part(name) for name in sensor.against]
+    readers = [engine.contact((robot, link), others) for link in sensor.subjects]
     if len(readers) == 1:
         (only,) = readers
         return Instrument(lambda: (only(),))

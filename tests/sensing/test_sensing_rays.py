@@ -1,0 +1,105 @@
+"""Sensors along rays, against closed forms, and their lookup tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from math import asin, cos, pi, sin, sqrt
+
+import numpy as np
+import pytest
+
+from deepbots_cli.ir import Beams, Lookup, ObjectBody, Sensor
+from deepbots_cli.runtime.sensing.ranging import Table
+from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.urdf.model import Box, Pose, Sphere
+from tests.sensing.conftest import DEGREE, Scene, brick
+
+Build = Callable[..., Scene]
+ATTITUDE = Pose((0, 0, 1), (0, 0, 0))
+
+
+def ranger(*turns: float, reach: float = 5.0, combined: str = "each", mount: Pose = Pose(), lookup: Lookup | None = None) -> Sensor:  # noqa: B008
+    """Rays at these yaw angles (deg)."""
+    rays = tuple(Pose(rpy=(0, 0, turn * DEGREE)) for turn in turns)
+    names = tuple(f"r{index}" for index in range(len(turns))) if combined == "each" else ()
+    return Sensor("s", "sonar", ("brick",), names, "m", mount, None, Beams(rays, reach, combined, lookup))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("angle", [0, 20, 45])
+def test_the_distance_to_a_wall_grows_with_the_angle(scene: Build, angle: float) -> None:
+    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
+    world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
+    sensor = world.sensor(ranger(angle, -angle))
+    world.begin()
+    assert sensor.reading == pytest.approx([2.0 / cos(angle * DEGREE)] * 2, abs=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0, 5, 10])
+def test_the_distance_to_a_ball_is_that_of_the_circle(scene: Build, angle: float) -> None:
+    ball, away = 0.5, 2.0
+    thing = ObjectBody("ball", Sphere(ball), Pose((away, 0, 1)), fixed=True)
+    world = scene(brick(), gravity=(0, 0, 0), objects=(thing,))
+    sensor = world.sensor(ranger(angle))
+    world.begin()
+    t = angle * DEGREE
+    assert abs(t) < asin(ball / away)
+    assert sensor.reading == pytest.approx([away * cos(t) - sqrt(ball**2 - (away * sin(t)) ** 2)], abs=1e-6)
+
+
+def test_rays_turn_and_move_with_the_robot_and_end_at_their_reach(scene: Build) -> None:
+    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
+    world = scene(brick(), pose=Pose((0.5, 0, 1), (0, 0, pi / 2)), gravity=(0, 0, 0), objects=(wall,))
+    right = Pose((0.0, -0.25, 0.0), (0, 0, -pi / 2))
+    sensor = world.sensor(ranger(0, 180, mount=right, reach=3.0))
+    world.begin()
+    assert sensor.reading == pytest.approx([1.25, 3.0], abs=1e-6)
+
+
+def test_several_rays_may_give_one_figure(scene: Build) -> None:
+    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
+    world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
+    nearest, mean = world.sensor(ranger(60, 0, combined="nearest")), world.sensor(ranger(60, 0, combined="mean"))
+    world.begin()
+    assert nearest.reading == pytest.approx([2.0], abs=1e-6)
+    assert mean.reading == pytest.approx([3.0], abs=1e-6)
+
+
+TABLE = Lookup((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
+
+
+def test_a_lookup_is_straight_between_its_rows_and_flat_beyond_them() -> None:
+    distances = [0.0, 0.005, *np.linspace(0.01, 0.07, 61), 0.08, 1.0]
+    assert Table(TABLE, len(distances))(distances) == pytest.approx(np.interp(distances, TABLE.distance, TABLE.value))
+
+
+def test_the_noise_of_a_lookup_is_a_share_of_the_reading_interpolated_between_rows() -> None:
+    noisy = Lookup(TABLE.distance, TABLE.value, (0.002, 0.04, 0.01, 0.03))
+    distances = [0.0, 0.01, 0.015, 0.03, 0.07, 0.2]
+    table = Table(noisy, len(distances))
+    table.restart(Streams(3)["lookup"])
+    sample = np.array([table(distances) for _ in range(20_000)])
+    values = np.interp(distances, noisy.distance, noisy.value)
+    shares = np.interp(distances, noisy.distance, noisy.noise)
+    assert sample.mean(axis=0) == pytest.approx(values, rel=2e-3)
+    assert (sample.std(axis=0) / values) == pytest.approx(shares, rel=0.03)
+
+
+def test_a_ray_sensor_reports_what_its_table_makes_of_the_distance(scene: Build) -> None:
+    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((0.24, 0, 0)), fixed=True)
+    world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
+    sensor = world.sensor(ranger(0, 180, reach=0.07, mount=Pose((0.1, 0, 0)), lookup=TABLE))
+    world.begin()
+    assert sensor.reading == pytest.approx([200.0, 50.0], rel=1e-4)
+
+
+def test_readings_fall_with_the_distance(scene: Build) -> None:
+    world = scene(brick(), gravity=(0, 0, 0), objects=(ObjectBody("wall", Box((0.2, 2, 2)), Pose((0.9, 0, 1)), fixed=True),))
+    sensor = world.sensor(ranger(0, reach=0.07, mount=Pose((0.1, 0, 0)), lookup=TABLE))
+    readings = []
+    for step in range(8):
+        world.engine.reset()
+        world.engine.place("robot", (0.7 - 0.01 * step, 0, 1), (0, 0, 0, 1))
+        world.begin()
+        readings.append(sensor.reading[0])
+    assert all(near > far for near, far in pairwise(readings[1:7]))
