@@ -54,9 +54,13 @@ RayReader = Callable[[], Sequence[float]]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
 
 
+SIGHT = 100.0  # m; as far as cameras see
+
+
 class Sight(NamedTuple):
-    """One picture: `colours` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis;
-    `bodies` int32 (height, width), the place of each pixel's body in `names`, -1 for none."""
+    """One picture: `colours` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis,
+    at most `SIGHT`; `bodies` int32 (height, width), the place of each pixel's body in `names`, -1 for none. A pixel is
+    what its centre sees."""
 
     colours: Image
     depth: NDArray[np.float32]
@@ -175,6 +179,8 @@ class Engine(Protocol):
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         """Looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
+
+        Surfaces are seen from outside alone, so a camera within a hull looks out of it.
 
         Raises:
             EngineError: The engine cannot draw.

@@ -13,6 +13,7 @@ contacts.py  what touches what, how hard, and distances between surfaces
 rays.py      how far rays from a link are free
 figures.py   masses, friction, colours that an episode varies, and their way back
 substeps.py  what acts and looks around every engine step
+cameras.py   pictures
 backdrop.py  floor and sky of a picture
 
 What PyBullet leaves to its callers, and is settled here:

@@ -6,22 +6,22 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from math import degrees, inf, isfinite
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
 
 import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.lookup import find
-from deepbots_cli.engines.pybullet import contacts, loading, motors, pushes, readers
-from deepbots_cli.engines.pybullet.backdrop import axes, backdrop, lit, smoothed
+from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, pushes, readers
+from deepbots_cli.engines.pybullet.backdrop import lit, smoothed
 from deepbots_cli.engines.pybullet.figures import Colour, Figures
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.substeps import Substeps
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import STILL
+from deepbots_cli.port import STILL, Sight
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.ir import WorldModel
     from deepbots_cli.port import (
+        CameraReader,
         Capability,
         ContactReader,
         ForceReader,
@@ -245,35 +246,40 @@ class PyBulletEngine:
         self._substeps.drive([each.act for each in self._springs.values()])
         return springs.aim
 
+    def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
+        camera, pose = cameras.Camera(self._client, width, height, fov, self._has_floor), self.pose(*part)
+        names, places = self._places()
+        ground = names.index(loading.GROUND) if self._has_floor else -1
+
+        def look() -> Sight:
+            aim = cameras.along(frames.inside(pose(), mount))
+            shot = camera.shoot(aim)
+            is_body = shot.numbers >= 0
+            colours = np.where(is_body[..., None], shot.colours, camera.behind(aim, shot))
+            bodies = np.where(is_body, places[shot.numbers], np.where(shot.floor, ground, -1)).astype(np.int32)
+            return Sight(lit(colours, self._figures.light), cameras.depths(aim, shot), bodies, names)
+
+        return look
+
+    def _places(self) -> tuple[tuple[str, ...], NDArray[np.int32]]:
+        """Names of all bodies, and the place of each of PyBullet's numbers among them."""
+        names, places = tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32)
+        for place, pool in enumerate(self._pools.values()):
+            places[[body.number for body in pool]] = place
+        return names, places
+
     def render(self, view: View) -> Image:
         self._open()
         fine = replace(view, width=view.width * view.samples, height=view.height * view.samples)
+        camera, aim = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._has_floor), cameras.at(view)
+        shot = camera.shoot(aim)
         if self._backdrop is None or self._backdrop[0] != fine:
-            self._backdrop = (fine, backdrop(fine, self._has_floor))
-        bodies, is_body = self._photograph(fine)
-        return lit(smoothed(np.where(is_body[..., None], bodies, self._backdrop[1]), view.samples), self._figures.light)
+            self._backdrop = (fine, camera.behind(aim, shot))
+        picture = np.where((shot.numbers >= 0)[..., None], shot.colours, self._backdrop[1])
+        return lit(smoothed(picture, view.samples), self._figures.light)
 
     def close(self) -> None:
         self._release()
-
-    def _photograph(self, view: View) -> tuple[Image, NDArray[np.bool_]]:
-        """What the engine draws, and where it drew a body."""
-        _, _, pixels, _, bodies = p.getCameraImage(
-            view.width,
-            view.height,
-            p.computeViewMatrix(view.eye, view.target, axes(view)[2].tolist()),
-            p.computeProjectionMatrixFOV(degrees(view.fov), view.width / view.height, 0.02, 100.0),
-            lightDirection=(1.0, -1.5, 3.0),
-            lightColor=(1.0, 1.0, 1.0),
-            lightAmbientCoeff=0.55,
-            lightDiffuseCoeff=0.5,
-            lightSpecularCoeff=0.05,
-            shadow=0,
-            renderer=p.ER_TINY_RENDERER,
-            physicsClientId=self._client,
-        )
-        shape = (view.height, view.width)
-        return np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4)[..., :3], np.asarray(bodies).reshape(shape) >= 0
 
     def _open(self) -> PyBulletEngine:
         if not self._release.alive:

@@ -77,7 +77,7 @@ def join_islands(client: int, pools: Iterable[Pool]) -> None:
 
 def _plane(client: int, ground: Ground) -> Body:
     plane = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
-    unseen = p.createVisualShape(p.GEOM_SPHERE, radius=1e-3, rgbaColor=(0, 0, 0, 0), physicsClientId=client)
+    unseen = p.createVisualShape(p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -APART), physicsClientId=client)
     number = p.createMultiBody(0, plane, unseen, physicsClientId=client)
     friction = Friction(lateral=ground.friction, restitution=ground.restitution)
     body = Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)

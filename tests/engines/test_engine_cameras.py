@@ -1,0 +1,117 @@
+"""What a camera on a link sees: distances, bodies and colours, against closed forms."""
+
+from __future__ import annotations
+
+from math import pi, tan
+
+import numpy as np
+import pytest
+
+from deepbots_cli import frames
+from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.port import SIGHT
+from deepbots_cli.urdf.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
+from deepbots_cli.urdf.rotation import quaternion
+
+RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
+FOV, WIDE, HIGH = 0.9, 120, 84
+PIXEL = 2 * tan(FOV / 2) / HIGH
+
+
+def scout() -> RobotModel:
+    shell = (Geometry(Sphere(0.2), colour=(0.2, 0.2, 0.2, 1)),)
+    links = (
+        Link("base", Inertial(1.0, Pose((0.05, -0.02, 0.01), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025), shell, shell),
+        Link("head", Inertial(0.2, Pose((0.02, 0.03, 0.0)), 0.001, 0.0, 0.0, 0.002, 0.0, 0.0015)),
+    )
+    return RobotModel("scout", links, (Joint("neck", "continuous", "base", "head", Pose((0, 0, 0.5)), (0, 0, 1)),), root="base")
+
+
+def world(*objects: ObjectBody) -> WorldModel:
+    return WorldModel(0.02, 1, (0.0, 0.0, 0.0), robots=(RobotBody("scout", scout(), True, Pose((0, 0, 1))),), objects=objects)
+
+
+def wall(x: float, colour=RED, **figures: object) -> ObjectBody:
+    return ObjectBody("wall", Box((0.2, 1.0, 1.0)), Pose((x + 0.1, 0, 1)), colour=colour, fixed=True, **figures)
+
+
+def rays() -> tuple[np.ndarray, np.ndarray]:
+    """Tangents to the left and up of the centres of pixels."""
+    left = PIXEL * (WIDE / 2 - np.arange(WIDE) - 0.5)
+    up = PIXEL * (HIGH / 2 - np.arange(HIGH) - 0.5)
+    return left[None, :], up[:, None]
+
+
+def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(build):
+    engine = build("pybullet", world(wall(2.0)))
+    look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
+    sight = look()
+    assert (sight.colours.shape, sight.colours.dtype) == ((HIGH, WIDE, 3), np.uint8)
+    assert (sight.depth.shape, sight.depth.dtype) == ((HIGH, WIDE), np.float32)
+    assert (sight.bodies.shape, sight.bodies.dtype) == ((HIGH, WIDE), np.int32)
+    left, up = rays()
+    on_wall = (np.abs(2 * left) <= 0.5) & (np.abs(2 * up) <= 0.5)
+    assert ((sight.bodies == sight.names.index("wall")) == on_wall).all()
+    assert sight.depth[on_wall] == pytest.approx(2.0, rel=1e-5)
+    floor = ~on_wall & (up < 0) & (left < 9)
+    assert (sight.bodies[floor] == sight.names.index("ground")).all()
+    assert sight.depth[floor] == pytest.approx(np.broadcast_to(np.minimum(1 / np.maximum(-up, 1e-9), SIGHT), floor.shape)[floor], rel=1e-4)
+    sky = ~on_wall & ~floor
+    assert (sight.bodies[sky] == -1).all()
+    assert (sight.depth[sky] == SIGHT).all()
+    assert (sight.colours[on_wall][:, 0] > 2 * sight.colours[on_wall][:, 1].astype(int)).all()
+    assert sight.colours[floor].std() > 1.0  # tiles, by which motion is seen
+
+
+def test_a_camera_looks_along_its_mount_on_a_link_that_turns(build):
+    engine = build("pybullet", world(wall(2.0)))
+    mount = ((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -1.2))
+    look = engine.camera(("scout", "head"), mount, WIDE, HIGH, FOV)
+    engine.place("scout", (0.0, 0.0, 0.5), frames.UPRIGHT)
+    assert (look().bodies != look().names.index("wall")).all()
+    engine.set_joint("scout", "neck", 1.2, 0.0)
+    centre = look().depth[HIGH // 2 - 5 : HIGH // 2 + 5, WIDE // 2 - 5 : WIDE // 2 + 5]
+    assert centre == pytest.approx(2.0, rel=1e-4)
+    engine.set_joint("scout", "neck", 1.2 + 0.2, 0.0)
+    columns = np.where((look().bodies == look().names.index("wall")).any(axis=0))[0]
+    assert PIXEL * (columns.mean() + 0.5 - WIDE / 2) == pytest.approx((tan(0.2 + 0.245) + tan(0.2 - 0.245)) / 2, abs=0.05)
+
+
+def test_up_in_a_picture_is_up_in_the_mount(build):
+    engine = build("pybullet", world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1.4)), colour=GREEN)))
+    for roll, row, column in ((0.0, -1, None), (pi, 1, None), (pi / 2, None, -1)):
+        sight = engine.camera(("scout", None), ((0, 0, 0), quaternion(roll, 0.0, 0.0)), WIDE, HIGH, FOV)()
+        rows, columns = np.where(sight.bodies == sight.names.index("ball"))
+        assert row is None or abs(rows.mean() - HIGH / 2 - row * 18) < 3
+        assert column is None or abs(columns.mean() - WIDE / 2 - column * 18) < 3
+
+
+def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(build):
+    ghost = ObjectBody("mark", Box((0.2, 1.0, 1.0)), colour=GREEN, solid=False, pooled=True)
+    engine = build("pybullet", world(ghost))
+    look = engine.camera(("scout", None), frames.HERE, 40, 40, FOV)
+    assert "mark" not in {look().names[place] for place in np.unique(look().bodies) if place >= 0}
+    engine.place("mark", (2.1, 0, 1), frames.UPRIGHT)
+    middle = (19, 20)
+    assert look().names[look().bodies[middle]] == "mark"
+    assert look().depth[middle] == pytest.approx(2.0, rel=1e-4)
+    assert look().colours[middle].argmax() == 1
+    engine.set_colour("mark", None, RED)
+    assert look().colours[middle].argmax() == 0
+    engine.set_light(0.5)
+    assert look().colours[middle][0] < 200
+    engine.reset()
+    assert look().bodies[middle] == -1
+
+
+def test_looking_changes_nothing(build):
+    seen, unseen = build("pybullet", world(wall(2.0))), build("pybullet", world(wall(2.0)))
+    look = seen.camera(("scout", "head"), frames.HERE, 16, 16, FOV)
+    for engine in (seen, unseen):
+        engine.set_joint("scout", "neck", 0.1, 2.0)
+        for _ in range(20):
+            engine.step(1)
+            if engine is seen:
+                look()
+    assert seen.joint_states("scout", ["neck"])()[0][:2] == unseen.joint_states("scout", ["neck"])()[0][:2]
+    assert (look().colours == look().colours).all()
