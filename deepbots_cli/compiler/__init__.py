@@ -13,7 +13,7 @@ robots.py       robot files, overrides.py their changes, matching.py patterns an
 controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees
-channels.py     what messages meet on their way, draws that are repeated
+channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
 scoring.py      signals, reward, endings; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       places and joints at the start; poses.py named positions of joints

@@ -7,6 +7,7 @@ import zlib
 from dataclasses import replace
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.stamps import with_stamps
 from deepbots_cli.lang import lower as lang
 from deepbots_cli.lang.fold import op
 from deepbots_cli.lang.intervals import Interval
@@ -28,6 +29,10 @@ from deepbots_cli.task import (
 
 def lower(task: Task) -> ir.CompiledScenario:
     """The compiled scenario of a task without errors."""
+    return with_stamps(_compiled(task), _layout)
+
+
+def _compiled(task: Task) -> ir.CompiledScenario:
     return ir.CompiledScenario(
         task.name,
         task.summary,

@@ -60,6 +60,7 @@ _TOUCHED = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.GROUND})
 _JOINT = Param("joint", Form.SUBJECT, kinds=frozenset({Kind.JOINT, Kind.JOINTS}))
 _LINE = Param("line", Form.SUBJECT, kinds=frozenset({Kind.LINE}))
 _CAMERA = Param("camera", Form.SUBJECT, kinds=frozenset({Kind.CAMERA}))
+_EMITTER = Param("robot", Form.SUBJECT, kinds=frozenset({Kind.ROBOT}))
 _SENDER = Param("sender", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.SENSOR, Kind.CAMERA}))
 
 _PURE = (
@@ -215,7 +216,7 @@ _MESSAGE = (
         _TIME,
         interval=_known(iv.POSITIVE),
     ),
-    Function("fresh", Family.MESSAGE, (_SENDER,), "Whether a message arrived in this tick.", _NUMBER, boolean=True),
+    Function("fresh", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this tick.", _NUMBER, boolean=True),
 )
 
 _STATEFUL = (

@@ -168,3 +168,21 @@ def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
     both, one = right("3 m"), right("3 m", "robots.left.pose={y: 5 m}", "termination={}")
     assert len(set(both)) > 10
     assert both == one
+
+
+@pytest.mark.parametrize(
+    ("sensor", "route", "ages"),
+    [
+        ("", "{latency: 0 ms}", [0, 0, 0, 0, 0, 0]),
+        ("latency: 40 ms", "{latency: 0 ms}", [1, 2, 2, 2, 2, 2]),
+        ("period: 60 ms", "{latency: 0 ms}", [1, 2, 0, 1, 2, 0]),
+        ("period: 60 ms", "{latency: 20 ms}", [1, 2, 3, 1, 2, 3]),
+        ("latency: 20 ms", "{latency: 30 ms}", [1, 2, 3, 3, 3, 3]),
+    ],
+)
+@pytest.mark.parametrize("format", ["struct", "csv"])
+def test_the_age_of_a_reading_is_its_own_and_that_of_the_message(make: Make, sensor: str, route: str, ages: list[int], format: str) -> None:
+    faults = [f"robots.cart.sensors.place.{sensor.replace(': ', '=')}"] if sensor else []
+    messages = f"messages={{format: {format}, from_robot: {route}}}"
+    found = terms(make(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
+    assert found["place"] == pytest.approx(ages)

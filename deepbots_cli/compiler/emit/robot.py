@@ -124,7 +124,7 @@ class RobotPrinter:
     def _printer(self, *, starting: bool = False, received: str | None = None) -> Printer:
         def resolve(leaf: Name | World) -> str:
             if isinstance(leaf, World):
-                return self._reads.code(leaf)
+                return self._sensing.age(leaf) if leaf.function == "age" else self._reads.code(leaf)
             return self._sensing.code(leaf) or received or self._names(leaf.name, leaf.component)
 
         return Printer(resolve, self._names, self._scenario.world.timestep, starting=starting)

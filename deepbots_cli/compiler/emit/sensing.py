@@ -8,7 +8,7 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
 from deepbots_cli.compiler.sensors import is_fact, reading
 from deepbots_cli.ir import Robot, Sensor
-from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, names_in
+from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World, names_in
 
 
 class Sensing:
@@ -54,6 +54,10 @@ class Sensing:
             return None
         components = self._devices[leaf.name].components
         return f"{self._local(leaf.name)}[{components.index(leaf.component) if leaf.component else 0}]"
+
+    def age(self, leaf: World) -> str:
+        """The code of how old the reading of a device is."""
+        return f"self.sense_{leaf.subjects[0].partition('.')[2]}.age"
 
     def _local(self, sensor: str) -> str:
         return self._names(f"{sensor} reading")  # the blank keeps it apart from every name of the scenario

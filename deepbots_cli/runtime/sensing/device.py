@@ -61,6 +61,11 @@ class Device:
             self._chain.restart(streams[self._stream])
         self.reading = self._sampled()
 
+    @property
+    def age(self) -> float:
+        """How old the reading is, in s."""
+        return (self._tick - self.measured) * self._timestep
+
     def __call__(self) -> None:
         self._tick = tick = self._tick + 1
         if self._period == 1 or tick % self._period == 0:

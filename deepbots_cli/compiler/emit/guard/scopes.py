@@ -8,6 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.emit.reads import ARRIVALS
+from deepbots_cli.compiler.emit.sensing import devices
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.ir import CompiledScenario, Ending, own_action
 from deepbots_cli.lang.scalar import Name, World
@@ -42,10 +43,13 @@ def _require_parameters(scenario: CompiledScenario) -> None:
 
 
 def _require_senders(scenario: CompiledScenario) -> None:
-    """Only the supervisor knows how old messages are, and only those of robots."""
-    on_board = tuple((robot.emit, robot.apply) for robot in scenario.robots)
-    if _senders((scenario.reset, on_board)) or not _senders(scenario) <= {robot.name for robot in scenario.robots}:
-        raise CanonicalError("the age of a message that the supervisor knows nothing of")
+    """The supervisor knows how old the messages of robots are, and a robot how old the readings of its devices."""
+    told = [scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.action]
+    known = {robot.name for robot in scenario.robots}
+    asked = _senders((*told, *(robot.receive for robot in scenario.robots)))
+    on_board = [(_senders((robot.emit, robot.apply)), {f"{robot.name}.{name}" for name in devices(robot)}) for robot in scenario.robots]
+    if not asked <= known or _senders(scenario.reset) or any(not ages <= sensors for ages, sensors in on_board):
+        raise CanonicalError("the age of something that is not known here")
 
 
 def _senders(expressions: object) -> set[str]:
