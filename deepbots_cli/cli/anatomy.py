@@ -11,6 +11,7 @@ from collections.abc import Mapping as Dictionary
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.ir import Actuator, Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, Thrust, viewed
+from deepbots_cli.lang.scalar import names_in
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
 
@@ -29,6 +30,7 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
         "actuators": _actuators(scenario),
         "messages": _messages(scenario),
         "message_fields": _fields(scenario),
+        "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
         "action": [_action(part) for part in scenario.action],
         "signals": _signals(scenario, root),
         "observation": _observation(scenario),
@@ -134,12 +136,13 @@ def _object(scenario: CompiledScenario, index: int) -> Row:
 
 def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:
     node = descend(root, ("parameters",))[0]
-    drawn = {entry.name for entry in scenario.parameters}
+    often: dict[str, str] = {}
+    for entry in scenario.parameters:
+        changing = any(often.get(leaf.name, "in every episode") != "in every episode" for value in entry.values for leaf in names_in(value))
+        period = entry.redraw.period if entry.redraw else None
+        often[entry.name] = "repeatedly" if period else "in every step" if entry.redraw or changing else "in every episode"
     names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
-    return [
-        {"parameter": name, "is": wording(root, "parameters", name), "set": "in every episode" if name in drawn else "once"}
-        for name in names
-    ]
+    return [{"parameter": name, "is": wording(root, "parameters", name), "set": often.get(name, "once")} for name in names]
 
 
 def _sensors(scenario: CompiledScenario) -> list[Row]:
@@ -226,6 +229,12 @@ def _fields(scenario: CompiledScenario) -> list[Row]:
         for layout in _layouts(scenario)
         for field in layout.fields
     ]
+
+
+def _route(root: Node, direction: str) -> list[Row]:
+    """What the scenario says about the way of messages, if anything."""
+    row: Row = {key: wording(root, "messages", direction, key) for key in ("latency", "loss", "burst", "range", "order", "on_loss")}
+    return [{"direction": direction.replace("_", " "), **row}] if any(row.values()) else []
 
 
 def _action(part: Choices | Interval) -> Row:

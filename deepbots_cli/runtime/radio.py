@@ -119,3 +119,7 @@ class Radio:
             if parcel or (self._route.on_loss != "skip" and self.latest is not None):
                 taken.append(self.latest)
         return taken
+
+    def __len__(self) -> int:
+        """How many messages are under way."""
+        return len(self._queue)

@@ -159,3 +159,19 @@ def test_bench_compares_a_step_with_bare_physics(deepbots):
     assert figures["bare_us"] > 0
     assert figures["ratio"] > 0
     assert "ratio" in deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out
+
+
+def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbots):
+    sections = inspected(deepbots, "--set", "messages.to_robot={latency: 40 ms}", "--set", "messages.from_robot={loss: 5 %}")
+    timing = {row["name"]: row for row in sections["timing"]}
+    assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 9", 0.064)
+    assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("varies", None)
+    assert [(row["direction"], row["latency"], row["loss"]) for row in sections["routes"]] == [
+        ("to robot", "40 ms", ""),
+        ("from robot", "", "5 %"),
+    ]
+
+
+def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
+    timing = {row["name"]: row for row in inspected(deepbots, "--set", "agent={repeat: 3}")["timing"]}
+    assert (timing["drive"]["physics_step"], timing["x"]["physics_step"]) == ("12n + 1", "12n + 12")

@@ -25,6 +25,8 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("drawn", ()),
     ("drawn", ("messages.timing=paper",)),
     ("pair", ()),
+    ("pair", ("agent={repeat: 3}",)),
+    ("../../channel/radio", ()),
     ("drone", ()),
 )
 

@@ -164,10 +164,11 @@ def test_queues_are_empty_after_every_reset(environment: Supervisor) -> None:
 
 
 def test_channels_never_fill_up(environment: Supervisor) -> None:
+    """At most those that were sent within the latency, of at most 110 ms in these scenarios, are under way."""
     list(episode(environment, 2, 60))
     for robot in environment.scenario.robots:
-        assert len(getattr(environment, f"to_{robot.name}")) <= 1
-        assert len(getattr(environment, f"from_{robot.name}")) <= 1
+        for route, way in ((robot.to_route, f"to_{robot.name}"), (robot.from_route, f"from_{robot.name}")):
+            assert len(getattr(environment, way)) <= (1 if route.perfect else 6)
 
 
 # Wrong use
