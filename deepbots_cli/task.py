@@ -115,10 +115,55 @@ class Coordinate:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Pose of a body at reset: x, y, z in m, roll, pitch, yaw in rad; what is not listed is 0."""
+    """Where a body, or each present copy of a group, begins: x, y, z in m, roll, pitch, yaw in rad; what is not listed is 0.
+
+    `rests` is an object without a height, which lies on the ground; `heading` (rad) is added to the yaw.
+    """
 
     body: str
     coordinates: Mapping[str, Coordinate]
+    velocity: Valued | None = None
+    angular_velocity: Valued | None = None
+    rests: bool = False
+    heading: float = 0.0
+    spot: ir.Region | ir.Cells | None = None
+    clearance: float = 0.0
+    at_most: int | None = None
+    spacing: tuple[float, float] = (0.0, 0.0)
+    owner: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TaskLayout:
+    """A way to arrange bodies, and its share of the episodes."""
+
+    name: str
+    share: float
+    placements: tuple[Placement, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Beginnings:
+    """Where bodies stand in every layout, the layouts in use, what must hold at the start, and how often to try."""
+
+    placements: tuple[Placement, ...]
+    layouts: tuple[TaskLayout, ...] = ()
+    require: Valued | None = None
+    attempts: int = 100
+
+
+@dataclass(frozen=True, eq=False)
+class TaskGroup:
+    """Copies of a body: as many as there can be, as there are at least, and as there are in an episode."""
+
+    name: str
+    capacity: int
+    least: int
+    count: Valued
+
+    @property
+    def copies(self) -> tuple[str, ...]:
+        return tuple(f"{self.name}#{index + 1}" for index in range(self.capacity))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +208,7 @@ class Task:
     reward: tuple[Valued, ...]
     endings: tuple[TaskEnding, ...]
     truncation: ir.Truncation
-    placements: tuple[Placement, ...]
+    beginnings: Beginnings
     joint_starts: tuple[JointStart, ...]
     settle: float
     solved: ir.Solved | None
@@ -178,6 +223,7 @@ class Task:
     forbidden: tuple[Forbidden, ...] = ()
     cases: tuple[TaskCase, ...] = ()
     curriculum: tuple[TaskStage, ...] = ()
+    groups: tuple[TaskGroup, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ actions.py      what the agent decides; observations.py what it sees
 channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
 scoring.py      signals, reward, endings; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
-resets.py       places and joints at the start; poses.py named positions of joints
+resets.py       how an episode begins: places.py where a body stands, room.py whether it can;
+                starts.py joints, poses.py their named positions
 inputs.py       the files that it was made from, as a run keeps copies of them
 support.py      what the language has and this version does not run yet
 """
@@ -36,10 +37,11 @@ from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.observations import Observations
-from deepbots_cli.compiler.resets import joint_starts, placements
+from deepbots_cli.compiler.resets import beginnings
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
+from deepbots_cli.compiler.starts import joint_starts
 from deepbots_cli.compiler.strokes import lines
 from deepbots_cli.compiler.support import check_support
 from deepbots_cli.compiler.training import training
@@ -201,7 +203,7 @@ class _Pass:
             reward_terms(spec, namespace),
             signals.endings(),
             limits,
-            placements(spec, namespace),
+            beginnings(spec, namespace, world),
             joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
             self._settle(world.timestep),
             solved(spec, values),

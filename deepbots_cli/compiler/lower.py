@@ -6,7 +6,7 @@ import math
 import zlib
 from dataclasses import replace
 
-from deepbots_cli import ir
+from deepbots_cli import footprint, ir
 from deepbots_cli.compiler.stamps import with_stamps
 from deepbots_cli.lang import lower as lang
 from deepbots_cli.lang.fold import op
@@ -49,10 +49,17 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         tuple(ir.Ending(ending.value.name, ending.outcome, _scalars(ending.value)[0]) for ending in task.endings),
         task.truncation,
         ir.Reset(
-            tuple(_place(placement) for placement in task.placements),
+            tuple(_place(placement, task) for placement in task.beginnings.placements),
             tuple(start for joints in task.joint_starts for start in _joint_starts(joints)),
             task.settle,
             (*(_variation(varied) for varied in task.variations), *task.colours),
+            tuple(ir.Group(group.name, group.capacity, _scalars(group.count)[0]) for group in task.groups),
+            tuple(
+                ir.Layout(layout.name, layout.share, tuple(_place(placement, task) for placement in layout.placements))
+                for layout in task.beginnings.layouts
+            ),
+            _scalars(task.beginnings.require)[0] if task.beginnings.require else None,
+            task.beginnings.attempts,
         ),
         task.solved,
         task.training,
@@ -211,9 +218,26 @@ def _variation(varied: Varied) -> ir.Variation:
     return ir.Variation(varied.what, varied.of, values * count if len(values) == 1 else values)
 
 
-def _place(placement: Placement) -> ir.Place:
+def _place(placement: Placement, task: Task) -> ir.Place:
     x, y, z, roll, pitch, yaw = (_coordinate(placement.coordinates.get(key), key) for key in ("x", "y", "z", "roll", "pitch", "yaw"))
-    return ir.Place(placement.body, (x, y, z), (roll, pitch, yaw))
+    rests = placement.rests
+    shapes = {thing.name: thing.shape for thing in task.world.objects if not thing.pooled}
+    body = shapes.get(placement.body) or next((robot.model for robot in task.world.robots if robot.name == placement.body), None)
+    if rests and body and not task.world.terrain and isinstance(roll, Const) and isinstance(pitch, Const):
+        rests, z = False, Const(footprint.resting(body, roll.value, pitch.value))
+    return ir.Place(
+        placement.body,
+        (x, y, z),
+        (roll, pitch, op("add", Const(placement.heading), yaw)),
+        _scalars(placement.velocity) if placement.velocity else (),
+        _scalars(placement.angular_velocity) if placement.angular_velocity else (),
+        rests,
+        placement.spot,
+        placement.clearance,
+        placement.at_most,
+        placement.spacing,
+        placement.owner if placement.spot else "",
+    )
 
 
 def _coordinate(coordinate: Coordinate | None, key: str) -> Scalar:

@@ -17,7 +17,7 @@ from deepbots_cli.ir import Variation
 from deepbots_cli.lang.intervals import EVERYTHING, exact
 from deepbots_cli.lang.types import Kind, Subject, Symbol
 from deepbots_cli.source.nodes import Path
-from deepbots_cli.task import Varied
+from deepbots_cli.task import TaskGroup, Varied
 
 _SHOWN = 12
 
@@ -60,6 +60,7 @@ class Namespace:
         self.robots: dict[str, RobotScene | None] = {}
         self.lengths: dict[str, float] = {}
         """Of painted lines, m."""
+        self.groups: dict[str, TaskGroup] = {}
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[Varied] = []

@@ -1,122 +1,70 @@
-"""How an episode begins: where bodies are placed, and where joints start."""
+"""How an episode begins: where bodies are placed in which layout, what is required of the start."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from deepbots_cli.compiler.joints import joint_dimension
-from deepbots_cli.compiler.matching import joint_missing
+from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.places import Places
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.types import SPACE, Context, Kind, Stage, Subject, Symbol
+from deepbots_cli.lang.typed import Invocation, Typed, children
+from deepbots_cli.lang.types import Context
 from deepbots_cli.schema.pose import Pose
-from deepbots_cli.schema.reset import JointState
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
-from deepbots_cli.task import Coordinate, JointStart, Placement, Valued
+from deepbots_cli.task import Beginnings, Placement, Valued
 
-_TURNS = ("roll", "pitch", "yaw")
-_JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
+_UNMOVED = ("contact", "collided", "joint_torque")  # nothing has acted or touched before the first step
 
 
-def placements(spec: Scenario, namespace: Namespace) -> tuple[Placement, ...]:
-    """Bodies in the order of the file; one that `reset` does not place stands at its own `pose`."""
+def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> Beginnings:
+    """Bodies in the order of the file; one that is placed nowhere stands at its own `pose`."""
+    places = Places(spec, namespace, world)
+    found = _placements(spec.reset.place, ("reset", "place"), places, namespace)
+    placed = {placement.body for placement in found}
+    return Beginnings((*found, *_at_home(spec, placed, places)), require=_requirement(spec, namespace), attempts=spec.reset.attempts)
+
+
+def _placements(given: Mapping[str, Pose], path: Path, places: Places, namespace: Namespace) -> list[Placement]:
+    """The placements of one layout, or of `reset.place`."""
     found = []
-    for body, place in spec.reset.place.items():
-        path: Path = ("reset", "place", body)
+    for body, pose in given.items():
         if namespace.origin(body) not in (Origin.ROBOT, Origin.OBJECT):
             known = namespace.named(Origin.ROBOT, Origin.OBJECT)
-            namespace.values.unknown(namespace.values.key_span(path), "robot or object", body, known)
-            continue
-        found.append(_placement(body, place, path, namespace))
-    placed = {placement.body for placement in found}
-    for section, bodies in (("objects", spec.objects), ("robots", spec.robots)):
-        found += [_placement(name, body.pose, (section, name, "pose"), namespace) for name, body in bodies.items() if name not in placed]
-    return tuple(found)
+            namespace.values.unknown(namespace.values.key_span((*path, body)), "robot or object", body, known)
+        else:
+            found.append(places.placement(body, pose, (*path, body)))
+    return found
 
 
-def _placement(body: str, pose: Pose, path: Path, namespace: Namespace) -> Placement:
-    coordinates: dict[str, Coordinate] = {}
-    for whole, parts, dimension in (("xyz", SPACE, LENGTH), ("rpy", _TURNS, ANGLE)):
-        for part in parts:
-            given = getattr(pose, part)
-            if given is not None:
-                coordinate = _coordinate(given, (*path, part), dimension, namespace)
-                coordinates |= {part: coordinate} if coordinate else {}
-        if getattr(pose, whole) is not None:
-            coordinates |= _vector(getattr(pose, whole), (*path, whole), parts, dimension, namespace)
-    return Placement(body, coordinates)
+def _at_home(spec: Scenario, placed: set[str], places: Places) -> list[Placement]:
+    """What no layout places."""
+    bodies = (("objects", spec.objects), ("robots", spec.robots))
+    return [
+        places.placement(name, body.pose, (section, name, "pose"))
+        for section, named in bodies
+        for name, body in named.items()
+        if name not in placed
+    ]
 
 
-def _owner(path: Path) -> str:
-    return ".".join(map(str, path))
-
-
-def _coordinate(given: object, path: Path, dimension: Dimension, namespace: Namespace) -> Coordinate | None:
-    if given == "any":
-        return Coordinate(_owner(path), None)
-    values = namespace.values
-    typed = values.quantity(
-        values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, None, Stage.EPISODE
-    )
-    return Coordinate(_owner(path), typed) if typed else None
-
-
-def _vector(given: object, path: Path, parts: tuple[str, ...], dimension: Dimension, namespace: Namespace) -> dict[str, Coordinate]:
-    """The components of `xyz` or `rpy`, each picked from the same typed vector."""
-    values = namespace.values
-    typed = values.quantity(
-        values.text(path, given), f"`{path[-1]}`", ParameterScope(namespace, Context.RESET), dimension, SPACE, Stage.EPISODE
-    )
-    if typed is None:
-        return {}
-    return {part: Coordinate(f"{_owner(path)}[{index}]", typed) for index, part in enumerate(parts)}
-
-
-def joint_starts(spec: Scenario, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
-    """The entries of `reset.set`: joints and groups of joints of robots; `poses` are those of each robot."""
-    starts = [_joint_start(key, given, namespace, poses) for key, given in spec.reset.set.items()]
-    return tuple(start for start in starts if start is not None)
-
-
-def _joint_start(key: str, given: object, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
-    path: Path = ("reset", "set", key)
-    robot_name, dot, part = key.partition(".")
-    robot, text = namespace.robots.get(robot_name), namespace.values.key_text(path)
-    if robot is None:
-        if robot_name not in namespace.robots:
-            namespace.values.unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.named(Origin.ROBOT))
+def _requirement(spec: Scenario, namespace: Namespace) -> Valued | None:
+    """The condition that a start must meet, which may ask for whatever is so before the first step."""
+    if spec.reset.require is None:
         return None
-    subject = robot.subject(part, _JOINTS)
-    if subject is None or subject.kind not in _JOINTS:
-        span = text.part(len(robot_name + dot), len(key)) if part else text.span
-        joint_missing(namespace.values, span, part, robot.model)
-        return None
-    joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    scope = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {}))
-    angle = joint_dimension(robot.model.joint(joints[0]))
-    if not isinstance(given, JointState):
-        position = _start_value(given, path, angle, subject, scope)
-        return JointStart(robot_name, joints, position, None) if position else None
-    position = _start_value(given.position, (*path, "position"), angle, subject, scope)
-    velocity = _start_value(given.velocity, (*path, "velocity"), angle / TIME, subject, scope)
-    return JointStart(robot_name, joints, position, velocity) if position and velocity else None
-
-
-def _start_value(given: object, path: Path, dimension: Dimension, subject: Subject, scope: ParameterScope) -> Valued | None:
-    values = scope.namespace.values
-    text = values.text(path, given)
-    typed = values.quantity(text, "the start of a joint", scope, dimension, subject.components, Stage.EPISODE)
+    values = namespace.values
+    text = values.text(("reset", "require"), spec.reset.require)
+    typed = values.expression(text, ParameterScope(namespace, Context.REQUIRE), boolean=True)
     if typed is None:
         return None
-    reach, limits = typed.type.interval, subject.interval
-    if dimension == subject.dimension and reach.finite and not reach.inside(limits):
-        headline = f"a start at {_span(reach)} {dimension}, where the robot file allows {_span(limits)}"
-        values.findings.add("DB304", text.span, headline, help="an engine pushes the joint back at once; keep to its limits")
-    return Valued(str(path[2]), text.span, text.text, typed, _owner(path))
+    for call in _calls(typed):
+        if call.function in _UNMOVED:
+            span = text.part(call.start, call.start + len(call.function))
+            help = "before the first step nothing has touched; ask for `gap(...) > 1 cm`"
+            values.findings.add("DB407", span, f"`{call.function}` in a requirement on the start", help=help)
+    return Valued("require", text.span, text.text, typed, "reset.require")
 
 
-def _span(interval: Interval) -> str:
-    return f"{interval.low:.4g}" if interval.single else f"{interval.low:.4g} .. {interval.high:.4g}"
+def _calls(value: Typed) -> list[Invocation]:
+    return [*([value] if isinstance(value, Invocation) else []), *(call for child in children(value) for call in _calls(child))]

@@ -29,15 +29,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     ((), "curriculum"),
     (("reset",), "layout"),
     (("reset",), "layouts"),
-    (("reset",), "require"),
-    (("reset",), "attempts"),
-    (("reset", "place", "*"), "region"),
-    (("reset", "place", "*"), "clearance"),
-    (("reset", "place", "*"), "grid"),
-    (("reset", "place", "*"), "line"),
-    (("reset", "place", "*"), "at_most"),
-    (("reset", "place", "*"), "velocity"),
-    (("reset", "place", "*"), "angular_velocity"),
 )
 
 

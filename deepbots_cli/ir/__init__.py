@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir.actuation import Actuator, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
-from deepbots_cli.ir.resets import Place, Reset, SetJoint, Variation
+from deepbots_cli.ir.resets import Cells, Group, Layout, Place, Region, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
     Direction,
     Field,
@@ -95,6 +95,7 @@ __all__ = [
     "Arena",
     "Beams",
     "Case",
+    "Cells",
     "Channels",
     "Choices",
     "Colour",
@@ -108,9 +109,11 @@ __all__ = [
     "Field",
     "Formula",
     "Ground",
+    "Group",
     "Hindsight",
     "Hyperparameter",
     "Interval",
+    "Layout",
     "Line",
     "Lookup",
     "MessageFormat",
@@ -133,6 +136,7 @@ __all__ = [
     "Point",
     "Policy",
     "Redraw",
+    "Region",
     "Relief",
     "Reset",
     "Response",

@@ -8,12 +8,63 @@ from deepbots_cli.lang.scalar import Scalar
 
 
 @dataclass(frozen=True)
+class Region:
+    """A rectangle in the ground plane, from `low` to `high` in m, where the origin of a body is drawn.
+
+    With a `mesh` (m) the spots are the middles of as many cells of that size as fit, about the middle of the rectangle.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    mesh: float | None = None
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Certain spots (m), one for each body."""
+
+    spots: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
 class Place:
-    """The pose of a body's root link origin at reset: x, y, z in m; roll, pitch, yaw in rad."""
+    """Where a body, or each present copy of a group, begins: the pose of its root link's origin, and how that moves.
+
+    x, y, z in m; roll, pitch, yaw in rad; velocities in m/s and rad/s in the world frame, or nothing for rest. What
+    `rests` has its z counted from where it would lie on the ground. With a `spot`, x and y are drawn from there, by the
+    stream of that name: clear of the arena's walls and of what has a place already, `clearance` m at least. Of a group,
+    `at_most` so many copies are placed, and each stands `spacing` (m along x and y) from the one before.
+    """
 
     body: str
     xyz: tuple[Scalar, Scalar, Scalar]
     rpy: tuple[Scalar, Scalar, Scalar]
+    velocity: tuple[Scalar, ...] = ()
+    angular_velocity: tuple[Scalar, ...] = ()
+    rests: bool = False
+    spot: Region | Cells | None = None
+    clearance: float = 0.0
+    at_most: int | None = None
+    spacing: tuple[float, float] = (0.0, 0.0)
+    stream: str = ""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One way to arrange bodies, taken in this share of the episodes; the bodies of `Reset.places` stand in all of them."""
+
+    name: str
+    share: float
+    places: tuple[Place, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Copies `name#1` to `name#capacity` of a body, of which the first `count` take part in an episode."""
+
+    name: str
+    capacity: int
+    count: Scalar
 
 
 @dataclass(frozen=True)
@@ -42,9 +93,17 @@ class Variation:
 
 @dataclass(frozen=True)
 class Reset:
-    """In order: variations, places, joints, then `settle` seconds of physics with the actuators holding."""
+    """In order: variations, a layout, places, joints, then `settle` seconds of physics with the actuators holding.
+
+    What has coordinates is placed before what looks for a spot. Where there is none, or what is required does not hold,
+    everything from the layout on is drawn again, `attempts` times at most.
+    """
 
     places: tuple[Place, ...] = ()
     joints: tuple[SetJoint, ...] = ()
     settle: float = 0.0
     variations: tuple[Variation, ...] = ()
+    groups: tuple[Group, ...] = ()
+    layouts: tuple[Layout, ...] = ()
+    require: Scalar | None = None
+    attempts: int = 100

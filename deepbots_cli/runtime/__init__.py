@@ -3,6 +3,7 @@
 supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
 actuation/     actuators that are more than a motor of the engine
+placement/     where bodies stand when an episode begins
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
@@ -17,12 +18,14 @@ from deepbots_cli.runtime.actuation import Motor, Thrust
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
+from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.urdf.rotation import quaternion
 
 __all__ = [
     "MALFORMED",
+    "Arrangement",
     "Follower",
     "Motor",
     "RobotController",

@@ -42,12 +42,15 @@ class Placement(Pose):
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = Field(
         default=None, description="Draws a free spot: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."
     )
-    clearance: Length = Field(default=0, description="Least gap to everything that was placed before, m.")
+    clearance: Length = Field(default=0, description="Least gap to the walls of the arena and to all other bodies, m.")
     grid: Thickness | None = Field(default=None, description="Draws the spot from a grid with this mesh, m.")
     line: Annotated[str, Reference("line")] | None = Field(
         default=None, description="Stands at the beginning of this painted line, along it."
     )
     at_most: Whole | None = Field(default=None, description="How many copies of a group are placed; the others are absent.")
+    spacing: Annotated[Scalar, Quantity("length", 2)] | None = Field(
+        default=None, description="From each copy of a group to the next, along x and y, such as `0 1.5 m`: a row about the spot."
+    )
     velocity: Annotated[Scalar, Quantity("speed", 3, "episode")] | None = Field(
         default=None, description="Velocity at the start, world frame."
     )

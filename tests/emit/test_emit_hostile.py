@@ -21,7 +21,12 @@ from deepbots_cli.compiler.emit import emit
 from deepbots_cli.errors import DeepbotsError
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
-SOURCES = ["cartpole", str(DATA / "drawn.yaml"), str(DATA / "pair.yaml"), str(DATA.parents[1] / "channel" / "radio.yaml")]
+SOURCES = [
+    "cartpole",
+    *(str(DATA / f"{name}.yaml") for name in ("drawn", "pair", "placed")),
+    str(DATA.parents[1] / "channel" / "radio.yaml"),
+]
+SOURCES.append(str(DATA.parents[1] / "channel" / "radio.yaml"))
 MARK = "intruder"
 TEXTS = (
     f'"""\n{MARK}()\n"""',

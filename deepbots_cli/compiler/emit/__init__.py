@@ -2,7 +2,8 @@
 
 robot.py       a controller class per robot: use_message_data, create_message; sensing.py its sensors, driving.py its actuators
 supervisor.py  the supervisor class, whose methods are printed by
-  reset.py       what an episode varies and how it begins; variations.py the statement of each such figure
+  reset.py       what an episode varies and how it begins; placing.py how bodies look for a place,
+                 variations.py the statement of each figure that varies
   step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py), observation.py, masks.py
   redraws.py     parameters and figures of routes, drawn at a reset and within an episode
   readings.py    the paper's methods, which read what a step left

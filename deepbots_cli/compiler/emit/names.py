@@ -9,6 +9,7 @@ import re
 
 RUNTIME = (
     "Follower",
+    "Arrangement",
     "MALFORMED",
     "Motor",
     "RobotController",
@@ -24,6 +25,7 @@ _TAKEN = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "stamp", "reward", "terminated", "truncated", "ended", "Any", "Struct"}
     | {*RUNTIME, "wrap", "copysign"}
+    | {"bodies", "body", "layout", "spot"}
 )
 
 

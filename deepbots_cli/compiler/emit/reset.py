@@ -1,48 +1,123 @@
-"""Prints `_begin`: what an episode varies, and the world as it begins; language reference, "Reset"."""
+"""Prints `_begin`: what an episode varies, and the world as it begins; language reference, "Reset".
+
+Where everything has its place, the bodies are simply put there. Where something looks for a place, where
+the start is required to be some way, or where copies come and go, `_arrange` is one attempt at it.
+"""
 
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.driving import Driving
 from deepbots_cli.compiler.emit.observation import deviation
+from deepbots_cli.compiler.emit.placing import is_sought, place_lines
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.redraws import print_first_draws
 from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
 from deepbots_cli.compiler.emit.variations import setting
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.ir import CompiledScenario, Place, Reset
 from deepbots_cli.lang.scalar import Const, Name, Scalar, World
 
 
 def begin(space: Workspace) -> list[str]:
     """Draws in order of dependency, then variations, places, joints; the actuators hold while the world settles."""
     scenario, reset = space.scenario, space.scenario.reset
-    printer = Printer(lambda leaf: _at_reset(space, leaf), space.names, scenario.world.timestep)
+    printer = _printer(space)
     printer.line('"""Draw what this episode varies, and put the world where it begins."""')
     print_first_draws(space, printer)
     for observed in scenario.observation:
         if observed.noise is not None and not isinstance(observed.noise.deviation, Const):
             printer.assign(deviation(space, observed), observed.noise.deviation)
-    printer.line("self.engine.reset()")
-    for variation in reset.variations:
-        printer.line(setting(variation, [printer.value(value) for value in variation.values]))
-    printer.lines += [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Driving(scenario, robot).has_devices]
-    for place in reset.places:
-        xyz, rpy = (tuple_code([printer.value(value) for value in values]) for values in (place.xyz, place.rpy))
-        turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
-        printer.line(f"self.engine.place({quoted(place.body)}, {xyz}, {turn})")
-    for joint in reset.joints:
-        where = f"{quoted(joint.robot)}, {quoted(joint.joint)}"
-        printer.line(f"self.engine.set_joint({where}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
+    if is_arranged(reset):
+        for index, variation in enumerate(reset.variations):
+            for number, value in enumerate(variation.values):
+                printer.assign(_varied(space, index, number), value)
+        printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")
+    else:
+        printer.line("self.engine.reset()")
+        for variation in reset.variations:
+            printer.line(setting(variation, [printer.value(value) for value in variation.values]))
+        printer.lines += _releasing(scenario)
+        for place in reset.places:
+            printer.line(_placing(place, printer))
+        _print_joints(reset, printer)
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
         printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Driving(scenario, robot).has_any]
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
-    return block("def _begin(self) -> None:", printer.lines)
+    method = block("def _begin(self) -> None:", printer.lines)
+    return [*method, *_arrange(space)] if is_arranged(reset) else method
+
+
+def is_arranged(reset: Reset) -> bool:
+    """Whether the places of an episode have to be found."""
+    return bool(reset.groups or reset.layouts) or reset.require is not None or any(is_sought(place) for place in reset.places)
+
+
+def _arrange(space: Workspace) -> list[str]:
+    """The method that is one attempt at a start."""
+    reset = space.scenario.reset
+    printer = _printer(space)
+    printer.line('"""One attempt at a start: a place for each body; whether it is as required."""')
+    printer.line("bodies = self.bodies")
+    printer.lines += place_lines(reset.places, space, printer)
+    shares = ", ".join(f"({quoted(layout.name)}, {layout.share!r})" for layout in reset.layouts)
+    if len(reset.layouts) > 1:
+        printer.line(f'layout = bodies.layout("reset.layout", {shares})')
+    for index, layout in enumerate(reset.layouts):
+        lines = place_lines(layout.places, space, printer) or ["pass"]
+        if len(reset.layouts) > 1:
+            printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
+            lines = [f"    {line}" for line in lines]
+        printer.lines += lines
+    printer.lines += [f"{space.present(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
+    printer.line("self.engine.reset()")
+    for index, variation in enumerate(reset.variations):
+        printer.line(setting(variation, [_varied(space, index, number) for number in range(len(variation.values))]))
+    printer.lines += _releasing(space.scenario)
+    printer.line("bodies.put()")
+    _print_joints(reset, printer)
+    if reset.require is None:
+        printer.line("return True")
+    else:
+        printer.lines += space.reads.call_lines([reset.require])
+        printer.line(f"return bool({printer.value(reset.require)})")
+    return block("def _arrange(self) -> bool:", printer.lines)
+
+
+def _releasing(scenario: CompiledScenario) -> list[str]:
+    """Statements after which no actuator remembers the episode before."""
+    return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Driving(scenario, robot).has_devices]
+
+
+def _printer(space: Workspace) -> Printer:
+    return Printer(lambda leaf: _at_reset(space, leaf), space.names, space.scenario.world.timestep)
 
 
 def _at_reset(space: Workspace, leaf: Name | World) -> str:
-    if isinstance(leaf, World):
-        raise TypeError(f"{leaf.function} cannot be read while a reset is under way")
-    return space.parameter(leaf.name, leaf.component)
+    return space.reads.code(leaf) if isinstance(leaf, World) else space.parameter(leaf.name, leaf.component)
+
+
+def _varied(space: Workspace, index: int, number: int) -> str:
+    """The attribute that holds a varied figure while places are looked for."""
+    return f"self.{space.names(f'varied {index}.{number}')}"
+
+
+def _placing(place: Place, printer: Printer) -> str:
+    """The statement that places a body whose place is known."""
+    xyz, rpy = (tuple_code([printer.value(value) for value in values]) for values in (place.xyz, place.rpy))
+    turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
+    moving = "".join(
+        f", {name}={tuple_code([printer.value(value) for value in values])}"
+        for name, values in (("velocity", place.velocity), ("angular_velocity", place.angular_velocity))
+        if values
+    )
+    return f"self.engine.place({quoted(place.body)}, {xyz}, {turn}{moving})"
+
+
+def _print_joints(reset: Reset, printer: Printer) -> None:
+    for joint in reset.joints:
+        where = f"{quoted(joint.robot)}, {quoted(joint.joint)}"
+        printer.line(f"self.engine.set_joint({where}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
 
 
 def _all_zero(values: tuple[Scalar, ...]) -> bool:

@@ -6,7 +6,7 @@ from deepbots_cli.compiler.emit.action import choice_tables
 from deepbots_cli.compiler.emit.masks import allowed
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.readings import readings
-from deepbots_cli.compiler.emit.reset import begin
+from deepbots_cli.compiler.emit.reset import begin, is_arranged
 from deepbots_cli.compiler.emit.robot import controller_name
 from deepbots_cli.compiler.emit.step import advance, start
 from deepbots_cli.compiler.emit.text import block, docstring, indent, quoted
@@ -27,5 +27,7 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
 
 def _bind(space: Workspace) -> list[str]:
     lines = space.reads.bind_lines()
+    if is_arranged(space.scenario.reset):
+        lines.append("self.bodies = Arrangement(self.scenario, engine)")
     lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
     return block("def bind(self, engine: Any) -> None:", lines)

@@ -28,7 +28,8 @@ class Workspace:
         self._conditions = [option.forbidden for part in choices for option in part.options if option.forbidden is not None]
         self.evaluated += self._conditions
         self.sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
-        self.reads = Reads([*self.evaluated, *self.sent], self.names)
+        required = scenario.reset.require
+        self.reads = Reads([*self.evaluated, *self.sent, *([] if required is None else [required])], self.names)
         self.variables = [variable for part in scenario.action for variable in action_variables(part)]
         self._used = {leaf.name for expression in self.evaluated for leaf in names_in(expression)}
         self._parameters = {entry.name for entry in scenario.parameters}
@@ -74,6 +75,10 @@ class Workspace:
     def parameter(self, name: str, component: str | None = None) -> str:
         """The attribute that holds a drawn parameter."""
         return f"self.{self.names('parameter', name, component)}"
+
+    def present(self, group: str) -> str:
+        """The attribute that counts the copies of a group that take part in the episode."""
+        return f"self.{self.names('present', group)}"
 
     def told(self) -> list[str]:
         """Locals of one tick that the messages of the next one tell: signals, and fields that robots sent."""

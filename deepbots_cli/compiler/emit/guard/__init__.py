@@ -7,6 +7,7 @@ outside of quotes must be an identifier of the language or an entry of a table.
 expressions.py  nodes: operations, functions, draws, facts       scopes.py   names in expressions
 figures.py      counts, figures, what an episode varies          sensing.py  sensors
 actuation.py    actuators
+places.py       where bodies begin
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.actuation import require_actuators
 from deepbots_cli.compiler.emit.guard.expressions import require_known_nodes
 from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_routes, require_variations
+from deepbots_cli.compiler.emit.guard.places import require_places
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
 from deepbots_cli.compiler.emit.guard.sensing import require_sensors
 from deepbots_cli.compiler.emit.text import action_variables
@@ -46,6 +48,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_variations(scenario)
     require_sensors(scenario)
     require_actuators(scenario)
+    require_places(scenario)
     require_known_names(scenario)
     require_order(scenario.endings)
 

@@ -1,0 +1,58 @@
+"""Where bodies begin: known bodies, bounded numbers, so that a reset ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.compiler.emit.guard.expressions import nodes
+from deepbots_cli.ir import MOST_BODIES, Cells, CompiledScenario, Place, Region
+from deepbots_cli.lang.scalar import State, World
+
+_MOST_CELLS = 1_000_000
+MOST_ATTEMPTS = 100_000
+
+
+def require_places(scenario: CompiledScenario) -> None:
+    """Every placed body is in the world, every group has its copies, every region and grid is of a size that can be looked through."""
+    reset = scenario.reset
+    bodies = {*(robot.name for robot in scenario.world.robots), *(thing.name for thing in scenario.world.objects)}
+    groups = {group.name: group.capacity for group in reset.groups}
+    for name, capacity in groups.items():
+        if not 1 <= capacity <= MOST_BODIES or not {f"{name}#{index + 1}" for index in range(capacity)} <= bodies:
+            raise CanonicalError(f"'{name[:40]}' has not the copies that it should have")
+    if not 1 <= reset.attempts <= MOST_ATTEMPTS:
+        raise CanonicalError(f"{reset.attempts} attempts at a start")
+    if any(not 0.0 <= layout.share < math.inf for layout in reset.layouts):
+        raise CanonicalError("a layout that is taken in an impossible share of the episodes")
+    if any(isinstance(node, (State, World)) for node in nodes((reset.places, reset.layouts, reset.joints, reset.variations, reset.groups))):
+        raise CanonicalError("places that depend on the world in which they are")
+    if any(isinstance(node, State) for node in nodes((reset.require,))):
+        raise CanonicalError("a start that depends on what was before")
+    for place in _places(scenario):
+        if place.body not in bodies and place.body not in groups:
+            raise CanonicalError(f"'{place.body[:40]}' is placed, and is not in the world")
+        if not all(map(math.isfinite, (place.clearance, *place.spacing))) or (place.at_most or 0) < 0:
+            raise CanonicalError(f"'{place.body[:40]}' is placed by impossible figures")
+        if any(len(triple) not in (0, 3) for triple in (place.velocity, place.angular_velocity)):
+            raise CanonicalError(f"'{place.body[:40]}' moves in {len(place.velocity)} directions")
+        _require_spot(place)
+
+
+def _require_spot(place: Place) -> None:
+    match place.spot:
+        case Region(low, high, mesh):
+            sides = [end - start for start, end in zip(low, high, strict=True)]
+            cells = math.prod(max(1.0, side / mesh) for side in sides) if mesh and mesh > 0.0 else 1.0
+            if not all(0.0 <= side < math.inf for side in sides) or (mesh is not None and not mesh > 0.0) or not cells <= _MOST_CELLS:
+                raise CanonicalError(f"'{place.body[:40]}' is placed in an impossible region")
+        case Cells(spots):
+            if not spots or not all(math.isfinite(end) for spot in spots for end in spot):
+                raise CanonicalError(f"'{place.body[:40]}' is placed in impossible cells")
+
+
+def _places(scenario: CompiledScenario) -> Iterator[Place]:
+    yield from scenario.reset.places
+    for layout in scenario.reset.layouts:
+        yield from layout.places

@@ -1,0 +1,60 @@
+"""Prints how bodies look for a place: a call of the arrangement for each, a loop for the copies of a group."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deepbots_cli.compiler.emit.printer import Printer
+from deepbots_cli.compiler.emit.text import quoted, tuple_code
+from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.ir import Cells, Group, Place, Region
+from deepbots_cli.lang.scalar import Scalar
+
+
+def is_sought(place: Place) -> bool:
+    """Whether more than its coordinates decides where the body stands."""
+    return place.rests or place.spot is not None
+
+
+def place_lines(places: Sequence[Place], space: Workspace, printer: Printer) -> list[str]:
+    """The statements of one layout: first what has coordinates, then what stands in cells, then what looks for a spot."""
+    ranks = {Region: 2, Cells: 1}
+    groups = {group.name: group for group in space.scenario.reset.groups}
+    order = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
+    return [line for place in order for line in _lines(place, groups.get(place.body), printer)]
+
+
+def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
+    count = printer.value(group.count) if group else "1"
+    body, pad = ("body", "    ") if group else (quoted(place.body), "")
+    at_most = "" if place.at_most is None else f", {place.at_most}"
+    head = [f"for body in bodies.copies({quoted(place.body)}, {count}{at_most}):"] if group else []
+    match place.spot:
+        case Region(low, high, mesh):
+            pose = f"lambda: ({_triple(place.xyz, printer)}, {_triple(place.rpy, printer)})"
+            area = tuple_code([repr(end) for end in (*low, *high)])
+            options = _options(place, printer) + (f", mesh={mesh!r}" if mesh else "")
+            return [*head, f"{pad}bodies.find({body}, {area}, {quoted(place.stream)}, {pose}{options})"]
+        case Cells(spots):
+            table = tuple_code([tuple_code([repr(x), repr(y)]) for x, y in spots])
+            xyz = tuple_code(["spot[0]", "spot[1]", printer.value(place.xyz[2])])
+            return [
+                f"for body, spot in bodies.cells({quoted(place.body)}, {count}, {table}, {quoted(place.stream)}):",
+                f"    bodies.stand(body, {xyz}, {_triple(place.rpy, printer)}{_options(place, printer)})",
+            ]
+        case _:
+            spacing = f", spacing={place.spacing!r}" if group and any(place.spacing) else ""
+            xyz, rpy = _triple(place.xyz, printer), _triple(place.rpy, printer)
+            return [*head, f"{pad}bodies.stand({body}, {xyz}, {rpy}{_options(place, printer)}{spacing})"]
+
+
+def _options(place: Place, printer: Printer) -> str:
+    moving = (("velocity", place.velocity), ("angular_velocity", place.angular_velocity))
+    parts = [f", {name}={_triple(values, printer)}" for name, values in moving if values]
+    parts += [", rests=True"] if place.rests else []
+    parts += [f", clearance={place.clearance!r}"] if place.clearance else []
+    return "".join(parts)
+
+
+def _triple(values: Sequence[Scalar], printer: Printer) -> str:
+    return tuple_code([printer.value(value) for value in values])

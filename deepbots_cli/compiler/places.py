@@ -1,0 +1,163 @@
+"""One entry of `reset.place` or of a layout: where a body stands, and how it moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import atan2
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.room import check_room
+from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
+from deepbots_cli.lang.intervals import exact
+from deepbots_cli.lang.lower import constant
+from deepbots_cli.lang.typed import Constant
+from deepbots_cli.lang.types import PLANE, SPACE, Context, Stage, Type
+from deepbots_cli.schema.pose import Pose
+from deepbots_cli.schema.reset import Placement as PlacementSpec
+from deepbots_cli.schema.reset import Region
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Coordinate, Placement, Valued
+
+_TURNS = ("roll", "pitch", "yaw")
+
+
+class Places:
+    """Reads placements in the scope of a reset, where figures may be drawn."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._values = namespace.values
+        self._world = world
+        self._scope = ParameterScope(namespace, Context.RESET)
+        self._fixed = ParameterScope(namespace, Context.FIXED)
+
+    def placement(self, body: str, pose: Pose, path: Path) -> Placement:
+        """The placement of a known body; what had findings is left out of it."""
+        place = Placement(body, self.coordinates(pose, path), owner=owner_of(path))
+        if not isinstance(pose, PlacementSpec):
+            return self.resting(place)
+        place = replace(
+            place,
+            clearance=self._values.number((*path, "clearance"), pose.clearance, LENGTH, self._fixed) or 0.0,
+            at_most=pose.at_most,
+            spacing=self._spacing(pose, path),
+            velocity=self._vector("velocity", pose.velocity, path, LENGTH / TIME),
+            angular_velocity=self._vector("angular_velocity", pose.angular_velocity, path, ANGLE / TIME),
+        )
+        place = self._on_line(place, pose.line, path) if pose.line else place
+        if pose.region is not None:
+            place = replace(place, spot=self._region(pose, path))
+        elif pose.grid is not None:
+            span = self._values.key_span((*path, "grid"))
+            self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
+        if isinstance(place.spot, ir.Region):
+            check_room(place, place.spot, self._world, self._namespace, path)
+        self._check_copies(place, path)
+        return self.resting(place)
+
+    def coordinates(self, pose: Pose, path: Path) -> dict[str, Coordinate]:
+        found: dict[str, Coordinate] = {}
+        for whole, parts, dimension in (("xyz", SPACE, LENGTH), ("rpy", _TURNS, ANGLE)):
+            for part in parts:
+                given = getattr(pose, part)
+                if given is not None:
+                    coordinate = self._coordinate(given, (*path, part), dimension)
+                    found |= {part: coordinate} if coordinate else {}
+            if getattr(pose, whole) is not None:
+                found |= self._components(getattr(pose, whole), (*path, whole), parts, dimension)
+        return found
+
+    def resting(self, place: Placement) -> Placement:
+        """What can move, or is no robot, lies on the ground where no height is given; a robot with a fixed base is built in at 0."""
+        robot = self._spec.robots.get(place.body)
+        is_built_in = robot is not None and robot.base == "fixed"
+        return replace(place, rests=not is_built_in and "z" not in place.coordinates)
+
+    def _coordinate(self, given: object, path: Path, dimension: Dimension) -> Coordinate | None:
+        if given == "any":
+            return Coordinate(owner_of(path), None)
+        text = self._values.text(path, given)
+        typed = self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, None, Stage.EPISODE)
+        return Coordinate(owner_of(path), typed) if typed else None
+
+    def _components(self, given: object, path: Path, parts: tuple[str, ...], dimension: Dimension) -> dict[str, Coordinate]:
+        """The components of `xyz` or `rpy`, each picked from the same typed vector."""
+        text = self._values.text(path, given)
+        typed = self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, SPACE, Stage.EPISODE)
+        if typed is None:
+            return {}
+        return {part: Coordinate(f"{owner_of(path)}[{index}]", typed) for index, part in enumerate(parts)}
+
+    def _vector(self, name: str, given: object, path: Path, dimension: Dimension) -> Valued | None:
+        if given is None:
+            return None
+        text = self._values.text((*path, name), given)
+        typed = self._values.quantity(text, f"`{name}`", self._scope, dimension, SPACE, Stage.EPISODE)
+        return Valued(name, text.span, text.text, typed, owner_of((*path, name))) if typed else None
+
+    def _spacing(self, pose: PlacementSpec, path: Path) -> tuple[float, float]:
+        if pose.spacing is None:
+            return (0.0, 0.0)
+        found = self._values.numbers((*path, "spacing"), pose.spacing, LENGTH, PLANE, self._fixed)
+        return (found[0], found[1]) if found else (0.0, 0.0)
+
+    def _on_line(self, place: Placement, line: str, path: Path) -> Placement:
+        """The beginning of a painted line, heading along it."""
+        stroke = next((stroke for stroke in self._world.lines if stroke.name == line), None)
+        if stroke is None:
+            self._values.unknown(self._values.span((*path, "line")), "line", line, self._namespace.named(Origin.LINE))
+            return place
+        self._namespace.touch(line)
+        first, second = stroke.pieces[0]
+        here = {axis: Coordinate(owner_of(path), _length(first[index])) for index, axis in enumerate(PLANE)}
+        return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
+
+    def _region(self, pose: PlacementSpec, path: Path) -> ir.Region | None:
+        mesh = None
+        if pose.grid is not None and (mesh := self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed)) is None:
+            return None
+        if isinstance(pose.region, Region):
+            ends = [
+                self._values.ends(self._values.text((*path, "region", axis), given), f"`{axis}`", self._fixed, dimension=LENGTH)
+                for axis, given in (("x", pose.region.x), ("y", pose.region.y))
+            ]
+            return ir.Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if (x := ends[0]) and (y := ends[1]) else None
+        arena = self._world.arena
+        if pose.region != "arena":
+            self._values.unknown(self._values.span((*path, "region")), "region", str(pose.region), ["arena"])
+        elif self._spec.world.arena is None:
+            span = self._values.span((*path, "region"))
+            self._values.findings.add("DB201", span, "the world has no arena", help="give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`")
+        elif arena is not None:
+            half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
+            return ir.Region((-half_x, -half_y), (half_x, half_y), mesh)
+        return None
+
+    def _check_copies(self, place: Placement, path: Path) -> None:
+        """Keys that only groups know; copies of a group that would stand within each other."""
+        group = self._namespace.groups.get(place.body)
+        for key, given in (("at_most", place.at_most), ("spacing", any(place.spacing) or None)):
+            if group is None and given is not None and not self._values.is_lost(place.body):
+                headline = f"`{key}` of `{place.body}`, of which there is one"
+                help = "it is for groups: bodies with a `count`"
+                self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
+        if group is None or place.spot is not None or any(place.spacing) or min(group.capacity, place.at_most or group.capacity) < 2:
+            return
+        known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
+        if all(coordinate.typed is not None and constant(coordinate.typed) is not None for coordinate in known):
+            headline = f"up to {min(group.capacity, place.at_most or group.capacity)} copies of `{place.body}` at one spot"
+            help = "draw their spots with `region`, put them in a row with `spacing`, or place `at_most: 1`"
+            self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
+
+
+def owner_of(path: Path) -> str:
+    """The place of an item in the scenario, after which its draws are named."""
+    return ".".join(map(str, path))
+
+
+def _length(figure: float) -> Constant:
+    return Constant(Type(LENGTH, interval=exact(figure)), 0, 0, (figure,))

@@ -1,0 +1,217 @@
+"""What bodies cover of the ground, seen from above: discs and rectangles, their gaps, and how high a shape rests.
+
+An object covers a rectangle or a disc, exactly as long as it stands upright; a robot the disc around
+its links as they are with all joints at 0. Lengths in m, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import cos, hypot, sin
+from typing import NamedTuple
+
+from deepbots_cli import frames
+from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Mesh, RobotModel, Shape, Sphere
+from deepbots_cli.urdf.rotation import quaternion
+
+Spot = tuple[float, float]
+
+
+class Footprint(NamedTuple):
+    """In the axes of a body that stands: its middle as seen from the origin, the radius that holds it all, half its sides.
+
+    Without sides it is the disc of that radius.
+    """
+
+    middle: Spot
+    radius: float
+    half: Spot | None = None
+
+    @property
+    def area(self) -> float:
+        """In m^2."""
+        return 4.0 * self.half[0] * self.half[1] if self.half else 3.141592653589793 * self.radius**2
+
+    @property
+    def narrowest(self) -> float:
+        """Half its least width."""
+        return min(self.half) if self.half else self.radius
+
+    def at(self, x: float, y: float, yaw: float) -> Patch:
+        """Where it lies when the body's origin is at (x, y)."""
+        c, s = cos(yaw), sin(yaw)
+        mx, my = self.middle
+        return Patch(x + c * mx - s * my, y + s * mx + c * my, self.radius, self.half, c, s)
+
+
+class Patch(NamedTuple):
+    """A footprint in the world: its middle, and the cosine and sine of its yaw."""
+
+    x: float
+    y: float
+    radius: float
+    half: Spot | None
+    cos: float
+    sin: float
+
+    @property
+    def extent(self) -> Spot:
+        """Half its size along x and y of the world."""
+        if self.half is None:
+            return self.radius, self.radius
+        a, b = self.half
+        c, s = abs(self.cos), abs(self.sin)
+        return c * a + s * b, s * a + c * b
+
+    def distance(self, x: float, y: float) -> float:
+        """From a point to its edge; 0 inside."""
+        dx, dy = x - self.x, y - self.y
+        if self.half is None:
+            return max(0.0, hypot(dx, dy) - self.radius)
+        along = abs(self.cos * dx + self.sin * dy) - self.half[0]
+        across = abs(self.cos * dy - self.sin * dx) - self.half[1]
+        return hypot(max(0.0, along), max(0.0, across))
+
+    def corners(self) -> Iterator[Spot]:
+        """Of a rectangle."""
+        a, b = self.half or (0.0, 0.0)
+        for i, j in ((a, b), (a, -b), (-a, b), (-a, -b)):
+            yield self.x + self.cos * i - self.sin * j, self.y + self.sin * i + self.cos * j
+
+
+def clear(a: Patch, b: Patch, least: float) -> bool:
+    """Whether two patches are apart by at least `least`; with 0 they may touch."""
+    return hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius >= least or gap(a, b) >= least
+
+
+def gap(a: Patch, b: Patch) -> float:
+    """The distance between two patches; negative where they overlap."""
+    if a.half is None or b.half is None:
+        disc, other = (a, b) if a.half is None else (b, a)
+        return other.distance(disc.x, disc.y) - disc.radius
+    if not _parted(a, b):
+        return -min(*a.half, *b.half)
+    return min(*(b.distance(*corner) for corner in a.corners()), *(a.distance(*corner) for corner in b.corners()))
+
+
+def _parted(a: Patch, b: Patch) -> bool:
+    """Whether a line along a side of either parts two rectangles: the theorem of the separating axis."""
+    dx, dy = b.x - a.x, b.y - a.y
+    axes = ((a.cos, a.sin), (-a.sin, a.cos), (b.cos, b.sin), (-b.sin, b.cos))
+    return any(abs(c * dx + s * dy) >= _along(a, c, s) + _along(b, c, s) for c, s in axes)
+
+
+def _along(patch: Patch, c: float, s: float) -> float:
+    """Half the shadow of a rectangle on the axis (c, s)."""
+    a, b = patch.half or (0.0, 0.0)
+    return a * abs(c * patch.cos + s * patch.sin) + b * abs(s * patch.cos - c * patch.sin)
+
+
+# What bodies cover
+
+
+def of_shape(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
+    """Of an object whose origin is the middle of its shape; of a tilted one the rectangle around it."""
+    match shape:
+        case Sphere(radius):
+            return Footprint((0.0, 0.0), radius)
+        case Cylinder(radius) | Capsule(radius) if roll == pitch == 0.0:
+            return Footprint((0.0, 0.0), radius)
+        case _:
+            (low_x, low_y, _), (high_x, high_y, _) = _bounds(shape, (frames.HERE[0], quaternion(roll, pitch, 0.0)))
+            half = ((high_x - low_x) / 2, (high_y - low_y) / 2)
+            return Footprint(((low_x + high_x) / 2, (low_y + high_y) / 2), hypot(*half), half)
+
+
+def of_robot(model: RobotModel) -> Footprint:
+    """The disc around all that touches, or is seen where nothing touches; a point for a robot without shapes."""
+    where = link_frames(model)
+    for solid in (True, False):
+        placed = [(link.name, shape) for link in model.links for shape in (link.collisions if solid else link.visuals)]
+        discs = [disc for link, part in placed for disc in _discs(part.shape, frames.inside(where[link], frames.frame(part.origin)))]
+        if discs:
+            low_x, high_x = min(x - r for x, _, r in discs), max(x + r for x, _, r in discs)
+            low_y, high_y = min(y - r for _, y, r in discs), max(y + r for _, y, r in discs)
+            middle = ((low_x + high_x) / 2, (low_y + high_y) / 2)
+            return Footprint(middle, max(hypot(x - middle[0], y - middle[1]) + r for x, y, r in discs))
+    return Footprint((0.0, 0.0), 0.0)
+
+
+def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
+    """Discs (x, y, radius) whose hull, seen from above, holds a shape of a robot: exact for what lies or stands straight."""
+    x, y, _ = frame[0]
+    axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
+    match shape:
+        case Sphere(radius):
+            yield x, y, radius
+        case Capsule(radius, length):
+            for end in (-length / 2, length / 2):
+                yield x + end * axis[0], y + end * axis[1], radius
+        case Cylinder(radius) if hypot(axis[0], axis[1]) < 1e-3:
+            yield x, y, radius
+        case _:
+            yield from ((px, py, 0.0) for px, py, _ in _corners(shape, frame))
+
+
+def link_frames(model: RobotModel) -> dict[str, Frame]:
+    """Every link in the frame of the root, with all joints at 0."""
+    children: dict[str, list[tuple[str, Frame]]] = {}
+    for joint in model.joints:
+        children.setdefault(joint.parent, []).append((joint.child, frames.frame(joint.origin)))
+    found = {model.root: frames.HERE}
+    waiting = [model.root]
+    while waiting:
+        parent = waiting.pop()
+        for child, frame in children.get(parent, ()):
+            found[child] = frames.inside(found[parent], frame)
+            waiting.append(child)
+    return found
+
+
+# How high
+
+
+def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
+    """The height of the origin of a body that rests on flat ground, tilted so; a robot rests on the lowest of all that touches."""
+    tilted = (frames.HERE[0], quaternion(roll, pitch, 0.0))
+    if not isinstance(body, RobotModel):
+        return -_bounds(body, tilted)[0][2]
+    where = link_frames(body)
+    touching = [(where[link.name], part) for link in body.links for part in link.collisions if not isinstance(part.shape, Mesh)]
+    return -min(
+        (_bounds(part.shape, frames.inside(tilted, frames.inside(link, frames.frame(part.origin))))[0][2] for link, part in touching),
+        default=0.0,
+    )
+
+
+def _bounds(shape: Shape, frame: Frame) -> tuple[Triple, Triple]:
+    """The least and the greatest coordinates of a shape, in the frame that `frame` is given in."""
+    (x, y, z), turn = frame
+    match shape:
+        case Sphere(radius):
+            dx = dy = dz = radius
+        case Capsule(radius, length):
+            dx, dy, dz = (abs(c) * length / 2 + radius for c in frames.rotate(turn, (0.0, 0.0, 1.0)))
+        case Cylinder(radius, length):
+            axis = frames.rotate(turn, (0.0, 0.0, 1.0))
+            dx, dy, dz = (abs(c) * length / 2 + radius * max(0.0, 1.0 - c * c) ** 0.5 for c in axis)
+        case _:
+            xs, ys, zs = zip(*_corners(shape, frame), strict=True)
+            return (min(xs), min(ys), min(zs)), (max(xs), max(ys), max(zs))
+    return (x - dx, y - dy, z - dz), (x + dx, y + dy, z + dz)
+
+
+def _corners(shape: Shape, frame: Frame) -> Iterator[Triple]:
+    """Of the box around a shape; a mesh counts as its origin."""
+    match shape:
+        case Box(size):
+            a, b, c = size[0] / 2, size[1] / 2, size[2] / 2
+        case Cylinder(radius, length):
+            a, b, c = radius, radius, length / 2
+        case _:
+            a = b = c = 0.0
+    for i in (a, -a):
+        for j in (b, -b):
+            for k in (c, -c):
+                yield frames.add(frame[0], frames.rotate(frame[1], (i, j, k)))
