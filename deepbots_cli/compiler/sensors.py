@@ -52,6 +52,7 @@ SENSOR_KINDS: dict[str, SensorKind] = {
     "sonar": SensorKind("rays", LENGTH),
     "laser": SensorKind("rays", LENGTH),
     "lidar": SensorKind("rays", LENGTH),
+    "reflectance": SensorKind("rays", interval=Interval(0.0, 1.0)),
     "camera": SensorKind("camera"),
 }
 

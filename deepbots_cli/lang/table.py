@@ -59,6 +59,7 @@ _OTHER = Param("other", Form.SUBJECT, kinds=_PLACES)
 _TOUCHED = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.GROUND})
 _JOINT = Param("joint", Form.SUBJECT, kinds=frozenset({Kind.JOINT, Kind.JOINTS}))
 _LINE = Param("line", Form.SUBJECT, kinds=frozenset({Kind.LINE}))
+_SEEN = Param("body", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.ROBOTS}))
 _CAMERA = Param("camera", Form.SUBJECT, kinds=frozenset({Kind.CAMERA}))
 _EMITTER = Param("robot", Form.SUBJECT, kinds=frozenset({Kind.ROBOT}))
 _SENDER = Param("sender", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.SENSOR, Kind.CAMERA}))
@@ -195,7 +196,7 @@ _WORLD = (
         interval=_known(iv.POSITIVE),
     ),
     Function("reachable", Family.WORLD, (_BODY, _OTHER), "Whether there is a way around what is solid.", _NUMBER, boolean=True),
-    Function("visible", Family.WORLD, (_CAMERA, _OTHER), "Whether a camera's newest picture shows a body.", _NUMBER, boolean=True),
+    Function("visible", Family.WORLD, (_CAMERA, _SEEN), "Whether a camera's newest picture shows a body.", _NUMBER, boolean=True),
     Function("contact", Family.WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this tick.", _NUMBER, boolean=True),
     Function("collided", Family.WORLD, (_BODIES,), "Whether a body touched anything but the ground.", _NUMBER, boolean=True),
     Function("joint_position", Family.WORLD, (_JOINT,), "The angle or travel of a joint.", _same, interval=_first),

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.lang.typed import Reference, Typed, children
+from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
+from deepbots_cli.lang.types import Kind
+from deepbots_cli.task import Task, Valued
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
@@ -34,11 +36,12 @@ def unused_part(checked: Checked) -> Iterator[Finding]:
     if checked.task is None or checked.namespace is None:
         return
     values = checked.namespace.values
+    looking = {part for value in _judged(checked.task) for part in _sensors(value.typed)}
     for robot in checked.task.robots:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         for sensor in robot.sensors:
-            if sensor.name not in used:
+            if sensor.name not in used and f"{robot.name}.{sensor.name}" not in looking:
                 span = values.key_span(("robots", robot.name, "sensors", sensor.name))
                 yield Finding("DB205", span, f"`{sensor.name}` is a sensor that nothing reads", help="send it under `emit`, or take it out")
         for actuator in robot.actuators:
@@ -46,6 +49,21 @@ def unused_part(checked: Checked) -> Iterator[Finding]:
                 span = values.key_span(("robots", robot.name, "actuators", actuator.name))
                 help = "give it a command under `apply`, or take it out"
                 yield Finding("DB205", span, f"`{actuator.name}` is an actuator that nothing drives", help=help)
+
+
+def _judged(task: Task) -> Iterator[Valued]:
+    """What the supervisor computes in every tick."""
+    yield from task.order
+    yield from task.reward
+    yield from (ending.value for ending in task.endings)
+
+
+def _sensors(value: Typed) -> Iterator[str]:
+    """The sensors that functions are asked about."""
+    if isinstance(value, Invocation):
+        yield from (subject.name for subject in value.subjects if subject.kind in (Kind.SENSOR, Kind.CAMERA))
+    for part in children(value):
+        yield from _sensors(part)
 
 
 def _names(value: Typed) -> Iterator[str]:

@@ -10,7 +10,7 @@ from deepbots_cli.ir import CompiledScenario, Robot
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.actuation import Drive, hold
 from deepbots_cli.runtime.messages import codec, explain
-from deepbots_cli.runtime.sensing import Device, instrument
+from deepbots_cli.runtime.sensing import Device, instrument, sees
 from deepbots_cli.runtime.streams import Streams
 
 
@@ -46,6 +46,10 @@ class RobotController:
             made = instrument(sensor, self.spec.name, self._world, self._engine)
             self.devices[name] = Device(sensor, self.spec.name, made, self._world.timestep)
         return self.devices[name]
+
+    def sees(self, sensor: str, body: str) -> Callable[[], bool]:
+        """Whether the newest picture of a camera shows the body."""
+        return sees(self.device(sensor), body)
 
     def begin(self, streams: Streams) -> None:
         """Begin an episode: first readings are taken, and nothing is left of earlier ones."""

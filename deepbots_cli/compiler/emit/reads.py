@@ -32,7 +32,7 @@ class Reads:
 
     def __init__(self, expressions: Iterable[Scalar], names: Names) -> None:
         self._names = names
-        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in (*_METHODS, "line")}
+        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in (*_METHODS, "line", "sight")}
         """The subjects of each kind of reader, with the joints that it is asked for."""
         for leaf in _facts(expressions):
             self._note(leaf)
@@ -55,7 +55,8 @@ class Reads:
         ]
         lines = [quoted(subject.partition(" ")[2]) for subject in self._needed["line"]]
         followed = zip(self._followers, lines, strict=True)
-        return [*readers, *(f"{follower} = Follower(self.scenario.world.line({line}))" for follower, line in followed)]
+        readers += [f"{follower} = Follower(self.scenario.world.line({line}))" for follower, line in followed]
+        return [*readers, *(f"self.read_{self._local(subject, 'sight')} = {_sight(subject)}" for subject in self._needed["sight"])]
 
     def start_lines(self) -> list[str]:
         """Statements that begin an episode."""
@@ -82,6 +83,8 @@ class Reads:
         local = self._local(subject, what)
         if what in ("pose", "velocity"):
             return f"{local}[{_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
+        if what == "sight":
+            return local
         if what == "line":
             return f"{local}[{_PART[leaf.function]}]"
         index = self._needed[what][subject].index(leaf.subjects[0].split(".", 1)[1])
@@ -98,7 +101,16 @@ def _reader(leaf: World) -> tuple[str, str]:
         return subject, _OF_LINKS[leaf.function]
     if leaf.function in _FOLLOWED:
         return f"{subject} {leaf.subjects[1]}", "line"
+    if leaf.function == "visible":
+        return f"{subject} {leaf.subjects[1]}", "sight"
     return subject.split(".", 1)[0], "torques" if leaf.function == "joint_torque" else "joints"
+
+
+def _sight(subject: str) -> str:
+    """What tells whether a camera sees a body; `subject` names both."""
+    camera, _, body = subject.partition(" ")
+    robot, _, sensor = camera.partition(".")
+    return f"self.robot_{robot}.sees({quoted(sensor)}, {quoted(body)})"
 
 
 def _place_of(body: str) -> World:

@@ -7,10 +7,12 @@ frames.py       where a sensor sits, and what is read there
 inertial.py     gyro, accelerometer, inclinometer
 ranging.py      rays and their lookup tables
 contacts.py     touch and force
+brightness.py   how light the ground is
 camera.py       pictures
 """
 
+from deepbots_cli.runtime.sensing.camera import sees
 from deepbots_cli.runtime.sensing.device import Device
 from deepbots_cli.runtime.sensing.instruments import instrument
 
-__all__ = ["Device", "instrument"]
+__all__ = ["Device", "instrument", "sees"]

@@ -33,12 +33,12 @@ def camera(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrume
     return Instrument(picture)
 
 
-def sees(device: Device, bodies: tuple[str, ...]) -> Callable[[], bool]:
-    """Whether the newest picture of a camera shows at least one pixel of any of `bodies`."""
+def sees(device: Device, body: str) -> Callable[[], bool]:
+    """Whether the newest picture of a camera shows at least one pixel of the body."""
 
     def seen() -> bool:
         sight: Sight = device.reading[1]
-        return any(name in sight.names and bool((sight.bodies == sight.names.index(name)).any()) for name in bodies)
+        return body in sight.names and bool((sight.bodies == sight.names.index(body)).any())
 
     return seen
 

@@ -8,7 +8,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import Frame
 from deepbots_cli.ir import Sensor, WorldModel
 from deepbots_cli.port import Engine
-from deepbots_cli.runtime.sensing import camera, contacts, inertial, ranging
+from deepbots_cli.runtime.sensing import brightness, camera, contacts, inertial, ranging
 from deepbots_cli.runtime.sensing import frames as placed
 from deepbots_cli.runtime.sensing.device import Instrument
 
@@ -51,6 +51,8 @@ def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) ->
             return contacts.touch(engine, robot, sensor)
         case "force":
             return contacts.force(engine, robot, sensor)
+        case "reflectance":
+            return brightness.reflectance(engine, robot, sensor, mount, world)
         case "camera":
             return camera.camera(engine, robot, sensor, mount)
     raise KeyError(kind)

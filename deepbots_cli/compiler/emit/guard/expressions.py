@@ -23,13 +23,13 @@ _ARGUMENTS: dict[str, tuple[int, float]] = {
     **dict.fromkeys(("where", "clamp"), (3, 3)),
     "accumulate": (4, 4),
 }
-_OF_LINES = ("beside", "along")
+_OF_TWO = ("beside", "along", "visible")
 _FACTS: dict[str, tuple[str | None, ...]] = {
     **dict.fromkeys(("position", "velocity", "angular_velocity"), ("x", "y", "z")),
     "orientation": ("x", "y", "z", "w"),
     **dict.fromkeys(("age", "fresh"), (None,)),
     **dict.fromkeys(("joint_position", "joint_velocity", "joint_torque"), (None,)),
-    **dict.fromkeys(_OF_LINES, (None,)),
+    **dict.fromkeys(_OF_TWO, (None,)),
 }
 
 
@@ -45,7 +45,7 @@ def require_known_nodes(scenario: object) -> None:
             case Draw(distribution=word) if word not in _DRAWS:
                 raise CanonicalError(f"{word[:40]!r} is no distribution")
             case World(function=word, subjects=subjects, component=component):
-                joint, wanted = word.startswith("joint_"), 2 if word in _OF_LINES else 1
+                joint, wanted = word.startswith("joint_"), 2 if word in _OF_TWO else 1
                 if component not in _FACTS.get(word, ()) or len(subjects) != wanted or (joint and "." not in subjects[0]):
                     raise CanonicalError(f"{word[:40]!r} of {str(subjects)[:60]} is nothing that an engine can tell")
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
 
 from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.ir import MOST_PIXELS, MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Optics, Robot, Sensor, Variation
+from deepbots_cli.lang.scalar import World
 
 _MOST_TICKS = 1e5
 _FAULTS = ("noise", "relative_noise", "bias", "relative_bias", "drift")
@@ -20,9 +23,17 @@ def require_sensors(scenario: CompiledScenario) -> None:
             if not _is_sound(sensor, scenario.world.timestep):
                 raise CanonicalError(f"'{robot.name[:40]}.{sensor.name[:40]}' is no sensor that can be built")
     robots = {robot.name: robot for robot in scenario.robots}
+    for node in nodes(scenario):
+        if isinstance(node, World) and node.function == "visible" and not _sees(robots, *node.subjects):
+            raise CanonicalError(f"{node.subjects[0][:40]!r} is no camera")
     for variation in scenario.reset.variations:
         if variation.what == "sensor" and not _varies(robots.get(variation.of[0]), variation):
             raise CanonicalError(f"{'.'.join(variation.of)[:80]!r} is no fault of a sensor")
+
+
+def _sees(robots: Mapping[str, Robot], camera: str, _body: str) -> bool:
+    robot, _, name = camera.partition(".")
+    return robot in robots and any(sensor.name == name and sensor.kind == "camera" for sensor in robots[robot].sensors)
 
 
 def _is_sound(sensor: Sensor, timestep: float) -> bool:
