@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi, tan
 
 import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
-from deepbots_cli.port import SIGHT
+from deepbots_cli.ir import Ground, Line, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.port import SIGHT, View
 from deepbots_cli.urdf.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.urdf.rotation import quaternion
 
@@ -115,3 +116,38 @@ def test_looking_changes_nothing(build):
                 look()
     assert seen.joint_states("scout", ["neck"])()[0][:2] == unseen.joint_states("scout", ["neck"])()[0][:2]
     assert (look().colours == look().colours).all()
+
+
+def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(build):
+    """From 1 m above, looking straight down: a square of 1 m with a stroke of 0.1 m, closed, and a speck beside it."""
+    square = Line("track", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)), True, 0.1, colour=RED)
+    speck = Line("speck", ((0.0, 0.0), (0.0, 0.0)), False, 0.2, colour=(0, 0, 0, 1))
+    engine = build("pybullet", replace(world(), ground=Ground(colour=GREEN), lines=(square, speck)))
+    look = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 2.4)
+    engine.place("scout", (0.0, 0.0, 1.0), frames.UPRIGHT)
+    engine.set_colour("scout", None, (0, 0, 1, 1))
+    sight = look()
+    pixel = 2 * tan(1.2) / HIGH
+    x = -pixel * (np.arange(HIGH) + 0.5 - HIGH / 2)[:, None]  # the first row is ahead
+    y = -pixel * (np.arange(HIGH) + 0.5 - HIGH / 2)[None, :]
+    bare = sight.bodies == sight.names.index("ground")
+    largest = np.maximum(abs(x), abs(y))
+    track = bare & (abs(largest - 0.5) < 0.04)
+    assert track.sum() > 50
+    assert (sight.colours[track].argmax(axis=-1) == 0).all()
+    beside = bare & (abs(largest - 0.5) > 0.06) & (np.hypot(x, y) > 0.12)
+    assert (sight.colours[beside].argmax(axis=-1) == 1).all()
+
+
+def test_the_floor_gets_another_colour_until_the_next_reset(build):
+    engine = build("pybullet", replace(world(), light=0.8))
+    view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
+    look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
+    usual, seen = engine.render(view), look().colours
+    engine.set_colour("ground", None, RED)
+    assert engine.render(view)[-1, 0].argmax() == look().colours[-1, 0].argmax() == 0
+    engine.set_light(0.4)
+    assert look().colours[0, 0, 2] < 0.6 * seen[0, 0, 2]
+    engine.reset()
+    assert (engine.render(view) == usual).all()
+    assert (look().colours == seen).all()

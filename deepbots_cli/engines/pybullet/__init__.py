@@ -14,7 +14,8 @@ rays.py      how far rays from a link are free
 figures.py   masses, friction, colours that an episode varies, and their way back
 substeps.py  what acts and looks around every engine step
 cameras.py   pictures
-backdrop.py  floor and sky of a picture
+backdrop.py  what is seen behind all bodies
+floor.py     tiles, and lines painted on them
 
 What PyBullet leaves to its callers, and is settled here:
 

@@ -13,42 +13,32 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.engines.pybullet.floor import Floor
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import Image
 
-    Colours = NDArray[np.float32]
-    Rays = NDArray[np.float32]
-    """Shape (height, width, 3), world frame, and 1 along the line of sight."""
-
-TILE = 0.25  # m
-_LIGHT, _DARK = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
 _HORIZON, _ZENITH = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
 _HAZE = 12.0  # m; the distance over which the floor fades into the horizon
 
 
-def backdrop(eye: Triple, rays: Rays, pixel: float, floor: NDArray[np.bool_]) -> Image:
-    """What is seen where no body is: uint8, shape (height, width, 3).
+def fill(picture: Image, where: NDArray[np.bool_], eye: Triple, rays: NDArray[np.float32], pixel: float, floor: Floor | None) -> None:
+    """Draw what is seen where no body is into the pixels `where` of a picture.
 
-    `pixel` is the width of a pixel at a distance of 1 m, `floor` says which rays meet the floor.
+    `rays` have a length of 1 along the line of sight (world frame), `pixel` is the width of a pixel at a distance of
+    1 m.
     """
-    length = np.linalg.norm(rays, axis=2)
-    picture = _HORIZON + (_ZENITH - _HORIZON) * np.clip(2.0 * rays[..., 2] / length, 0.0, 1.0)[..., None]
-    if floor.any():
-        down = rays[floor]
-        times = eye[2] / -down[:, 2]
-        at = np.asarray(eye[:2], np.float32) + down[:, :2] * times[:, None]
-        reach = times * length[floor]
-        picture[floor] = _tiles(at, pixel * reach * reach / eye[2], reach)
-    return np.asarray(picture, dtype=np.uint8)
-
-
-def _tiles(at: NDArray[np.float32], across: NDArray[np.float32], reach: NDArray[np.float32]) -> Colours:
-    """Colours at points of the plane, seen from `reach` m in pixels `across` m long; tiles too small for a pixel melt into their mean."""
-    sharp = np.clip(1.5 - across / TILE, 0.0, 1.0)
-    odd = np.sum(np.floor(at / TILE), axis=1) % 2.0
-    shade = 0.5 + (odd - 0.5) * sharp
-    colour = _LIGHT + (_DARK - _LIGHT) * shade[:, None]
-    return np.asarray(_HORIZON + (colour - _HORIZON) * np.exp(-reach / _HAZE)[:, None], np.float32)
+    down = rays[..., 2] < -1e-6 if floor is not None and eye[2] > 0.0 else np.zeros_like(where)
+    sky = where & ~down
+    if sky.any():
+        x, y, z = rays[sky].T
+        picture[sky] = _HORIZON + (_ZENITH - _HORIZON) * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
+    ground = where & down
+    if floor is not None and ground.any():
+        x, y, z = rays[ground].T
+        times = np.float32(-eye[2]) / z
+        reach = times * np.sqrt(x * x + y * y + z * z)
+        colours = floor(np.float32(eye[0]) + x * times, np.float32(eye[1]) + y * times, np.float32(pixel / eye[2]) * reach * reach)
+        picture[ground] = _HORIZON + (colours - _HORIZON) * np.exp(reach * np.float32(-1 / _HAZE))[:, None]
 
 
 def smoothed(picture: Image, samples: int) -> Image:

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.engines.pybullet.backdrop import backdrop
+from deepbots_cli.engines.pybullet.backdrop import fill
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.frames import add, cross, rotate, scaled, subtract
-from deepbots_cli.port import SIGHT
+from deepbots_cli.port import SIGHT, Sight
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.engines.pybullet.floor import Floor
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.port import Image, View
 
@@ -45,26 +46,25 @@ def at(view: View) -> Aim:
 
 
 class Shot(NamedTuple):
-    """`colours` and `depth` as in `Sight`, of bodies alone, whose `numbers` they are (-1 for none); rays, and which meet the floor."""
+    """`colours` and `depth` as in `Sight`, of bodies alone, whose `numbers` they are (-1 for none), and the rays of the pixels."""
 
     colours: Image
     depth: NDArray[np.float32]
     numbers: NDArray[np.int32]
     rays: NDArray[np.float32]
-    floor: NDArray[np.bool_]
 
 
 class Camera:
     """`height` x `width` pixels; `fov` is the vertical angle (rad). A pixel is what its centre sees."""
 
-    def __init__(self, client: int, width: int, height: int, fov: float, has_floor: bool) -> None:
-        self.pixel = 2 * tan(fov / 2) / height
-        self._client, self._size, self._has_floor = client, (width, height), has_floor
-        across, upward = width * self.pixel / 2, height * self.pixel / 2
+    def __init__(self, client: int, width: int, height: int, fov: float, floor: Floor | None) -> None:
+        self._pixel = 2 * tan(fov / 2) / height
+        self._client, self._size, self._floor = client, (width, height), floor
+        across, upward = width * self._pixel / 2, height * self._pixel / 2
         self._rays = np.ones((height, width, 3), np.float32)
-        self._rays[..., 1] = across - self.pixel * (np.arange(width) + 0.5)[None, :]
-        self._rays[..., 2] = upward - self.pixel * (np.arange(height) + 0.5)[:, None]
-        shift, near = self.pixel / 2, NEAREST  # the renderer looks through the upper left corner of a pixel, turned upside down
+        self._rays[..., 1] = across - self._pixel * (np.arange(width) + 0.5)[None, :]
+        self._rays[..., 2] = upward - self._pixel * (np.arange(height) + 0.5)[:, None]
+        shift, near = self._pixel / 2, NEAREST  # the renderer looks through the upper left corner of a pixel, turned upside down
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
         self._projection = p.computeProjectionMatrix(*frustum, near, SIGHT)
 
@@ -85,25 +85,40 @@ class Camera:
             physicsClientId=self._client,
         )
         shape = (height, width)
-        near = np.asarray(buffer, np.float32).reshape(shape)
-        depth = SIGHT * NEAREST / (SIGHT - (SIGHT - NEAREST) * near)
-        rays = self._rays @ np.array(aim[1:], np.float32)
-        floor = (rays[..., 2] < -1e-6) if self._has_floor and aim.eye[2] > 0.0 else np.zeros(shape, np.bool_)
-        return Shot(
-            np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3], depth, np.asarray(numbers, np.int32).reshape(shape), rays, floor
-        )
+        depth = SIGHT * NEAREST / (SIGHT - (SIGHT - NEAREST) * np.asarray(buffer, np.float32).reshape(shape))
+        rays = self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)
+        colours = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3].copy()
+        return Shot(colours, depth, np.asarray(numbers, np.int32).reshape(shape), rays.reshape(*shape, 3))
 
-    def behind(self, aim: Aim, shot: Shot) -> Image:
+    def picture(self, aim: Aim, behind: Image | None = None) -> Image:
+        """Colours with what is behind all bodies, drawn unless it is given."""
+        shot = self.shoot(aim)
+        bare = shot.numbers < 0
+        if behind is not None:
+            return np.where(bare[..., None], behind, shot.colours)
+        fill(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
+        return shot.colours
+
+    def behind(self, aim: Aim) -> Image:
         """Floor and sky."""
-        return backdrop(aim.eye, shot.rays, self.pixel, shot.floor)
+        width, height = self._size
+        rays = (self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)).reshape(height, width, 3)
+        picture = np.zeros((height, width, 3), np.uint8)
+        fill(picture, np.ones((height, width), np.bool_), aim.eye, rays, self._pixel, self._floor)
+        return picture
 
-
-def depths(aim: Aim, shot: Shot) -> NDArray[np.float32]:
-    """Of bodies and floor along the line of sight, m, at most `SIGHT`."""
-    depth = np.where(shot.numbers >= 0, shot.depth, np.float32(SIGHT))
-    bare = shot.floor & (shot.numbers < 0)
-    depth[bare] = np.minimum(aim.eye[2] / -shot.rays[bare][:, 2], SIGHT)
-    return depth
+    def sight(self, aim: Aim, places: NDArray[np.int32], ground: int, names: tuple[str, ...]) -> Sight:
+        """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the floor."""
+        shot = self.shoot(aim)
+        bare = shot.numbers < 0
+        bodies = np.where(bare, np.int32(-1), places[shot.numbers])
+        shot.depth[bare] = SIGHT
+        if self._floor is not None and aim.eye[2] > 0.0:
+            floor = bare & (shot.rays[..., 2] < -1e-6)
+            bodies[floor] = ground
+            shot.depth[floor] = np.minimum(np.float32(-aim.eye[2]) / shot.rays[floor][:, 2], SIGHT)
+        fill(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
+        return Sight(shot.colours, shot.depth, bodies, names)
 
 
 def _length(v: Triple) -> float:

@@ -16,11 +16,13 @@ from deepbots_cli.engines.lookup import find
 from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, pushes, readers
 from deepbots_cli.engines.pybullet.backdrop import lit, smoothed
 from deepbots_cli.engines.pybullet.figures import Colour, Figures
+from deepbots_cli.engines.pybullet.floor import Floor
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.substeps import Substeps
 from deepbots_cli.errors import EngineError
+from deepbots_cli.ir import GROUND
 from deepbots_cli.port import STILL, Sight
 
 if TYPE_CHECKING:
@@ -64,18 +66,18 @@ class PyBulletEngine:
         self._release = weakref.finalize(self, _release, self._client, self._substeps)
         self.step = self._substeps.stepper(self._client)
         self._timestep = world.timestep / world.substeps
-        self._has_floor = world.ground is not None
-        self._figures = Figures(self._client, world.gravity)
+        self._floor = Floor(world.ground.colour, world.lines) if world.ground else None
+        self._figures = Figures(self._client, world.gravity, world.light)
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._watches: dict[int, contacts.Watch] = {}
         self._rays: Rays | None = None
-        self._backdrop: tuple[View, Image] | None = None
+        self._backdrop: tuple[object, Image] | None = None
         try:
             self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
             every = [body for pool in self._pools.values() for body in pool]
             self._moving = [body for body in every if not body.fixed or body.brakes]
             self._still = [body for body in every if body.fixed and not body.brakes]
-            self._ground = [body.number for name in loading.GROUNDS if name in self._pools for body in self._pools[name]]
+            self._ground = [body.number for body in self._pools.get(GROUND, ())]
             loading.join_islands(self._client, self._pools.values())
             self.reset()
         except BaseException:
@@ -156,7 +158,10 @@ class PyBulletEngine:
         self._open()._figures.set_gravity(gravity)
 
     def set_colour(self, body: str, link: str | None, colour: Colour) -> None:
-        self._figures.set_colour(*self._link(body, link), colour)
+        if body == GROUND and self._floor is not None:
+            self._figures.set_floor(self._floor, colour)
+        else:
+            self._figures.set_colour(*self._link(body, link), colour)
 
     def set_light(self, brightness: float) -> None:
         self._figures.set_light(brightness)
@@ -247,17 +252,13 @@ class PyBulletEngine:
         return springs.aim
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        camera, pose = cameras.Camera(self._client, width, height, fov, self._has_floor), self.pose(*part)
+        camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
         names, places = self._places()
-        ground = names.index(loading.GROUND) if self._has_floor else -1
+        ground = names.index(GROUND) if GROUND in names else -1
 
         def look() -> Sight:
-            aim = cameras.along(frames.inside(pose(), mount))
-            shot = camera.shoot(aim)
-            is_body = shot.numbers >= 0
-            colours = np.where(is_body[..., None], shot.colours, camera.behind(aim, shot))
-            bodies = np.where(is_body, places[shot.numbers], np.where(shot.floor, ground, -1)).astype(np.int32)
-            return Sight(lit(colours, self._figures.light), cameras.depths(aim, shot), bodies, names)
+            sight = camera.sight(cameras.along(frames.inside(pose(), mount)), places, ground, names)
+            return sight._replace(colours=lit(sight.colours, self._figures.light))
 
         return look
 
@@ -271,12 +272,11 @@ class PyBulletEngine:
     def render(self, view: View) -> Image:
         self._open()
         fine = replace(view, width=view.width * view.samples, height=view.height * view.samples)
-        camera, aim = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._has_floor), cameras.at(view)
-        shot = camera.shoot(aim)
-        if self._backdrop is None or self._backdrop[0] != fine:
-            self._backdrop = (fine, camera.behind(aim, shot))
-        picture = np.where((shot.numbers >= 0)[..., None], shot.colours, self._backdrop[1])
-        return lit(smoothed(picture, view.samples), self._figures.light)
+        camera, aim = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._floor), cameras.at(view)
+        seen = (fine, self._floor.tiles if self._floor else None)
+        if self._backdrop is None or self._backdrop[0] != seen:
+            self._backdrop = (seen, camera.behind(aim))
+        return lit(smoothed(camera.picture(aim, self._backdrop[1]), view.samples), self._figures.light)
 
     def close(self) -> None:
         self._release()

@@ -12,6 +12,7 @@ from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
+    from deepbots_cli.engines.pybullet.floor import Floor
     from deepbots_cli.frames import Triple
     from deepbots_cli.urdf.model import Friction
 
@@ -19,10 +20,10 @@ Colour = tuple[float, float, float, float]
 
 
 class Figures:
-    """`light` is the brightness of pictures, `gravity` (m/s^2) as it is now, at first that of the world model."""
+    """`light`, the brightness of pictures, and `gravity` (m/s^2), as they are now; at first those of the world model."""
 
-    def __init__(self, client: int, gravity: Triple) -> None:
-        self.light = 1.0
+    def __init__(self, client: int, gravity: Triple, light: float) -> None:
+        self.light = light
         self._client = client
         self.gravity = gravity
         self._ways_back: dict[object, Callable[[], object]] = {}
@@ -82,8 +83,12 @@ class Figures:
             p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=colour, physicsClientId=self._client)
 
     def set_light(self, brightness: float) -> None:
+        self._ways_back.setdefault("light", partial(setattr, self, "light", self.light))
         self.light = brightness
-        self._ways_back["light"] = partial(setattr, self, "light", 1.0)
+
+    def set_floor(self, floor: Floor, colour: Colour) -> None:
+        floor.colour(colour)
+        self._ways_back["floor"] = partial(floor.colour, floor.usual)
 
 
 def contact_figures(friction: Friction) -> dict[str, float]:

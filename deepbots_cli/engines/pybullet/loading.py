@@ -17,6 +17,7 @@ from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.pool import Pool
 from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.errors import EngineError
+from deepbots_cli.ir import GROUND
 from deepbots_cli.port import STILL
 from deepbots_cli.urdf.model import Friction, Link, Mesh, RobotModel
 from deepbots_cli.urdf.writer import write
@@ -24,7 +25,6 @@ from deepbots_cli.urdf.writer import write
 if TYPE_CHECKING:
     from deepbots_cli.ir import Ground, ObjectBody, WorldModel
 
-GROUND, TERRAIN = GROUNDS = ("ground", "terrain")  # names among bodies of what the others stand on
 APART = 1000.0  # m between bodies that are parked
 
 
