@@ -133,6 +133,8 @@ class _Maker:
     def _is_bearable(self, task: Task, word: Word, name: str, here: Span) -> bool:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
         lines = interface.differences(self._base, lower(task), words=("elsewhere", "here"))
+        if word == "stage" and task.world.timestep != self._base.world.timestep:
+            lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {task.world.timestep:g} s")
         if lines:
             headline = f"in the {word} `{name}` the policy would see, do or send something else"
             help = f"a {word} may change the world; write what spaces and messages are made of as figures that it does not set"

@@ -26,7 +26,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("agent",), "each"),
     ((), "goal"),
     ((), "disturbances"),
-    ((), "curriculum"),
     (("reset",), "layout"),
     (("reset",), "layouts"),
 )

@@ -11,6 +11,7 @@ weights.py       networks and optimisers as plain arrays; no pickle is ever load
 algorithms.py    the table of algorithms and our defaults
 noise.py         noise on the actions of algorithms that explore by it
 environments.py  copies of one world, stepped in turn in one process
+curriculum.py    the stages of a training
 episodes.py      what an episode leaves behind: log, statistics, solved
 callbacks.py     what happens during training: best model, checkpoints, logging
 interruption.py  Ctrl-C and SIGTERM end a training between two steps

@@ -123,6 +123,15 @@ class Entries:
     def items(self, key: str) -> list[Any]:
         return self._typed(key, list, "a list")
 
+    def objects(self, key: str) -> list[Entries]:
+        """A list of objects."""
+        return [Entries(item if isinstance(item, dict) else {}, f"{self.where}: {key}") for item in self.items(key)]
+
+    def numbers(self, key: str) -> list[float]:
+        """A list of numbers."""
+        items = self.items(key)
+        return [Entries({"item": item}, f"{self.where}: {key}").number("item") for item in items]
+
     def misfit(self, key: str, wanted: str) -> RunError:
         return RunError(f"{self.where}: '{key}' is not {wanted}" if key in self.data else f"{self.where}: '{key}' is missing")
 

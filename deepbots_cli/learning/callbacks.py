@@ -11,6 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import weights
+from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.interruption import Interruption
 from deepbots_cli.learning.progress import Reporter, Standing
@@ -23,11 +24,18 @@ CHECKPOINT_SECONDS = 10.0
 class Keeper:
     """Keeps models in the run's directory; one with a number that is not finite is refused, so the last good one stays."""
 
-    def __init__(self, run: Run, statistics: Statistics, best_return: float | None = None) -> None:
+    def __init__(self, run: Run, statistics: Statistics, curriculum: Curriculum, best_return: float | None = None) -> None:
         self.run = run
         self.statistics = statistics
+        self.curriculum = curriculum
         self.best_return = best_return
         self.digest = ""
+
+    def begin_stage(self) -> None:
+        """Returns of one stage say nothing in another: the best is sought anew."""
+        self.best_return = None
+        self.statistics.recent.clear()
+        self.statistics.final = self.curriculum.is_last
 
     def keep_best(self, model: BaseAlgorithm) -> None:
         """Keep the networks as best if the mean return of the recent episodes, once there are enough, is a new high."""
@@ -47,7 +55,7 @@ class Keeper:
         weights.write(self.run.checkpoint, arrays, self._state())
 
     def _state(self) -> dict[str, Any]:
-        return self.statistics.to_json() | {"best_return": self.best_return}
+        return self.statistics.to_json() | {"best_return": self.best_return, "curriculum": self.curriculum.to_json()}
 
     def _finite(self, arrays: dict[str, weights.Array]) -> dict[str, weights.Array]:
         name = weights.not_finite(arrays)
@@ -90,7 +98,8 @@ class Watch(BaseCallback):
 
     def standing(self) -> Standing:
         s = self.statistics
-        return Standing(s.steps, self.total, s.episodes, s.mean_return, s.success_rate, s.simulated_hours)
+        stage = self.keeper.curriculum.describe(s.steps) if self.keeper.curriculum.stages else ""
+        return Standing(s.steps, self.total, s.episodes, s.mean_return, s.success_rate, s.simulated_hours, stage)
 
     def _on_step(self) -> bool:
         if self.statistics.steps >= self._next_beat:
@@ -113,6 +122,13 @@ class Watch(BaseCallback):
         """Figures beside those of Stable-Baselines3, for TensorBoard; it writes them with its own."""
         self.logger.record("rollout/episodes", self.statistics.episodes)
         self.logger.record("rollout/simulated_hours", self.statistics.simulated_hours)
+        curriculum = self.keeper.curriculum
+        value = curriculum.value(self.statistics.steps)
+        if curriculum.stages:
+            self.logger.record("curriculum/stage", curriculum.index + 1)
+        if curriculum.until is not None and value is not None:
+            self.logger.record(f"curriculum/{curriculum.until.metric}", value)
+            self.logger.record("curriculum/threshold", curriculum.until.threshold)
         for name, mean in self.statistics.term_means().items():
             self.logger.record(f"reward/{name}", mean)
 

@@ -31,7 +31,8 @@ class BuildWorld(Protocol):
 class Copies(VecEnv):
     """A vector environment over `worlds`; copy i starts from `seeds[i]` at the first reset and runs on from there.
 
-    `on_step` is called after the step of each copy, `on_episode` after each finished episode, both in the order of copies.
+    `on_step` is called after the step of each copy, `on_episode` after each finished episode with the number of its copy, both
+    in the order of copies. Then `renew` may give that copy another world to go on in, and the seed to begin it with.
     """
 
     def __init__(
@@ -40,12 +41,14 @@ class Copies(VecEnv):
         seeds: Sequence[int],
         *,
         on_step: Callable[[], None],
-        on_episode: Callable[[Episode], None],
+        on_episode: Callable[[int, Episode], None],
+        renew: Callable[[int], tuple[World, int] | None] = lambda copy: None,
     ) -> None:
         self.worlds = list(worlds)
         self.starts = list(seeds)
         self._on_step = on_step
         self._on_episode = on_episode
+        self._renew = renew
         self._tallies = [Tally() for _ in worlds]
         self._actions: npt.NDArray[Any] = np.zeros(0)
         first = self.worlds[0]
@@ -72,14 +75,23 @@ class Copies(VecEnv):
             done = terminated or truncated
             if done:
                 episode = tally.close(info)
-                self._on_episode(episode)
+                self._on_episode(index, episode)
                 info = _last_info(info, observation, episode, timed_out=truncated and not terminated)
-                observation, self.reset_infos[index] = world.reset()
+                observation, self.reset_infos[index] = self._begin(index)
             observations.append(observation)
             rewards.append(reward)
             dones.append(done)
             infos.append(info)
         return self._stack(observations), np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos
+
+    def _begin(self, index: int) -> tuple[Any, dict[str, Any]]:
+        """The next episode of a copy, in its world or in a new one."""
+        renewed = self._renew(index)
+        if renewed is None:
+            return self.worlds[index].reset()
+        self.worlds[index].close()
+        self.worlds[index], seed = renewed
+        return self.worlds[index].reset(seed=seed)
 
     def _stack(self, observations: list[Any]) -> VecEnvObs:
         if self._keys is None:

@@ -87,6 +87,8 @@ class Statistics:
         """`period` is the time that a step of the agent takes, in s."""
         self.period = period
         self.solved = solved
+        self.final = True
+        """Whether the training is in its last stage, so that the task may count as solved."""
         self.steps = 0
         self.episodes = 0
         self.cpu_seconds_before = 0.0
@@ -121,10 +123,13 @@ class Statistics:
         names = {name: None for e in carriers for name in e.terms}
         return {name: sum(e.terms.get(name, 0.0) for e in carriers) / len(carriers) for name in names}
 
-    def add(self, episode: Episode) -> None:
+    def add(self, episode: Episode, *, present: bool = True) -> None:
+        """Count an episode; one that is not of the present stage counts for the number only."""
         self.episodes += 1
+        if not present:
+            return
         self.recent.append(episode)
-        if self.solved is None or self.solved_at is not None or not self.full:
+        if self.solved is None or self.solved_at is not None or not self.full or not self.final:
             return
         mean, rate = self.mean_return, self.success_rate
         if mean is not None and rate is not None and meets(self.solved, mean, rate):
@@ -172,7 +177,7 @@ class EpisodeFile:
     r, l, t (return, length, seconds since the start), then our columns. Appends to what is there.
     """
 
-    COLUMNS = ("r", "l", "t", "episode", "steps", "simulated_hours", "is_success", "ended_by")
+    COLUMNS = ("r", "l", "t", "episode", "steps", "simulated_hours", "is_success", "ended_by", "stage")
 
     def __init__(self, path: Path, scenario: str) -> None:
         fresh = not path.exists()
@@ -187,7 +192,7 @@ class EpisodeFile:
             self._stream.write(f"#{json.dumps({'t_start': self._started, 'env_id': scenario})}\n")
             self._writer.writerow(self.COLUMNS)
 
-    def write(self, episode: Episode, statistics: Statistics) -> None:
+    def write(self, episode: Episode, statistics: Statistics, stage: str | None = None) -> None:
         self._writer.writerow(
             (
                 round(episode.total_return, 6),
@@ -198,6 +203,7 @@ class EpisodeFile:
                 round(statistics.simulated_hours, 6),
                 int(episode.is_success),
                 episode.ended_by or "",
+                stage or "",
             )
         )
 

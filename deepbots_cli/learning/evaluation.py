@@ -146,7 +146,7 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
     algorithms.check(training)
-    spaces_only = Copies([world], [0], on_step=lambda: None, on_episode=lambda episode: None)
+    spaces_only = Copies([world], [0], on_step=lambda: None, on_episode=lambda copy, episode: None)
     model = algorithms.create(training, spaces_only, seed=0, total_timesteps=1, to_learn=False)
     weights.put(model, weights.read(run.model(name), model))
     model.policy.set_training_mode(False)

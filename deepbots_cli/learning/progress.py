@@ -15,7 +15,7 @@ from rich.text import Text
 
 @dataclass(frozen=True)
 class Standing:
-    """How far a training is; the means are over the recent episodes, None before the first has ended."""
+    """How far a training is; the means are over the recent episodes, None before the first has ended. `stage` is for people to read."""
 
     steps: int
     total_steps: int
@@ -23,6 +23,7 @@ class Standing:
     mean_return: float | None
     success_rate: float | None
     simulated_hours: float
+    stage: str = ""
 
 
 class Reporter(Protocol):
@@ -117,7 +118,8 @@ def reporter(wish: bool | Reporter) -> Reporter:
 
 def figures(standing: Standing) -> str:
     """`return 182.4  success 40 %  0.21 simulated h`."""
-    parts = [f"{standing.episodes:,} episodes"]
+    parts = [standing.stage] if standing.stage else []
+    parts.append(f"{standing.episodes:,} episodes")
     if standing.mean_return is not None:
         parts.append(f"return {standing.mean_return:.1f}")
     if standing.success_rate:

@@ -25,6 +25,10 @@ def training_text(result: TrainingResult) -> str:
         ("simulated time", f"{result.simulated_hours:.3f} h"),
         ("CPU time", f"{result.cpu_seconds:.1f} s"),
     ]
+    for end in result.stages:
+        rows.append((f"stage {end.name}", f"done after {end.steps:,} steps, {end.episodes:,} episodes"))
+    if result.stage is not None:
+        rows.append(("last stage", result.stage))
     if result.mean_return is not None:
         rows.append(("mean return", f"{result.mean_return:.1f} over the recent episodes"))
     if result.success_rate:

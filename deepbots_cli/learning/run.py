@@ -93,8 +93,12 @@ class Run:
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
-        here = deepbots_cli.__version__
-        return [] if self.record.deepbots == here else [f"{self.path} was trained by deepbots {self.record.deepbots}, this is {here}"]
+        here, stages = deepbots_cli.__version__, [stage.name for stage in self.ir.curriculum]
+        found = [] if self.record.deepbots == here else [f"{self.path} was trained by deepbots {self.record.deepbots}, this is {here}"]
+        stage = (self.record.result or {}).get("stage")
+        if stage in stages[:-1]:
+            found.append(f"the training ended in stage {stage}, number {stages.index(stage) + 1} of {len(stages)}")
+        return found
 
     @staticmethod
     def create(path: Path, record: Record, compiled: Compiled) -> Run:

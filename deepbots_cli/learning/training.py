@@ -22,7 +22,8 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
-from deepbots_cli.learning.environments import BuildWorld, Copies
+from deepbots_cli.learning.curriculum import Curriculum, StageEnd
+from deepbots_cli.learning.environments import BuildWorld, Copies, World
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
 from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.interruption import listening
@@ -46,7 +47,8 @@ class TrainingResult:
     """How a training ended.
 
     `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
-    Steps count over all copies of the environment; the means are over the recent episodes (None: none has ended).
+    Steps count over all copies of the environment; the means are over the recent episodes (None: none has ended). `stage` is
+    the one of the curriculum that it ended in, `stages` are those before.
     """
 
     run: Path
@@ -62,6 +64,8 @@ class TrainingResult:
     cpu_seconds: float
     wall_seconds: float
     weights_digest: str
+    stage: str | None = None
+    stages: tuple[StageEnd, ...] = ()
 
     @property
     def interrupted(self) -> bool:
@@ -135,8 +139,8 @@ def train(
     )
     with sole_trainer(path):
         new = Run.create(path, record, compiled)
-        statistics = Statistics(compiled.ir.period, compiled.ir.solved)
-        return _learn(new, training, Keeper(new, statistics), build, reporter(progress))
+        statistics, curriculum = Statistics(compiled.ir.period, compiled.ir.solved), Curriculum(compiled.ir)
+        return _learn(new, training, Keeper(new, statistics, curriculum), build, reporter(progress))
 
 
 def resume(
@@ -176,10 +180,13 @@ def _go_on(
     record = known.record
     training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
     statistics = Statistics(known.ir.period, known.ir.solved)
-    best = None
+    curriculum, best = Curriculum(known.ir), None
     if not known.stillborn:
         state = weights.read_state(known.checkpoint)
         statistics.restore(state)
+        stages = state.optional_object("curriculum")
+        if stages is not None:
+            curriculum.restore(stages)
         best = None if state.data.get("best_return") is None else state.number("best_return")
     if statistics.steps >= training.total_timesteps:
         raise UsageError(
@@ -191,7 +198,7 @@ def _go_on(
         total_timesteps=training.total_timesteps,
         stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
     )
-    return _learn(known, training, Keeper(known, statistics, best), build, told)
+    return _learn(known, training, Keeper(known, statistics, curriculum, best), build, told)
 
 
 def _compiled(scenario: Compiled | str | Path) -> Compiled:
@@ -225,9 +232,13 @@ def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
 
 
 def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> None:
-    """Fail before there is a run directory, if the world cannot be built or the algorithm refuses its settings."""
+    """Fail before there is a run directory, if a world cannot be built or the algorithm refuses its settings."""
+    for stage in ir.curriculum:
+        build(stage.scenario).close()
     with closing(build(ir)) as world:
-        copies = Copies([world] * training.environments, [0] * training.environments, on_step=lambda: None, on_episode=lambda episode: None)
+        copies = Copies(
+            [world] * training.environments, [0] * training.environments, on_step=lambda: None, on_episode=lambda copy, episode: None
+        )
         algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=_longest_episode(ir))
 
 
@@ -242,11 +253,12 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | Non
     # One thread: networks of this size only lose by handing work around.
     torch.set_num_threads(1)
     began = time.perf_counter()
-    statistics = keeper.statistics
+    statistics, curriculum = keeper.statistics, keeper.curriculum
+    statistics.final = curriculum.is_last
     status: Status = "failed"
     try:
         with ExitStack() as stack:
-            copies = _copies(stack, run, training, build or default_build(run.record.engine), statistics)
+            copies = _copies(stack, run, training, build or default_build(run.record.engine), keeper)
             model = _model(run, training, copies, statistics)
             interruption = stack.enter_context(listening())
             watch = Watch(run, keeper, told, interruption, training.total_timesteps)
@@ -274,30 +286,49 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | Non
             cpu_seconds=statistics.cpu_seconds,
             wall_seconds=time.perf_counter() - began,
             weights_digest=keeper.digest,
+            stage=curriculum.name,
+            stages=tuple(curriculum.ends),
         )
         run.update(status=status, result={key: value for key, value in asdict(result).items() if key != "run"})
     return result
 
 
-def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, statistics: Statistics) -> Copies:
+def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, keeper: Keeper) -> Copies:
     """The copies of the world, which report to the statistics and the episode file; all closed with `stack`."""
+    statistics, curriculum = keeper.statistics, keeper.curriculum
     file = EpisodeFile(run.monitor, run.ir.name)
     stack.callback(file.close)
+    stages = [curriculum.index] * training.environments
+    branch: tuple[str | int, ...] = ("resumed", statistics.steps) if statistics.steps else ()
 
     def count_step() -> None:
         statistics.steps += 1
 
-    def count_episode(episode: Episode) -> None:
-        statistics.add(episode)
-        file.write(episode, statistics)
+    def count_episode(copy: int, episode: Episode) -> None:
+        present = stages[copy] == curriculum.index
+        stage = curriculum.stages[stages[copy]].name if curriculum.stages else None
+        statistics.add(episode, present=present)
+        file.write(episode, statistics, stage)
+        if present and curriculum.add(episode, statistics.steps, statistics.episodes):
+            keeper.begin_stage()
 
-    worlds = []
+    def renew(copy: int) -> tuple[World, int] | None:
+        if stages[copy] == curriculum.index:
+            return None
+        stages[copy] = curriculum.index
+        worlds[copy] = build(curriculum.scenario)
+        return worlds[copy], derive(run.record.seed, "environment", copy, *branch, "stage", curriculum.index)
+
+    def close() -> None:
+        for world in worlds:
+            world.close()
+
+    worlds: list[World] = []
+    stack.callback(close)
     for _ in range(training.environments):
-        worlds.append(build(run.ir))
-        stack.callback(worlds[-1].close)
-    branch = ("resumed", statistics.steps) if statistics.steps else ()
+        worlds.append(build(curriculum.scenario))
     seeds = [derive(run.record.seed, "environment", i, *branch) for i in range(training.environments)]
-    return Copies(worlds, seeds, on_step=count_step, on_episode=count_episode)
+    return Copies(worlds, seeds, on_step=count_step, on_episode=count_episode, renew=renew)
 
 
 def _model(run: Run, training: Training, copies: Copies, statistics: Statistics) -> BaseAlgorithm:

@@ -133,7 +133,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 def copies_of(ir: CompiledScenario) -> Any:
     from deepbots_cli.learning.environments import Copies
 
-    return Copies([Reach(ir), Reach(ir)], [0, 1], on_step=lambda: None, on_episode=lambda episode: None)
+    return Copies([Reach(ir), Reach(ir)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
 
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:

@@ -1,0 +1,116 @@
+"""The stages of a training: which one it is in, and when the next begins."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+from deepbots_cli.ir import CompiledScenario, Criterion, Stage
+from deepbots_cli.learning.atomic import Entries
+from deepbots_cli.learning.episodes import Episode
+
+
+@dataclass(frozen=True)
+class StageEnd:
+    """A stage that is done: when, counted from the start of the training, and by which value of its criterion."""
+
+    name: str
+    steps: int
+    episodes: int
+    value: float
+
+    @classmethod
+    def read(cls, state: Entries, name: str) -> Self:
+        """One from a checkpoint."""
+        return cls(name, state.count("steps"), state.count("episodes"), state.number("value"))
+
+
+class Curriculum:
+    """Follows a training through the stages of its scenario; without stages, there is the scenario alone.
+
+    Copies of the environment change over one by one, each when its episode ends: no episode is cut short, and what an
+    episode of an earlier stage comes to does not count for a later one.
+    """
+
+    def __init__(self, ir: CompiledScenario) -> None:
+        self._ir = ir
+        self.stages: Sequence[Stage] = ir.curriculum
+        self.ends: list[StageEnd] = []
+        self._begin(0)
+
+    def _begin(self, steps: int) -> None:
+        until = self.until
+        self._first_step = steps
+        self._recent: deque[float] = deque(maxlen=until.episodes if until else 1)
+
+    @property
+    def index(self) -> int:
+        return len(self.ends)
+
+    @property
+    def name(self) -> str | None:
+        """Of the present stage; None without stages."""
+        return self.stages[self.index].name if self.stages else None
+
+    @property
+    def is_last(self) -> bool:
+        return self.index >= len(self.stages) - 1
+
+    @property
+    def until(self) -> Criterion | None:
+        return None if self.is_last else self.stages[self.index].until
+
+    @property
+    def scenario(self) -> CompiledScenario:
+        """What is trained in now."""
+        return self.stages[self.index].scenario if self.stages else self._ir
+
+    def value(self, steps: int) -> float | None:
+        """What the criterion compares with its threshold, after `steps` steps in all; None without one, and before enough episodes."""
+        until = self.until
+        if until is None:
+            return None
+        if until.metric == "steps":
+            return float(steps - self._first_step)
+        return sum(self._recent) / len(self._recent) if len(self._recent) == until.episodes else None
+
+    def add(self, episode: Episode, steps: int, episodes: int) -> bool:
+        """Count an episode of the present stage; whether the next one begins with it. `steps` and `episodes` count from the very start."""
+        until = self.until
+        if until is None:
+            return False
+        self._recent.append(float(episode.is_success) if until.metric == "success_rate" else episode.total_return)
+        value = self.value(steps)
+        if value is None or value < until.threshold:
+            return False
+        self.ends.append(StageEnd(str(self.name), steps, episodes, value))
+        self._begin(steps)
+        return True
+
+    def describe(self, steps: int) -> str:
+        """`few (2 of 3): success rate 0.45 of 0.7`, for a progress display."""
+        until, value = self.until, self.value(steps)
+        place = f"{self.name} ({self.index + 1} of {len(self.stages)})"
+        if until is None:
+            return place
+        figure = ",.0f" if until.metric == "steps" else ".3g"
+        return f"{place}: {until.metric.replace('_', ' ')} {'-' if value is None else format(value, figure)} of {until.threshold:{figure}}"
+
+    def to_json(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"ends": [asdict(end) for end in self.ends], "first_step": self._first_step, "recent": list(self._recent)}
+
+    def restore(self, state: Entries) -> None:
+        """Take up what `to_json` gave.
+
+        Raises:
+            RunError: It does not fit the stages of the scenario.
+        """
+        ends = state.objects("ends")
+        if len(ends) >= max(1, len(self.stages)):
+            raise state.misfit("ends", "a list of stages that are done")
+        self.ends = [StageEnd.read(end, stage.name) for end, stage in zip(ends, self.stages, strict=False)]
+        self._begin(state.count("first_step"))
+        self._recent.extend(state.numbers("recent"))

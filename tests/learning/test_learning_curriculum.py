@@ -1,0 +1,134 @@
+"""A training that goes through stages."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import stand_in
+
+from deepbots_cli import canonical
+from deepbots_cli.errors import EngineError, RunError
+from deepbots_cli.ir import CompiledScenario, Criterion, Hyperparameter, Solved, Stage, Training
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train
+from deepbots_cli.learning.atomic import Entries
+from deepbots_cli.learning.curriculum import Curriculum
+from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.report import evaluation_text, to_json, training_text
+from deepbots_cli.learning.run import Run
+
+PPO = Training("PPO", 1_500, 3, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
+SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
+
+
+def staged(*untils: Criterion | None, lengths: tuple[int, ...] = (5, 8, 11, 14), **settings: Any) -> stand_in.CompiledStandIn:
+    """A scenario with a stage for each criterion; an episode of the stages `a`, `b`, ... has so many steps."""
+    base = stand_in.compiled(training=PPO, **settings)
+    stages = tuple(
+        Stage(name, until, replace(base.ir, truncation=replace(base.ir.truncation, max_steps=length)))
+        for name, until, length in zip("abcd", untils, lengths, strict=False)
+    )
+    return stand_in.altered(base, curriculum=stages)
+
+
+def rows(run: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
+
+
+def learned(tmp_path: Path, compiled: stand_in.CompiledStandIn, build: Any = stand_in.build, **settings: Any) -> TrainingResult:
+    return train(compiled, run=tmp_path / "run", build=build, **settings)
+
+
+def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(tmp_path: Path) -> None:
+    result = learned(tmp_path, staged(SHORT, LONG, None))
+    log = rows(result.run)
+    assert {stage: {int(row["l"]) for row in log if row["stage"] == stage} for stage in "abc"} == {"a": {5}, "b": {8}, "c": {11}}
+    # The sixth episode is the second of the last copy; the other two had begun their third by then.
+    assert [row["stage"] for row in log[:9]] == ["a"] * 8 + ["b"]
+    assert [(end.name, end.steps, end.episodes, end.value) for end in result.stages[:1]] == [("a", 30, 6, 5.0)]
+    assert result.stages[1].steps >= 330
+    assert result.stage == "c"
+    assert "stage a" in training_text(result)
+
+
+def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
+    ir = staged(Criterion("success_rate", 0.5, 4), None).ir
+    curriculum = Curriculum(ir)
+    outcomes = [True, True, False, False, True]  # two of four at the fourth
+    begun = [curriculum.add(Episode(0.0, 10, good, None), 10 * n, n) for n, good in enumerate(outcomes[:4], 1)]
+    assert begun == [False, False, False, True]
+    assert (curriculum.name, curriculum.is_last, curriculum.value(40)) == ("b", True, None)
+    assert curriculum.add(Episode(0.0, 10, True, None), 50, 5) is False
+
+
+def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:
+    result = learned(tmp_path, staged(SHORT, None, solved=Solved(5, mean_return=4.0)))
+    assert result.solved_at is not None
+    log = rows(result.run)
+    first = next(index for index, row in enumerate(log) if row["stage"] == "b")
+    assert result.solved_at.episode >= first + 5  # five episodes of the last stage, though any five had the return
+    assert result.best_return == 8.0
+
+
+def test_a_resumed_training_goes_on_in_its_stage(tmp_path: Path) -> None:
+    result = learned(tmp_path, staged(SHORT, None), total_timesteps=96)
+    assert result.stage == "b"
+    before = len(rows(result.run))
+    again = resume(result.run, total_timesteps=300, build=stand_in.build)
+    assert {row["stage"] for row in rows(result.run)[before:]} == {"b"}
+    assert again.stages == result.stages
+
+
+def test_the_same_seed_goes_the_same_way(tmp_path: Path) -> None:
+    one, other = (learned(tmp_path / name, staged(SHORT, LONG, None)) for name in "ab")
+    assert one.weights_digest == other.weights_digest
+    assert one.stages == other.stages
+
+
+def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp_path: Path) -> None:
+    result = learned(tmp_path, staged(SHORT, Criterion("mean_return", 100.0, 5), None))
+    evaluation = evaluate(result.run, episodes=2, build=stand_in.build)
+    assert evaluation.greatest_return > 11  # the scenario itself, not the stage
+    assert "the training ended in stage b, number 2 of 3" in evaluation_text(evaluation)
+    assert json.loads(json.dumps(to_json(result)))["stage"] == "b"
+
+
+def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: Path) -> None:
+    def build(ir: CompiledScenario, *, render_mode: str | None = None) -> Any:
+        if ir.truncation.max_steps == 11:
+            raise EngineError("no such world")
+        return stand_in.build(ir)
+
+    with pytest.raises(EngineError):
+        learned(tmp_path, staged(SHORT, LONG, None), build)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        {},
+        {"ends": [{}], "first_step": 0, "recent": []},
+        {"ends": [{"name": "a", "steps": 1, "episodes": 1, "value": 1.0}] * 2, "first_step": 0, "recent": []},
+        {"ends": [], "first_step": -1, "recent": []},
+        {"ends": [], "first_step": 0, "recent": ["much"]},
+        {"ends": 3, "first_step": 0, "recent": []},
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_refused(state: dict[str, Any]) -> None:
+    with pytest.raises(RunError):
+        Curriculum(staged(SHORT, None).ir).restore(Entries(state, "state"))
+
+
+def test_a_forged_run_whose_stages_never_end_is_refused(tmp_path: Path) -> None:
+    run = learned(tmp_path, staged(SHORT, None), total_timesteps=96).run
+    forged = staged(None, None)
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(record | {"digest": forged.digest}))
+    (run / "scenario.ir.json").write_text(canonical.to_json(forged.ir))
+    with pytest.raises(RunError, match="figures or bodies"):
+        Run.open(run)
