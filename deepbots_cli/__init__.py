@@ -9,6 +9,7 @@ ir/           the compiled scenario       canonical.py  its JSON and its digest
 task.py       the checked task, before    port.py       what the runtime asks of an engine
 interface.py  what policy and world agree on
 frames.py     rotations and frames        footprint.py  what bodies cover of the ground
+arrays.py     expressions over arrays    terrain/      heights of the ground
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree

@@ -37,29 +37,33 @@ def to_json(scenario: ir.CompiledScenario) -> str:
 
 
 def digest(scenario: ir.CompiledScenario) -> str:
-    """SHA-256 of the canonical JSON, in hexadecimal; a mesh counts for what it holds, not for where it lies."""
-    placeless = with_meshes(scenario, lambda mesh: replace(mesh, path=PurePath(mesh.path).suffix))
+    """SHA-256 of the canonical JSON, in hexadecimal; a file counts for what it holds, not for where it lies."""
+    placeless = with_files(scenario, lambda file: replace(file, path=PurePath(file.path).suffix))
     return hashlib.sha256(to_json(placeless).encode()).hexdigest()
 
 
-def with_meshes(scenario: ir.CompiledScenario, change: Callable[[model.Mesh], model.Mesh]) -> ir.CompiledScenario:
-    """The scenario with each of its meshes changed."""
-    world = _with_meshes(scenario.world, change)
+Filed = model.Mesh | ir.Picture
+"""What has the path and the digest of a file."""
+
+
+def with_files(scenario: ir.CompiledScenario, change: Callable[[Filed], Filed]) -> ir.CompiledScenario:
+    """The scenario with each mesh and picture of its world changed."""
+    world = _with_files(scenario.world, change)
     assert isinstance(world, ir.WorldModel)  # as it was
     if not (scenario.cases or scenario.curriculum):
         return replace(scenario, world=world)
-    cases = tuple(replace(case, scenario=with_meshes(case.scenario, change)) for case in scenario.cases)
-    curriculum = tuple(replace(stage, scenario=with_meshes(stage.scenario, change)) for stage in scenario.curriculum)
+    cases = tuple(replace(case, scenario=with_files(case.scenario, change)) for case in scenario.cases)
+    curriculum = tuple(replace(stage, scenario=with_files(stage.scenario, change)) for stage in scenario.curriculum)
     return replace(scenario, world=world, cases=cases, curriculum=curriculum)
 
 
-def _with_meshes(value: object, change: Callable[[model.Mesh], model.Mesh]) -> object:
-    if isinstance(value, model.Mesh):
+def _with_files(value: object, change: Callable[[Filed], Filed]) -> object:
+    if isinstance(value, Filed):
         return change(value)
     if isinstance(value, tuple):
-        return tuple(_with_meshes(item, change) for item in value)
+        return tuple(_with_files(item, change) for item in value)
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{f.name: _with_meshes(getattr(value, f.name), change) for f in fields(value)})
+        return replace(value, **{f.name: _with_files(getattr(value, f.name), change) for f in fields(value)})
     return value
 
 

@@ -8,7 +8,9 @@ namespace.py    one flat namespace, each name typed when first asked for
 scopes.py       what an expression may see from its place
 variations.py   figures that every episode draws anew
 values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
-world.py        timestep, ground, arena, objects; strokes.py painted lines and walls, colours.py
+world.py        timestep, ground, arena, objects; strokes.py painted lines and walls
+terrain.py      ground that is not flat
+bodies.py       objects; colours.py, files.py meshes and pictures
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
@@ -83,7 +85,7 @@ class Checked:
     @property
     def inputs(self) -> Inputs:
         """Every file that was read."""
-        return Inputs(self.document, self.robots or {})
+        return Inputs(self.document, self.robots or {}, self.namespace.files if self.namespace else {})
 
 
 def check(document: Document) -> Checked:
@@ -154,7 +156,7 @@ class _Pass:
         self.spec = spec
         kinds = {path: kind for path, kind, _ in visit(spec)}
         self.values = Values(root, findings, kinds, lost_names(root, spec.pruned, (found.span for found in findings.errors)))
-        self.namespace = Namespace(self.values)
+        self.namespace = Namespace(self.values, document)
         self.parameters: dict[str, Valued] = {}
 
     def run(self) -> Task:

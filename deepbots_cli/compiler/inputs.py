@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
 
@@ -12,6 +12,7 @@ from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import Document, Entry, Node, Scalar, descend, shipped
 from deepbots_cli.source.merge import replace
+from deepbots_cli.source.nodes import Path as NodePath
 from deepbots_cli.source.text import write as to_yaml
 
 FOLDER = "inputs"
@@ -20,16 +21,17 @@ FOLDER = "inputs"
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files of one scenario: texts, robots and meshes."""
+    """The files of one scenario: texts, robots, meshes and pictures; `files` are those of the world, by where they are named."""
 
     document: Document
     robots: Mapping[str, RobotScene]
+    files: Mapping[NodePath, Path] = field(default_factory=dict)
 
     @cached_property
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
         meshes = [Path(mesh) for robot in self.robots.values() for mesh in robot.file.meshes]
-        return copy_names([*self._texts, *meshes], (shipped.data_dir(), *self.document.roots))
+        return copy_names([*self._texts, *meshes, *self.files.values()], (shipped.data_dir(), *self.document.roots))
 
     @property
     def _texts(self) -> dict[Path, str]:
@@ -48,15 +50,15 @@ class Inputs:
         return {name: texts[file].encode() if file in texts else _bytes(file) for file, name in self.names.items()}
 
     def resolved(self) -> str:
-        """The merged scenario as YAML, with the copies as its robot files."""
+        """The merged scenario as YAML, with the copies as its files."""
         if self.document.root is None:
             return ""
         root: Node = self.document.root
-        for name, robot in self.robots.items():
-            path = ("robots", name, "urdf")
+        named: dict[NodePath, Path] = {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()}
+        for path, file in (named | dict(self.files)).items():
             written, key, _ = descend(root, path)
             if isinstance(written, Scalar) and key is not None:
-                text = f"{FOLDER}/{self.names[robot.path]}"
+                text = f"{FOLDER}/{self.names[file]}"
                 root = replace(root, path, Entry(key, Scalar(written.span, text, text)))
         return to_yaml(root)
 

@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path as FilePath
 
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.ir import Variation
 from deepbots_cli.lang.intervals import EVERYTHING, exact
 from deepbots_cli.lang.types import Kind, Subject, Symbol
+from deepbots_cli.source import Document
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskGroup, Varied
 
@@ -54,8 +56,11 @@ class Definition:
 class Namespace:
     """All definitions of one scenario."""
 
-    def __init__(self, values: Values) -> None:
+    def __init__(self, values: Values, document: Document) -> None:
         self.values = values
+        self.document = document
+        self.files: dict[Path, FilePath] = {}
+        """Files that the world is made from, by where the scenario names them."""
         self.definitions: dict[str, Definition] = {}
         self.robots: dict[str, RobotScene | None] = {}
         self.lengths: dict[str, float] = {}

@@ -18,10 +18,8 @@ ACTUATED = frozenset({"velocity_motor", "position_motor", "torque_motor", "thrus
 
 # A key of the parts found at a path (a `*` stands for any name) that is not delivered yet.
 LATER: tuple[tuple[tuple[str, ...], str], ...] = (
-    (("world",), "terrain"),
     (("objects", "*"), "count"),
     (("objects", "*"), "one_of"),
-    (("objects", "*"), "file"),
     (("robots", "*"), "count"),
     (("agent",), "each"),
     ((), "goal"),

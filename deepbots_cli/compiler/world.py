@@ -1,24 +1,20 @@
-"""The world section and the objects, in the form an engine builds; figures that an episode may vary are noted as variations."""
+"""The world section, in the form an engine builds; figures that an episode may vary are noted as variations."""
 
 from __future__ import annotations
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.bodies import Bodies
 from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.strokes import walls
+from deepbots_cli.compiler.terrain import terrain
 from deepbots_cli.compiler.variations import figure, figures
-from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, MASS, NUMBER, TIME
+from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, NUMBER, TIME
 from deepbots_cli.lang.types import PLANE, SPACE, Context
-from deepbots_cli.schema.objects import BoxObject, CapsuleObject, CylinderObject, Material, Placed, SphereObject
-from deepbots_cli.schema.plain import COLOURS
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.inertia import volume
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Shape, Sphere
-
-_WATER = 1000.0  # kg/m^3, the default density of objects
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
 _SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
@@ -46,15 +42,17 @@ class WorldBuilder:
             self._values.findings.add(
                 "DB505", self._values.span(path), "gravity that pulls upwards", help="z points up: write `0 0 -9.81 m/s^2`"
             )
-        objects = [body for name, thing in self._spec.objects.items() if (body := self._object(name, thing)) is not None]
+        bodies = Bodies(self._namespace)
+        objects = [body for name, thing in self._spec.objects.items() if (body := bodies.body(name, thing)) is not None]
         return ir.WorldModel(
             timestep or 0.032,
             spec.substeps,
             (gravity[0], gravity[1], gravity[2]),
-            self._ground(),
+            self._ground() if spec.terrain is None else None,
             self._arena(),
             tuple(ir.RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
             (*walls(self._spec, self._namespace), *objects),
+            terrain=terrain(spec.terrain, self._namespace) if spec.terrain is not None else None,
             lines=painted,
             light=self._number(("world", "light"), spec.light, 1.0, "light", ()),
         )
@@ -101,41 +99,3 @@ class WorldBuilder:
 
     def _length(self, path: Path, given: object) -> float | None:
         return self._values.number(path, given, LENGTH, self._scope)
-
-    def _object(self, name: str, spec: Placed) -> ir.ObjectBody | None:
-        path: Path = ("objects", name)
-        shape = self._shape(spec, path)
-        if shape is None:
-            return None
-        material, body = spec if isinstance(spec, Material) else Material(), (name, "")
-        given = self._mass((*path, "mass"), material, body)
-        return ir.ObjectBody(
-            name,
-            shape,
-            mass=_WATER * (volume(shape) or 0.0) if given is None else given,
-            colour=colour(self._namespace, (*path, "colour"), material.colour, body) or (*COLOURS["grey"], 1.0),
-            fixed=bool(material.fixed),
-            solid=material.solid is not False,
-            friction=self._number((*path, "friction"), material.friction, 1.0, "lateral_friction", body),
-            spinning_friction=self._number((*path, "spinning_friction"), material.spinning_friction, 0.0, "spinning_friction", body),
-            rolling_friction=self._number((*path, "rolling_friction"), material.rolling_friction, 0.0, "rolling_friction", body),
-            restitution=self._number((*path, "restitution"), material.restitution, 0.0, "restitution", body),
-        )
-
-    def _mass(self, path: Path, material: Material, body: tuple[str, str]) -> float | None:
-        if not material.fixed and material.solid is not False:
-            return figure(self._namespace, path, material.mass, MASS, self._drawn, "mass", body)
-        return None if material.mass is None else self._values.figure(path, material.mass, MASS, self._drawn)
-
-    def _shape(self, spec: Placed, path: Path) -> Shape | None:
-        if isinstance(spec, BoxObject):
-            size = self._values.numbers((*path, "size"), spec.size, LENGTH, SPACE, self._scope)
-            return Box((size[0], size[1], size[2])) if size else None
-        if isinstance(spec, SphereObject):
-            radius = self._length((*path, "radius"), spec.radius)
-            return Sphere(radius) if radius else None
-        if isinstance(spec, (CylinderObject, CapsuleObject)):
-            radius, height = self._length((*path, "radius"), spec.radius), self._length((*path, "height"), spec.height)
-            kind = Cylinder if isinstance(spec, CylinderObject) else Capsule
-            return kind(radius, height) if radius and height else None
-        return None  # `support` has said that this shape is not delivered yet

@@ -29,7 +29,6 @@ from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
 from deepbots_cli.learning.record import Record
-from deepbots_cli.urdf.model import Mesh
 from deepbots_cli.urdf.soundness import is_sound, is_sound_shape
 
 ModelName = Literal["best", "last"]
@@ -142,18 +141,18 @@ class Run:
             raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
         if not _sensible(ir):
             raise RunError(f"{path / _SCENARIO} holds figures or bodies that no scenario of ours does")
-        return Run(path, record, _with_own_meshes(path, record, ir))
+        return Run(path, record, _with_own_files(path, record, ir))
 
 
-def _with_own_meshes(path: Path, record: Record, ir: CompiledScenario) -> CompiledScenario:
-    """The scenario with the copies of its meshes in the run, which may have moved; the engine compares their digests."""
+def _with_own_files(path: Path, record: Record, ir: CompiledScenario) -> CompiledScenario:
+    """The scenario with the copies of its meshes and pictures in the run, which may have moved; the engine compares their digests."""
     copies = {(digest, PurePosixPath(name).suffix): path / _INPUTS / inside(name) for name, digest in record.inputs.items()}
 
-    def own(mesh: Mesh) -> Mesh:
-        copy = copies.get((mesh.digest, Path(mesh.path).suffix))
-        return replace(mesh, path=str(copy.resolve())) if copy is not None and copy.is_file() else mesh
+    def own(file: canonical.Filed) -> canonical.Filed:
+        copy = copies.get((file.digest, Path(file.path).suffix))
+        return replace(file, path=str(copy.resolve())) if copy is not None and copy.is_file() else file
 
-    return canonical.with_meshes(ir, own)
+    return canonical.with_files(ir, own)
 
 
 def _is_plain(path: Path) -> bool:

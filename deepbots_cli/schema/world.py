@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from deepbots_cli.schema.fields import FilePath, Quantity, Scalar
-from deepbots_cli.schema.part import Kinds, Many, Part, Size
+from deepbots_cli.schema.fields import Expression, FilePath, Quantity, Scalar
+from deepbots_cli.schema.part import Keys, Kinds, Many, Part, Size
 from deepbots_cli.schema.plain import Count
 from deepbots_cli.schema.quantity import (
     Area,
@@ -75,9 +75,9 @@ class Terrain(Part):
 class Pit(Terrain):
     """A bowl around the origin."""
 
-    height: Thickness = Field(description="Height of the rim above the bottom, m.")
-    radius: Thickness | None = Field(default=None, description="Radius of the rim, m.")
-    noise: DrawnShare = Field(default=0, description="Roughness, as a share of the height.")
+    height: Thickness = Field(description="Four times the height of the rim above the bottom, m.")
+    radius: Thickness | None = Field(default=None, description="Radius of the rim, m; 3.18 m unless given.")
+    noise: Share = Field(default=0, description="Share of the height that lumps in the ground take away; they are the same in every world.")
 
 
 class Heightfield(Terrain):
@@ -88,6 +88,15 @@ class Heightfield(Terrain):
     height: Thickness = Field(description="Height of white above black, m.")
 
 
+class Formula(Terrain):
+    """Heights as an expression."""
+
+    heights: Annotated[Scalar, Expression("field", boolean=False)] = Field(
+        description="Height at the place `x`, `y` (lengths), such as `5 cm * sin(x / m * 90 deg)`."
+    )
+    size: Area = Field(description="Size along x and y, m.")
+
+
 class MeshTerrain(Terrain):
     """Ground from a mesh file."""
 
@@ -95,11 +104,13 @@ class MeshTerrain(Terrain):
     scale: Annotated[Scalar, Quantity("number", components=3)] | None = Field(default=None, description="Factors along x, y and z.")
 
 
-TERRAINS: dict[str, type[Terrain]] = {"pit": Pit, "heightfield": Heightfield, "mesh": MeshTerrain}
+TERRAINS: dict[str, type[Terrain]] = {"pit": Pit, "heightfield": Heightfield, "formula": Formula, "mesh": MeshTerrain}
 
 
 class World(Part):
     """Time and place of the simulation."""
+
+    needs: ClassVar[tuple[Keys, ...]] = (Keys(("ground", "terrain")),)
 
     timestep: Period = Field(description="One control tick: robots sense and act this often, such as `32 ms`.")
     substeps: Annotated[int, Count(maximum=10_000)] = Field(default=1, description="Physics steps in one control tick.")

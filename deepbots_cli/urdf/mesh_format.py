@@ -11,6 +11,7 @@ import math
 import re
 import sys
 from array import array
+from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.urdf import xml
@@ -18,6 +19,8 @@ from deepbots_cli.urdf import xml
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
 _NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
+_PLACE = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
+_PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
@@ -34,6 +37,30 @@ def fault(suffix: str, data: bytes) -> str | None:
             return _dae(data)
 
 
+class Measure(NamedTuple):
+    """The corners of the box that holds a mesh, in its own units, and how many triangles it has."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    triangles: int
+
+
+def measure(suffix: str, data: bytes) -> Measure | None:
+    """The size of a mesh without fault; None of a COLLADA file, which has units and frames of its own."""
+    if suffix == ".dae":
+        return None
+    if suffix == ".obj":
+        numbers = [float(number) for vertex in _PLACE.findall(data) for number in vertex.split()[:3]]
+        faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
+    elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+        numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
+        faces = len(numbers) // 9
+    else:
+        numbers, faces = list(_stl_numbers(data)), int.from_bytes(data[80:84], "little")
+    lower, upper = (tuple(end(numbers[axis::3], default=0.0) for axis in range(3)) for end in (min, max))
+    return Measure((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
+
+
 def _stl(data: bytes) -> str | None:
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
         return "the STL file holds a vertex that is not finite" if _NOT_FINITE_STL.search(data) else None
@@ -44,11 +71,16 @@ def _stl(data: bytes) -> str | None:
         return f"the STL file claims {triangles} triangles and has room for {(len(data) - 84) / 50:g}"
     if not triangles:
         return "the STL file holds no triangle"
+    # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
+    return None if math.isfinite(sum(_stl_numbers(data))) else "the STL file holds a vertex that is not finite"
+
+
+def _stl_numbers(data: bytes) -> array[float]:
+    """The coordinates of all corners of a binary file, one after the other."""
     numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
     if sys.byteorder == "big":
         numbers.byteswap()
-    # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
-    return None if math.isfinite(sum(numbers)) else "the STL file holds a vertex that is not finite"
+    return numbers
 
 
 def _obj(data: bytes) -> str | None:

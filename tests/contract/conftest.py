@@ -27,6 +27,7 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("pair", ()),
     ("pair", ("agent={repeat: 3}",)),
     ("../../channel/radio", ()),
+    ("../../world/hills", ()),
     ("drone", ()),
 )
 

@@ -25,8 +25,8 @@ SOURCES = [
     "cartpole",
     *(str(DATA / f"{name}.yaml") for name in ("drawn", "pair", "placed")),
     str(DATA.parents[1] / "channel" / "radio.yaml"),
+    str(DATA.parents[1] / "world" / "hills.yaml"),
 ]
-SOURCES.append(str(DATA.parents[1] / "channel" / "radio.yaml"))
 MARK = "intruder"
 TEXTS = (
     f'"""\n{MARK}()\n"""',

@@ -130,7 +130,7 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     shutil.move(result.run, tmp_path / "moved")
     run = Run.open(tmp_path / "moved")
     meshes: list[str] = []
-    canonical.with_meshes(run.ir, lambda mesh: meshes.append(mesh.path) or mesh)
+    canonical.with_files(run.ir, lambda mesh: meshes.append(mesh.path) or mesh)
     assert meshes == [str(tmp_path / "moved" / "inputs" / "part.obj")]
     with closing(api.build(run.ir)) as environment:
         environment.reset(seed=0)

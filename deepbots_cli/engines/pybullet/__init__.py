@@ -2,7 +2,7 @@
 
 library.py   the library itself, and its numbers that stand for something
 engine.py    the engine: one world in a client of its own
-loading.py   ground, walls, objects and robots, built from the world model
+loading.py   walls, objects and robots, built from the world model; ground.py what they stand on
 loadable.py  robots without what PyBullet's loader would misread, invent or crash on
 body.py      a robot or an object: links and joints by name, frames of links and of inertia
 pool.py      bodies by name: pooled ones, in one of several forms

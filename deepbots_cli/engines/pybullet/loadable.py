@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from hashlib import file_digest
+from hashlib import sha256
 from pathlib import Path
 
 from deepbots_cli.errors import EngineError
-from deepbots_cli.urdf.model import Geometry, Inertial, Joint, Limit, Mesh, RobotModel
+from deepbots_cli.urdf.mesh import MAX_BYTES
+from deepbots_cli.urdf.mesh_format import fault
+from deepbots_cli.urdf.model import Inertial, Joint, Limit, Mesh, RobotModel
 
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 NOWHERE = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
+_KNOWN: set[tuple[str, str]] = set()  # meshes that were looked at in this process: suffix and digest
 UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
 
 
@@ -61,7 +64,8 @@ def dressed(model: RobotModel) -> RobotModel:
     links = []
     for index, link in enumerate(model.links):
         for geometry in (*link.visuals, *link.collisions):
-            _require_unchanged(geometry)
+            if isinstance(geometry.shape, Mesh):
+                require_unchanged(geometry.shape)
         colour = PALETTE[index % len(PALETTE)]
         visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
         links.append(replace(link, visuals=visuals))
@@ -81,16 +85,25 @@ def _closed(joint: Joint) -> Limit:
     )
 
 
-def _require_unchanged(geometry: Geometry) -> None:
-    mesh = geometry.shape
-    if isinstance(mesh, Mesh):
-        path = Path(mesh.path)
-        if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
-            raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
-        try:
-            with path.open("rb") as file:
-                digest = file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
-        if digest != mesh.digest:
-            raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")
+def require_unchanged(mesh: Mesh) -> None:
+    """The file is still what was checked, and a mesh that an engine survives: a scenario may be of a run from anyone.
+
+    Raises:
+        EngineError: It cannot be read or has changed.
+    """
+    path = Path(mesh.path)
+    if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
+        raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
+    digest = sha256(data).hexdigest()
+    if digest != mesh.digest:
+        raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")
+    if (path.suffix, digest) not in _KNOWN:
+        wrong = fault(path.suffix.lower(), data)
+        if wrong is not None:
+            raise EngineError(f"mesh {mesh.path} cannot be used: {wrong}")
+        _KNOWN.add((path.suffix, digest))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.engines import solids
-from deepbots_cli.engines.pybullet import loadable
+from deepbots_cli.engines.pybullet import ground, loadable
 from deepbots_cli.engines.pybullet.body import Body
 from deepbots_cli.engines.pybullet.figures import contact_figures
 from deepbots_cli.engines.pybullet.library import BASE, UNREACHABLE
@@ -19,11 +19,11 @@ from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import GROUND
 from deepbots_cli.port import STILL
-from deepbots_cli.urdf.model import Friction, Link, Mesh, RobotModel
+from deepbots_cli.urdf.model import Mesh, RobotModel
 from deepbots_cli.urdf.writer import write
 
 if TYPE_CHECKING:
-    from deepbots_cli.ir import Ground, ObjectBody, WorldModel
+    from deepbots_cli.ir import ObjectBody, WorldModel
 
 APART = 1000.0  # m between bodies that are parked
 
@@ -42,8 +42,10 @@ def connected(world: WorldModel) -> int:
 
 def bodies(client: int, world: WorldModel) -> Iterator[Pool]:
     """Everything there is, in the order of the world model."""
-    if world.ground is not None:
-        yield Pool(GROUND, [(GROUND, _plane(client, world.ground))], pooled=False)
+    floor = ground.body(client, world)
+    if floor is not None:
+        _make_contact(client, floor)
+        yield Pool(GROUND, [(GROUND, floor)], pooled=False)
     parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         file = Path(folder, "body.urdf")
@@ -73,16 +75,6 @@ def join_islands(client: int, pools: Iterable[Pool]) -> None:
     for number, link in anchors[1:]:
         gear = p.createConstraint(*anchors[0], number, link, p.JOINT_GEAR, (0, 1, 0), STILL, STILL, physicsClientId=client)
         p.changeConstraint(gear, maxForce=0.0, physicsClientId=client)
-
-
-def _plane(client: int, ground: Ground) -> Body:
-    plane = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
-    unseen = p.createVisualShape(p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -APART), physicsClientId=client)
-    number = p.createMultiBody(0, plane, unseen, physicsClientId=client)
-    friction = Friction(lateral=ground.friction, restitution=ground.restitution)
-    body = Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)
-    _make_contact(client, body)
-    return body
 
 
 def _object(client: int, thing: ObjectBody, file: Path) -> Body:

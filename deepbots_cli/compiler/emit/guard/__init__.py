@@ -6,8 +6,8 @@ outside of quotes must be an identifier of the language or an entry of a table.
 
 expressions.py  nodes: operations, functions, draws, facts       scopes.py   names in expressions
 figures.py      counts, figures, what an episode varies          sensing.py  sensors
-actuation.py    actuators
-places.py       where bodies begin
+actuation.py    actuators                                        places.py   where bodies begin
+world.py        terrain, lines, colours
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from deepbots_cli.compiler.emit.guard.figures import require_counts, require_fig
 from deepbots_cli.compiler.emit.guard.places import require_places
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
 from deepbots_cli.compiler.emit.guard.sensing import require_sensors
+from deepbots_cli.compiler.emit.guard.world import require_world
 from deepbots_cli.compiler.emit.text import action_variables
 from deepbots_cli.ir import Choices, CompiledScenario
 
@@ -46,6 +47,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_routes(scenario)
     require_counts(scenario)
     require_variations(scenario)
+    require_world(scenario)
     require_sensors(scenario)
     require_actuators(scenario)
     require_places(scenario)

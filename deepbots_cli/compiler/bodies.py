@@ -1,0 +1,83 @@
+"""Objects: their shapes, and what they are made of."""
+
+from __future__ import annotations
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.colours import colour
+from deepbots_cli.compiler.files import mesh
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.variations import figure
+from deepbots_cli.lang.dimensions import LENGTH, MASS, NUMBER
+from deepbots_cli.lang.types import SPACE, Context
+from deepbots_cli.schema import objects as spec
+from deepbots_cli.schema.plain import COLOURS
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.urdf.inertia import volume
+from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+
+_WATER = 1000.0  # kg/m^3, the default density of objects
+
+
+class Bodies:
+    """Makes the bodies of the objects; figures that are drawn become variations."""
+
+    def __init__(self, namespace: Namespace) -> None:
+        self._namespace = namespace
+        self._values = namespace.values
+        self._scope = ParameterScope(namespace, Context.FIXED)
+        self._drawn = ParameterScope(namespace, Context.FIELD)
+
+    def body(self, name: str, thing: spec.Placed) -> ir.ObjectBody | None:
+        """The object; None after a finding about its shape."""
+        path: Path = ("objects", name)
+        shape = self.shape(thing, path)
+        if shape is None:
+            return None
+        made_of, of = thing if isinstance(thing, spec.Material) else spec.Material(), (name, "")
+        mass = self._mass((*path, "mass"), made_of, shape, of)
+        return ir.ObjectBody(
+            name,
+            shape,
+            mass=mass,
+            colour=colour(self._namespace, (*path, "colour"), made_of.colour, of) or (*COLOURS["grey"], 1.0),
+            fixed=bool(made_of.fixed),
+            solid=made_of.solid is not False,
+            friction=self._number((*path, "friction"), made_of.friction, 1.0, "lateral_friction", of),
+            spinning_friction=self._number((*path, "spinning_friction"), made_of.spinning_friction, 0.0, "spinning_friction", of),
+            rolling_friction=self._number((*path, "rolling_friction"), made_of.rolling_friction, 0.0, "rolling_friction", of),
+            restitution=self._number((*path, "restitution"), made_of.restitution, 0.0, "restitution", of),
+        )
+
+    def shape(self, thing: object, path: Path) -> Shape | None:
+        """The shape of an object or of a variant at `path`; None after a finding."""
+        if isinstance(thing, spec.Box):
+            size = self._values.numbers((*path, "size"), thing.size, LENGTH, SPACE, self._scope)
+            return Box((size[0], size[1], size[2])) if size else None
+        if isinstance(thing, spec.Sphere):
+            radius = self._length((*path, "radius"), thing.radius)
+            return Sphere(radius) if radius else None
+        if isinstance(thing, (spec.Cylinder, spec.Capsule)):
+            radius, height = self._length((*path, "radius"), thing.radius), self._length((*path, "height"), thing.height)
+            kind = Cylinder if isinstance(thing, spec.Cylinder) else Capsule
+            return kind(radius, height) if radius and height else None
+        return mesh(self._namespace, path, thing.file, thing.scale) if isinstance(thing, spec.Mesh) else None
+
+    def _mass(self, path: Path, made_of: spec.Material, shape: Shape, of: tuple[str, str]) -> float:
+        """In kg; that of water where none is given."""
+        still = bool(made_of.fixed) or made_of.solid is False
+        if made_of.mass is not None:
+            if still:  # there is nothing that a drawn mass would change
+                return self._values.figure(path, made_of.mass, MASS, self._drawn) or 0.0
+            return figure(self._namespace, path, made_of.mass, MASS, self._drawn, "mass", of) or 0.0
+        if isinstance(shape, Mesh) and not still:
+            help = "give its `mass`, or write `fixed: true`"
+            self._values.findings.add("DB102", self._values.key_span(path[:-1]), "a mesh that can move has no `mass`", help=help)
+        return _WATER * (volume(shape) or 0.0)
+
+    def _number(self, path: Path, given: object, default: float, what: str, of: tuple[str, str]) -> float:
+        number = figure(self._namespace, path, given, NUMBER, self._drawn, what, of)
+        return default if number is None else number
+
+    def _length(self, path: Path, given: object) -> float | None:
+        return self._values.number(path, given, LENGTH, self._scope)
