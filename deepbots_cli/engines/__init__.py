@@ -1,15 +1,16 @@
 """Physics engines behind the port.
 
-pybullet/    the only package that imports PyBullet: contacts, sight, any tree of joints
-quiet.py     what a native library prints, kept off the terminal
+pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
+quiet.py       what a native library prints, kept off the terminal
 
-exact.py     a rail cart-pole and free bodies, exactly
-motion.py    their equations of motion
-lump.py      links that do not move against each other, as one body
+exact.py       a rail cart-pole and free bodies, exactly
+motion.py      their equations of motion
+lump.py        links that do not move against each other, as one body
 
-solids.py    objects and walls as one-link robots
-servo.py     springs and dampers on joints
-lookup.py    things by name
+solids.py      objects and walls as one-link robots
+kinematics.py  inverse kinematics of chains of joints
+servo.py       springs and dampers on joints
+lookup.py      things by name
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
 `deepbots_cli.engines`: a name, and the `module:attribute` of an `EngineFactory`.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.lookup import find
 from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, pushes, readers
 from deepbots_cli.engines.pybullet.backdrop import lit, smoothed
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
         GapReader,
         Image,
         JointReader,
+        Kinematics,
         MotorWriter,
         Part,
         PoseReader,
@@ -201,6 +203,12 @@ class PyBulletEngine:
         if self._rays is None:
             self._rays = Rays(self._client, [body for pool in self._pools.values() for body in pool])
         return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
+
+    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
+        body, link = self._body(part[0]), part[1]
+        chain = Chain(body.model, link or body.model.root, joints)
+        root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving)
+        return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
 
     def _watch(self, body: Body) -> contacts.Watch:
         if body.number not in self._watches:

@@ -1,0 +1,129 @@
+"""Inverse kinematics of a chain of joints: damped least squares, within the ranges of the joints.
+
+The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as `LEVER` m each):
+a step is (J^T J + c 1)^-1 J^T e, and c falls after steps that help and grows after steps that do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, inf
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import HERE, Frame, Quaternion, Triple
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.urdf.model import Joint, RobotModel
+
+    Figures = NDArray[np.float64]
+
+LEVER = 0.3  # m; what an error of 1 rad counts
+CLOSE = 1e-7  # m; an error to stop at
+ROUNDS = 100
+LONGEST = 0.5  # rad or m; of a joint in one round
+
+
+class Step(NamedTuple):
+    """From one link to the next: a fixed frame, then a joint, at `place` among all moving joints of the chain, or None."""
+
+    frame: Frame
+    axis: Triple
+    turns: bool
+    place: int | None
+
+
+class Chain:
+    """From the root of a robot to one of its links. `moving` names the joints on the way, of which `driven` may be solved for."""
+
+    def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
+        path = _path(model, link)
+        self.moving = tuple(joint.name for joint in path if joint.moves)
+        strange = [name for name in driven if name not in self.moving]
+        if strange:
+            raise EngineError(f"joint '{strange[0]}' does not move link '{link}' of '{model.name}'")
+        self._steps = [
+            Step(frames.frame(j.origin), j.axis, j.type != "prismatic", self.moving.index(j.name) if j.moves else None) for j in path
+        ]
+        self._driven = [self.moving.index(name) for name in driven]
+        ranges = [_range(model.joint(name)) for name in driven]
+        self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
+
+    def solve(self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None) -> list[float]:
+        """Positions of the driven joints that bring the link's origin there, or as near as the search gets from `positions`.
+
+        `root` is the pose of the root link, `positions` are those of all `moving` joints.
+        """
+        inward = frames.inverse(root[1])
+        goal = frames.rotate(inward, frames.subtract(target, root[0]))
+        turned = None if attitude is None else frames.multiply(inward, frames.normalised(attitude))
+        joints = list(positions)
+        error, jacobian = self._linearised(joints, goal, turned)
+        damping, missing = 1e-4, float(error @ error)
+        for _ in range(ROUNDS):
+            if missing < CLOSE * CLOSE or damping > 1e8:
+                break
+            now = np.array([joints[place] for place in self._driven])
+            normal = jacobian.T @ jacobian + damping * np.eye(len(now))
+            step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -LONGEST, LONGEST)
+            tried = list(joints)
+            for place, value in zip(self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True):
+                tried[place] = value
+            new_error, new_jacobian = self._linearised(tried, goal, turned)
+            left = float(new_error @ new_error)
+            if left < missing:
+                joints, error, jacobian, missing = tried, new_error, new_jacobian, left
+                damping = max(damping * 0.2, 1e-9)
+            else:
+                damping *= 10.0
+        return [joints[place] for place in self._driven]
+
+    def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[Figures, Figures]:
+        """The error at these positions, and how it shrinks with each driven joint."""
+        here, axes, pivots, turns = HERE, [HERE[0]] * len(joints), [HERE[0]] * len(joints), [True] * len(joints)
+        for frame, axis, turning, place in self._steps:
+            here = frames.inside(here, frame)
+            if place is not None:
+                axes[place], pivots[place], turns[place] = frames.rotate(here[1], axis), here[0], turning
+                if turning:
+                    here = here[0], frames.multiply(here[1], frames.about(axis, joints[place]))
+                else:
+                    here = frames.add(here[0], frames.scaled(axes[place], joints[place])), here[1]
+        error = list(frames.subtract(goal, here[0]))
+        columns = [frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i] for i in self._driven]
+        if attitude is None:
+            return np.array(error), np.array(columns).T
+        error += frames.scaled(_turn(frames.multiply(attitude, frames.inverse(here[1]))), LEVER)
+        full = [
+            (*column, *(frames.scaled(axes[i], LEVER) if turns[i] else HERE[0])) for i, column in zip(self._driven, columns, strict=True)
+        ]
+        return np.array(error), np.array(full).T
+
+
+def _path(model: RobotModel, link: str) -> list[Joint]:
+    """The joints from the root to a link, in this order."""
+    above = {joint.child: joint for joint in model.joints}
+    path = []
+    while link in above:
+        path.append(above[link])
+        link = above[link].parent
+    return path[::-1]
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    if joint.type == "continuous":
+        return -inf, inf
+    lower, upper = joint.limit.lower, joint.limit.upper
+    return -inf if lower is None else lower, inf if upper is None else upper
+
+
+def _turn(q: Quaternion) -> Triple:
+    """The axis of a rotation times its angle (rad), at most half a turn."""
+    x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+    length = float(np.hypot(np.hypot(x, y), z))
+    return frames.scaled((x, y, z), 2.0 * atan2(length, w) / length if length > 0.0 else 2.0)

@@ -1,0 +1,118 @@
+"""Inverse kinematics, by putting the joints where it says and looking where the link is."""
+
+from __future__ import annotations
+
+import random
+from math import acos, cos, dist, hypot, pi, sin
+
+import pytest
+
+from deepbots_cli import frames
+from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import HERE
+from deepbots_cli.ir import RobotBody, WorldModel
+from deepbots_cli.urdf.model import Inertial, Joint, Limit, Link, Pose, RobotModel
+from deepbots_cli.urdf.rotation import quaternion
+
+BULK = Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)
+
+
+def planar() -> RobotModel:
+    """Two links of 0.5 m in the plane, on a slide across, with a finger that is none of the arm's."""
+    links = tuple(Link(name, BULK) for name in ("base", "sled", "upper", "lower", "tip", "finger"))
+    joints = (
+        Joint("slide", "prismatic", "base", "sled", axis=(0, 1, 0)),
+        Joint("shoulder", "continuous", "sled", "upper", axis=(0, 0, 1)),
+        Joint("elbow", "revolute", "upper", "lower", Pose((0.5, 0, 0)), (0, 0, 1), Limit(0.0, 2.5)),
+        Joint("end", "fixed", "lower", "tip", Pose((0.5, 0, 0))),
+        Joint("finger", "prismatic", "tip", "finger", Pose((0.1, 0, 0)), (1, 0, 0)),
+    )
+    return RobotModel("planar", links, joints, root="base")
+
+
+def arm() -> RobotModel:
+    """Seven joints whose axes alternate, 1.4 m long."""
+    axes = ((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1))
+    links = (Link("l0"), *(Link(f"l{i}", BULK) for i in range(1, 8)), Link("tool"))
+    joints = [
+        Joint(f"j{i}", "revolute", f"l{i}", f"l{i + 1}", Pose((0.03 * (i % 2), 0, 0.2)), axis, Limit(-2.8, 2.8))
+        for i, axis in enumerate(axes)
+    ]
+    return RobotModel("arm", links, (*joints, Joint("grip", "fixed", "l7", "tool", Pose((0.05, 0, 0.1), (0.2, 0.1, 0.4)))), root="l0")
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.6, 0.3), (0.2, -0.5), (-0.7, 0.1)])
+def test_two_links_in_a_plane_bend_as_the_law_of_cosines_says(x, y):
+    chain = Chain(planar(), "tip", ["shoulder", "elbow"])
+    assert chain.moving == ("slide", "shoulder", "elbow")
+    shoulder, elbow = chain.solve(HERE, [0.1, 0.3, 0.8], (x, y, 0.0), None)
+    assert elbow == pytest.approx(acos((x * x + (y - 0.1) ** 2 - 0.5) / 0.5), abs=1e-6)
+    assert 0.5 * cos(shoulder) + 0.5 * cos(shoulder + elbow) == pytest.approx(x, abs=1e-6)
+    assert 0.5 * sin(shoulder) + 0.5 * sin(shoulder + elbow) + 0.1 == pytest.approx(y, abs=1e-6)
+
+
+def test_ranges_of_joints_are_kept_and_what_is_out_of_reach_is_approached():
+    chain = Chain(planar(), "tip", ["shoulder", "elbow"])
+    _, elbow = chain.solve(HERE, [0.0, 0.3, 0.8], (0.05, 0.0, 0.0), None)
+    assert elbow == 2.5
+    shoulder, elbow = chain.solve(HERE, [0.0, 0.3, 0.8], (3.0, 4.0, 0.0), None)
+    assert hypot(cos(shoulder) + cos(shoulder + elbow), sin(shoulder) + sin(shoulder + elbow)) == pytest.approx(2.0, abs=1e-3)
+    slide = Chain(planar(), "tip", ["slide"]).solve(HERE, [0.0, 0.0, 0.0], (1.0, 0.4, 0.0), None)
+    assert slide == pytest.approx([0.4], abs=1e-6)
+
+
+def test_a_joint_that_does_not_move_the_link_is_refused_by_name():
+    with pytest.raises(EngineError, match="joint 'finger' does not move link 'tip'"):
+        Chain(planar(), "tip", ["shoulder", "finger"])
+
+
+@pytest.mark.parametrize("with_attitude", [False, True])
+def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(with_attitude, build):
+    names = [f"j{i}" for i in range(7)]
+    place = Pose((0.3, -0.2, 0.4), (0.1, 0.2, 0.3))
+    engine = build("pybullet", WorldModel(0.01, 1, ground=None, robots=(RobotBody("arm", arm(), True, place),)))
+    pose, solve = engine.pose("arm", "tool"), engine.inverse_kinematics(("arm", "tool"), names)
+    rng, reached = random.Random(4), 0
+    for _ in range(40):
+        start = [rng.uniform(-1.5, 1.5) for _ in names]
+        for name, angle in zip(names, start, strict=True):
+            engine.set_joint("arm", name, angle + rng.uniform(-0.4, 0.4), 0.0)
+        target, attitude = pose()
+        for name, angle in zip(names, start, strict=True):
+            engine.set_joint("arm", name, angle, 0.0)
+        wanted = attitude if with_attitude else None
+        found = solve(target, wanted)
+        assert found == solve(target, wanted)
+        for name, angle in zip(names, found, strict=True):
+            engine.set_joint("arm", name, angle, 0.0)
+        position, turned = pose()
+        turn = abs(sum(a * b for a, b in zip(turned, attitude, strict=True)))
+                reached += dist(position, target) < 1e-5 and (not with_attitude or turn > 1 - 1e-6)
+    assert reached >= 39
+
+
+def test_the_same_call_gives_the_same_bits_whatever_was_asked_before():
+    chain = Chain(arm(), "tool", [f"j{i}" for i in range(7)])
+    at, root = [0.1, 0.4, -0.2, 1.1, 0.3, 0.7, 0.0], ((0.1, 0.0, 0.2), quaternion(0.1, 0.0, 0.4))
+    first = chain.solve(root, at, (0.4, 0.2, 0.9), frames.UPRIGHT)
+    chain.solve(root, [0.0] * 7, (0.2, -0.4, 1.0), None)
+    assert chain.solve(root, at, (0.4, 0.2, 0.9), frames.UPRIGHT) == first
+
+
+def test_an_attitude_nearly_half_a_turn_away_is_reached():
+    chain = Chain(arm(), "tool", [f"j{i}" for i in range(7)])
+    start = [0.1, 0.8, 0.2, 1.4, 0.1, 0.6, -1.4]
+    target, attitude = where([*start[:6], start[6] + pi - 0.3])
+    position, turned = where(chain.solve(HERE, start, target, attitude))
+    assert position == pytest.approx(target, abs=1e-6)
+    assert abs(sum(a * b for a, b in zip(turned, attitude, strict=True))) == pytest.approx(1.0, abs=1e-9)
+
+
+def where(angles: list[float]) -> frames.Frame:
+    """The tool of the arm at these angles."""
+    at = HERE
+    for joint, angle in zip(arm().joints, [*angles, 0.0], strict=True):
+        at = frames.inside(at, frames.frame(joint.origin))
+        at = at[0], frames.multiply(at[1], frames.about(joint.axis, angle))
+    return at
