@@ -88,7 +88,7 @@ def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(with_
             engine.set_joint("arm", name, angle, 0.0)
         position, turned = pose()
         turn = abs(sum(a * b for a, b in zip(turned, attitude, strict=True)))
-                reached += dist(position, target) < 1e-5 and (not with_attitude or turn > 1 - 1e-6)
+        reached += dist(position, target) < 1e-5 and (not with_attitude or turn > 1 - 1e-6)
     assert reached >= 39
 
 

@@ -1,0 +1,91 @@
+"""Resets are clean: what walks on springs and has had its figures varied begins anew, to the last bit."""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import struct
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.port import STILL, Engine
+from deepbots_cli.urdf import reader
+from deepbots_cli.urdf.model import Box, Pose, RobotModel
+
+LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "upper", "lower")]
+STAND = [0.0, 0.9, -1.8] * 4
+
+
+@pytest.fixture(scope="session")
+def dog() -> RobotModel:
+    """The A1 of the PyBullet package: 12 joints, feet that are meshes and spheres."""
+    path = Path(importlib.util.find_spec("pybullet_data").origin).parent / "a1" / "a1.urdf"
+    return reader.read(path, path.name, Findings()).model
+
+
+def yard(dog: RobotModel) -> WorldModel:
+    crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0.5, 0.05, 0.05)), 0.5)
+    return WorldModel(0.02, 10, robots=(RobotBody("dog", dog, pose=Pose((0, 0, 0.32))),), objects=(crate,))
+
+
+def walk(engine: Engine, seed: int, ticks: int) -> bytes:
+    """A dog of drawn mass, friction and strength that treads at random and is pushed."""
+    rng = random.Random(seed)
+    if rng.random() < 0.7:
+        engine.set_mass("dog", None, rng.uniform(3.0, 8.0))
+        engine.set_friction("dog", "FR_toe", lateral=rng.uniform(0.3, 1.0))
+        engine.set_friction("ground", None, lateral=rng.uniform(0.5, 1.0))
+        engine.set_joint_damping("dog", LEGS[1], rng.uniform(0.0, 0.2))
+        engine.set_joint_friction("dog", LEGS[4], rng.uniform(0.0, 0.2))
+        engine.set_gravity((0.0, 0.0, rng.uniform(-12.0, -8.0)))
+    engine.place("dog", (0, 0, 0.33), (0, 0, 0, 1), (rng.uniform(-0.3, 0.3), 0, 0), (0, 0, rng.uniform(-1, 1)))
+    for joint, angle in zip(LEGS, STAND, strict=True):
+        engine.set_joint("dog", joint, angle + rng.uniform(-0.1, 0.1), 0.0)
+    stiff = [rng.uniform(60.0, 120.0)] * 12
+    aim = engine.position_motor("dog", LEGS, [rng.uniform(20.0, 33.5)] * 12, stiff, [2.0] * 12)
+    pose, velocity, joints = engine.pose("dog"), engine.velocity("dog"), engine.joint_states("dog", LEGS)
+    feet, torques, crate = (
+        [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")],
+        engine.joint_torques("dog", LEGS),
+        engine.pose("crate"),
+    )
+    push = engine.pusher(("dog", None))
+    figures: list[float] = []
+    for tick in range(ticks):
+        if tick % 4 == 0:
+            aim([angle + rng.uniform(-0.4, 0.4) for angle in STAND])
+        if tick % 10 == 5:
+            push((rng.uniform(-300, 300), rng.uniform(-300, 300), 0.0), STILL)
+        engine.step(10)
+        for part in (*pose(), *velocity(), *crate(), *(state[:2] for state in joints()), torques(), [foot() for foot in feet]):
+            figures += part
+    return struct.pack(f"{len(figures)}d", *figures)
+
+
+def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(dog, build):
+    fresh = {seed: walk(build("pybullet", yard(dog)), seed, 50) for seed in (3, 4)}
+    engine = build("pybullet", yard(dog))
+    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
+        engine.reset()
+        walk(engine, 1000 + ticks, ticks)
+        for seed, expected in fresh.items():
+            engine.reset()
+            assert walk(engine, seed, 50) == expected, (ticks, seed)
+
+
+def test_a_dog_stands_on_springs_and_their_torques_carry_it(dog, build):
+    engine = build("pybullet", yard(dog))
+    for joint, angle in zip(LEGS, STAND, strict=True):
+        engine.set_joint("dog", joint, angle, 0.0)
+    engine.position_motor("dog", LEGS, [33.5] * 12, [100.0] * 12, [2.0] * 12)(STAND)
+    for _ in range(100):
+        engine.step(10)
+    states, torques = engine.joint_states("dog", LEGS)(), engine.joint_torques("dog", LEGS)()
+    assert 0.2 < engine.pose("dog")()[0][2] < 0.32
+    for state, target, torque in zip(states, STAND, torques, strict=True):
+        assert torque == pytest.approx(100.0 * (target - state[0]) - 2.0 * state[1], abs=0.3)
+    weight = sum(link.inertial.mass for link in dog.links if link.inertial) * 9.81
+    assert engine.contact_force(("ground", None))() == pytest.approx(weight + 0.5 * 9.81, rel=0.02)
