@@ -9,6 +9,7 @@ from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
 from deepbots_cli.lang.types import Kind
+from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Task, Valued
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
@@ -31,24 +32,31 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
 def unused_part(checked: Checked) -> Iterator[Finding]:
     """DB205: a sensor that is neither sent nor used on board, or an actuator without a command.
 
-    Such an actuator is left alone: the joint swings as if there were no motor.
+    Such an actuator is left alone: the joint swings as if there were no motor. What an included robot file offers
+    besides may stay unused: it describes the robot, not the task.
     """
     if checked.task is None or checked.namespace is None:
         return
-    values = checked.namespace.values
     looking = {part for value in _judged(checked.task) for part in _sensors(value.typed)}
     for robot in checked.task.robots:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         for sensor in robot.sensors:
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in looking:
-                span = values.key_span(("robots", robot.name, "sensors", sensor.name))
-                yield Finding("DB205", span, f"`{sensor.name}` is a sensor that nothing reads", help="send it under `emit`, or take it out")
+                what, help = "a sensor that nothing reads", "send it under `emit`, or take it out"
+                yield from _idle(checked, ("robots", robot.name, "sensors", sensor.name), what, help)
         for actuator in robot.actuators:
             if actuator.name not in driven:
-                span = values.key_span(("robots", robot.name, "actuators", actuator.name))
-                help = "give it a command under `apply`, or take it out"
-                yield Finding("DB205", span, f"`{actuator.name}` is an actuator that nothing drives", help=help)
+                what, help = "an actuator that nothing drives", "give it a command under `apply`, or take it out"
+                yield from _idle(checked, ("robots", robot.name, "actuators", actuator.name), what, help)
+
+
+def _idle(checked: Checked, path: Path, what: str, help: str) -> Iterator[Finding]:
+    """The finding, where the part is written in the scenario's own file."""
+    assert checked.namespace is not None  # there is a task
+    span = checked.namespace.values.key_span(path)
+    if span.source is checked.document.source:
+        yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help)
 
 
 def _judged(task: Task) -> Iterator[Valued]:
