@@ -191,6 +191,20 @@ class Varied:
 
 
 @dataclass(frozen=True, eq=False)
+class Push:
+    """A disturbance: the first push at `first` (or after one `every`), further ones `every` later."""
+
+    name: str
+    body: str
+    link: str | None
+    force: Valued | None
+    torque: Valued | None
+    first: Valued | None
+    every: Valued | None
+    lasts: Valued
+
+
+@dataclass(frozen=True, eq=False)
 class Task:
     """One checked scenario. `order` lists augmentation and signals so that each comes after what it is made of."""
 
@@ -221,6 +235,7 @@ class Task:
     to_robot: TaskRoute = TaskRoute()
     from_robot: TaskRoute = TaskRoute()
     forbidden: tuple[Forbidden, ...] = ()
+    disturbances: tuple[Push, ...] = ()
     cases: tuple[TaskCase, ...] = ()
     curriculum: tuple[TaskStage, ...] = ()
     groups: tuple[TaskGroup, ...] = ()

@@ -20,6 +20,7 @@ scoring.py      signals, reward, endings; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       how an episode begins: places.py where a body stands, room.py whether it can;
                 starts.py joints, poses.py their named positions
+disturbances.py pushes while an episode runs
 inputs.py       the files that it was made from, as a run keeps copies of them
 support.py      what the language has and this version does not run yet
 """
@@ -35,6 +36,7 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.actions import Actions
 from deepbots_cli.compiler.channels import is_repeated_as_a_whole, route
 from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.disturbances import disturbances
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
@@ -218,6 +220,7 @@ class _Pass:
             route(spec, "to_robot", namespace),
             route(spec, "from_robot", namespace),
             forbidden=actions.forbidden(),
+            disturbances=disturbances(spec, namespace),
         )
 
     def _define_parameters(self) -> None:

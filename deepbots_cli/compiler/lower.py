@@ -19,6 +19,7 @@ from deepbots_cli.task import (
     ObservedNoise,
     ObservedValue,
     Placement,
+    Push,
     Task,
     TaskRobot,
     TaskRoute,
@@ -67,6 +68,7 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         task.agent,
         tuple(ir.Case(case.name, case.episodes, lower(case.task)) for case in task.cases),
         tuple(ir.Stage(stage.name, stage.until, lower(stage.task)) for stage in task.curriculum),
+        tuple(_disturbance(push) for push in task.disturbances),
     )
 
 
@@ -207,6 +209,20 @@ def _layout(robot: str, direction: ir.Direction, fields: tuple[ir.Field, ...]) -
     parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in fields)
     text = "|".join([f"v{ir.IR_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)])
     return ir.MessageLayout(robot, direction, fields, zlib.crc32(text.encode()))
+
+
+def _disturbance(push: Push) -> ir.Disturbance:
+    """Without a time of its own, the first push begins after one interval, which is drawn like any other."""
+    every = _scalars(push.every)[0] if push.every else None
+    first = _scalars(push.first)[0] if push.first else every or Const(0.0)
+    return ir.Disturbance(push.name, push.body, push.link, _vector(push.force), _vector(push.torque), first, every, _scalars(push.lasts)[0])
+
+
+def _vector(value: Valued | None) -> tuple[Scalar, Scalar, Scalar]:
+    if value is None:
+        return ir.NOTHING
+    x, y, z = _scalars(value)
+    return x, y, z
 
 
 # Resets

@@ -23,7 +23,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("robots", "*"), "count"),
     (("agent",), "each"),
     ((), "goal"),
-    ((), "disturbances"),
     (("reset",), "layout"),
     (("reset",), "layouts"),
 )

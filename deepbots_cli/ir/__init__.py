@@ -7,13 +7,13 @@
     ├── action, agent what the agent chooses, which variables that sets, for how many ticks
     ├── signals       augmentation and helpers, in order of evaluation
     ├── observation   one entry per number of a frame of what the policy sees
-    ├── reward, endings, truncation, reset
+    ├── reward, endings, truncation, reset, disturbances
     ├── training, evaluation, solved
     └── cases, curriculum   the whole once more for each case of the evaluation and each stage of the curriculum
 
 world.py     what an engine builds               robots.py    controllers and their messages
 channels.py  what messages meet on their way    sensing.py   what robots sense
-values.py    named values, and how often they are drawn   actuation.py what they drive
+values.py    named values, and how often they are drawn   actuation.py what they drive   disturbances.py what pushes bodies about
 task.py      action to endings                   resets.py    how an episode begins, what it varies
 training.py  how the policy is trained and judged
 
@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir.actuation import Actuator, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
+from deepbots_cli.ir.disturbances import NOTHING, Disturbance
 from deepbots_cli.ir.resets import Cells, Group, Layout, Place, Region, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
     Direction,
@@ -89,6 +90,7 @@ __all__ = [
     "MOST_SEEN",
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
+    "NOTHING",
     "ActionNoise",
     "Actuator",
     "Agent",
@@ -103,6 +105,7 @@ __all__ = [
     "CompiledScenario",
     "Criterion",
     "Direction",
+    "Disturbance",
     "Ending",
     "Evaluation",
     "Faults",
@@ -190,6 +193,7 @@ class CompiledScenario:
     agent: Agent = Agent()
     cases: tuple[Case, ...] = ()
     curriculum: tuple[Stage, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
     version: int = IR_VERSION
 
     @property

@@ -2,7 +2,7 @@
 
 supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
-actuation/     actuators that are more than a motor of the engine
+actuation/     actuators that are more than a motor of the engine, and pushes
 placement/     where bodies stand when an episode begins
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
@@ -14,7 +14,7 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
-from deepbots_cli.runtime.actuation import Motor, Thrust
+from deepbots_cli.runtime.actuation import Motor, Push, Thrust
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
@@ -28,6 +28,7 @@ __all__ = [
     "Arrangement",
     "Follower",
     "Motor",
+    "Push",
     "RobotController",
     "Supervisor",
     "Thrust",

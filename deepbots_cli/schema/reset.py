@@ -102,7 +102,7 @@ class Reset(Part):
 class Disturbance(Part):
     """A force or a torque that acts on a body now and then."""
 
-    needs: ClassVar[tuple[Keys, ...]] = (Keys(("force", "torque"), least=1, most=2), Keys(("every", "at"), least=1))
+    needs: ClassVar[tuple[Keys, ...]] = (Keys(("force", "torque"), least=1, most=2), Keys(("every", "at"), least=1, most=2))
 
     body: BodyName = Field(description="The robot, link or object that is pushed.")
     force: Annotated[Scalar, Quantity("force", 3, "step")] | None = Field(
@@ -112,7 +112,8 @@ class Disturbance(Part):
         default=None, description="Torque in the world frame, drawn anew for each push."
     )
     every: Annotated[Scalar, Quantity("time", stage="step", minimum=0, exclusive=True)] | None = Field(
-        default=None, description="Time from the beginning of a push to that of the next."
+        default=None,
+        description="Time from the beginning of one push to that of the next, and before the first, unless `at` says when that is.",
     )
-    at: DrawnDuration | None = Field(default=None, description="Time of a single push.")
+    at: DrawnDuration | None = Field(default=None, description="Time of the first push, which is the only one without `every`.")
     lasts: Annotated[Scalar, Quantity("time", stage="step", minimum=0)] = Field(description="How long a push acts.")

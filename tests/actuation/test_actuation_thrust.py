@@ -28,7 +28,7 @@ def drone() -> Iterator[Make]:
     opened: list[Supervisor] = []
 
     def make(*sets: str) -> Supervisor:
-        opened.append(api.make(str(DRONE), sets=[LEVEL, *sets]))
+        opened.append(api.make(str(DRONE), sets=[LEVEL, "disturbances={}", *sets]))
         return opened[-1]
 
     yield make

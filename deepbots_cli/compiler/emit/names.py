@@ -12,6 +12,7 @@ RUNTIME = (
     "Arrangement",
     "MALFORMED",
     "Motor",
+    "Push",
     "RobotController",
     "Supervisor",
     "Thrust",

@@ -10,6 +10,7 @@ from deepbots_cli.compiler.emit.driving import Driving
 from deepbots_cli.compiler.emit.observation import deviation
 from deepbots_cli.compiler.emit.placing import is_sought, place_lines
 from deepbots_cli.compiler.emit.printer import Printer
+from deepbots_cli.compiler.emit.pushes import print_first_pushes
 from deepbots_cli.compiler.emit.redraws import print_first_draws
 from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
 from deepbots_cli.compiler.emit.variations import setting
@@ -40,6 +41,7 @@ def begin(space: Workspace) -> list[str]:
         for place in reset.places:
             printer.line(_placing(place, printer))
         _print_joints(reset, printer)
+    print_first_pushes(space, printer)
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
         printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Driving(scenario, robot).has_any]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.action import choice_tables
 from deepbots_cli.compiler.emit.masks import allowed
 from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.compiler.emit.pushes import bind_pushes, drawing
 from deepbots_cli.compiler.emit.readings import readings
 from deepbots_cli.compiler.emit.reset import begin, is_arranged
 from deepbots_cli.compiler.emit.robot import controller_name
@@ -20,13 +21,14 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
     controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
     lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
     lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *choice_tables(space), ""])
-    for method in (_bind(space), begin(space), start(space), advance(space), *readings(space), allowed(space)):
+    methods = (_bind(space), begin(space), drawing(space), start(space), advance(space), *readings(space), allowed(space))
+    for method in methods:
         lines += indent(method)
     return lines
 
 
 def _bind(space: Workspace) -> list[str]:
-    lines = space.reads.bind_lines()
+    lines = [*space.reads.bind_lines(), *bind_pushes(space)]
     if is_arranged(space.scenario.reset):
         lines.append("self.bodies = Arrangement(self.scenario, engine)")
     lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')

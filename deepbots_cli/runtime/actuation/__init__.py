@@ -1,13 +1,15 @@
-"""Actuators that are more than a motor of the engine: they act in every substep, or change from episode to episode.
+"""Actuators that are more than a motor of the engine: they act in every substep, or change from episode to episode; and pushes.
 
 response.py  commands on their way: delayed, lagging, changing only so fast
 motors.py    motors with a strength and a response
 thrust.py    rotors
+pushes.py    disturbances
 hold.py      what keeps a robot where it is while its world settles
 """
 
 from deepbots_cli.runtime.actuation.hold import Drive, hold
 from deepbots_cli.runtime.actuation.motors import Motor
+from deepbots_cli.runtime.actuation.pushes import Push
 from deepbots_cli.runtime.actuation.thrust import Thrust
 
-__all__ = ["Drive", "Motor", "Thrust", "hold"]
+__all__ = ["Drive", "Motor", "Push", "Thrust", "hold"]

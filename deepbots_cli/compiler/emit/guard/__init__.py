@@ -6,7 +6,7 @@ outside of quotes must be an identifier of the language or an entry of a table.
 
 expressions.py  nodes: operations, functions, draws, facts       scopes.py   names in expressions
 figures.py      counts, figures, what an episode varies          sensing.py  sensors
-actuation.py    actuators                                        places.py   where bodies begin
+actuation.py    actuators, disturbances                          places.py   where bodies begin
 world.py        terrain, lines, colours
 """
 
@@ -16,7 +16,7 @@ import re
 from collections.abc import Iterator
 
 from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.compiler.emit.guard.actuation import require_actuators
+from deepbots_cli.compiler.emit.guard.actuation import require_actuators, require_disturbances
 from deepbots_cli.compiler.emit.guard.expressions import require_known_nodes
 from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_routes, require_variations
 from deepbots_cli.compiler.emit.guard.places import require_places
@@ -51,6 +51,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_sensors(scenario)
     require_actuators(scenario)
     require_places(scenario)
+    require_disturbances(scenario)
     require_known_names(scenario)
     require_order(scenario.endings)
 
@@ -60,7 +61,7 @@ def _defined_names(scenario: CompiledScenario) -> Iterator[str]:
         yield robot.name
         for entries in (robot.sensors, robot.actuators, robot.receive, robot.emit, robot.apply):
             yield from (entry.name for entry in entries)
-    for named in (scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action):
+    for named in (scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action, scenario.disturbances):
         yield from (entry.name for entry in named)
     for part in scenario.action:
         if isinstance(part, Choices):

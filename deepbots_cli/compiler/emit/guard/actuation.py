@@ -1,9 +1,11 @@
-"""Actuators: figures that their code is made with, and what an episode may vary of them."""
+"""Actuators: figures that their code is made with, and what an episode may vary of them; disturbances."""
 
 from __future__ import annotations
 
 from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Thrust, Variation
+from deepbots_cli.lang.scalar import State, World
 
 _LONGEST = 1e9  # s or substeps; a delay or lag beyond is nothing that was compiled
 _MOST = 1e30
@@ -58,3 +60,12 @@ def _has(actuator: Actuator, figure: str) -> bool:
     if figure in ("strength", "delay", "lag"):
         return True
     return isinstance(actuator, Motor) and (figure == "max_torque" or getattr(actuator, figure) is not None)
+
+
+def require_disturbances(scenario: CompiledScenario) -> None:
+    """A push is made of drawn figures alone; nothing of the world and no memory goes into it."""
+    if any(isinstance(node, (World, State)) for node in nodes(scenario.disturbances)):
+        raise CanonicalError("a disturbance that depends on what happens")
+    names = [push.name for push in scenario.disturbances]
+    if len(set(names)) < len(names):
+        raise CanonicalError("two disturbances share a name")

@@ -39,6 +39,7 @@ def _require_parameters(scenario: CompiledScenario) -> None:
     for entry in scenario.parameters:
         _require_in([entry.values, entry.redraw], known)
         known.update(flat([entry]))
+    _require_in([scenario.disturbances], known)
     _require_in([(robot.to_route, robot.from_route) for robot in scenario.robots], known)
 
 
