@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.ir import ObjectBody, Pit, RobotBody, Terrain, WorldModel
 from deepbots_cli.port import STILL, Engine
 from deepbots_cli.urdf import reader
-from deepbots_cli.urdf.model import Box, Pose, RobotModel
+from deepbots_cli.urdf.model import Box, Pose, RobotModel, Sphere
 
 LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "upper", "lower")]
 STAND = [0.0, 0.9, -1.8] * 4
@@ -74,6 +74,45 @@ def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(dog,
         for seed, expected in fresh.items():
             engine.reset()
             assert walk(engine, seed, 50) == expected, (ticks, seed)
+
+
+@pytest.fixture(scope="session")
+def roller() -> RobotModel:
+    path = Path(__file__).parents[2] / "robots" / "urdf" / "roller.urdf"
+    return reader.read(path, path.name, Findings()).model
+
+
+def roll(engine: Engine, seed: int, ticks: int) -> bytes:
+    """A ball that rocks about in a pit by the weight inside it, and bumps into a rock."""
+    rng = random.Random(seed)
+    engine.place("roller", (rng.uniform(-0.2, 0.2), 0.0, rng.uniform(0.3, 0.5)), (0, 0, 0, 1))
+    drive = engine.velocity_motor("roller", JOINTS, [12.0] * len(JOINTS))
+    readers = [engine.pose("roller"), engine.velocity("roller"), engine.pose("rock")]
+    contact, force = engine.contact(("roller", None), [("ground", None)]), engine.contact_force(("ground", None))
+    figures: list[float] = []
+    for tick in range(ticks):
+        if tick % 16 == 0:
+            drive([rng.choice((-8.72, 8.72)) for _ in JOINTS])
+        engine.step(8)
+        for part in (*(part for read in readers for part in read()), (contact(), force())):
+            figures += part
+    return struct.pack(f"{len(figures)}d", *figures)
+
+
+JOINTS = ["pitch", "yaw"]
+
+
+def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(roller, build):
+    rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
+    world = WorldModel(0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15)))
+    fresh = {seed: roll(build("pybullet", world), seed, 60) for seed in (3, 4)}
+    engine = build("pybullet", world)
+    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
+        engine.reset()
+        roll(engine, 1000 + ticks, ticks)
+        for seed, expected in fresh.items():
+            engine.reset()
+            assert roll(engine, seed, 60) == expected, (ticks, seed)
 
 
 def test_a_dog_stands_on_springs_and_their_torques_carry_it(dog, build):

@@ -68,7 +68,7 @@ class PyBulletEngine:
         self._release = weakref.finalize(self, _release, self._client, self._substeps)
         self.step = self._substeps.stepper(self._client)
         self._timestep = world.timestep / world.substeps
-        self._floor = Floor(world.ground.colour, world.lines) if world.ground else None
+        self._floor = Floor(world.ground.colour, world.lines) if world.ground and not world.terrain else None
         self._figures = Figures(self._client, world.gravity, world.light)
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._watches: dict[int, contacts.Watch] = {}
