@@ -68,9 +68,7 @@ UNSUPPORTED = frozenset(
     {
         "path_distance",
         "reachable",
-        "gap",
-        "contact",
-        "collided",
+        "visible",
     }
 )
 

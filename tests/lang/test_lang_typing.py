@@ -98,7 +98,6 @@ def test_dimension_and_components_follow_from_the_parts(bench, text, dimension, 
         ("abs(1 .. 2)", "DB401", "1 .. 2"),
         ("2 speed", "DB401", "2 speed"),
         ("1 .. 2 m", "DB401", "1 .. 2 m"),
-        ("gap(cart, ball)", "DB108", "gap"),
         ("distance(cart, obstacle) < 1 m", "DB108", "obstacle"),
     ],
 )

@@ -19,6 +19,14 @@ _METHODS = {"joints": "joint_states", "torques": "joint_torques", "pose": "pose"
 _OF_LINKS = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
 ARRIVALS = ("age", "fresh")
 """What the channel tells, and no engine."""
+_TOLD = {
+    "gap": "engine.gap({0}, {1})",
+    "contact": "engine.contact({0}, ({1},))",
+    "collided": "engine.contact({0}, ground=False)",
+}
+"""Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the world."""
+UNREAD = (*ARRIVALS, "present")
+"""What is known without a reader."""
 _PART = {"position": 0, "orientation": 1, "velocity": 0, "angular_velocity": 1, "joint_position": 0, "joint_velocity": 1}
 _PART |= {name: index for index, name in enumerate(_FOLLOWED)}
 """Where a fact stands in what its reader returns, or returns for a joint."""
@@ -32,7 +40,7 @@ class Reads:
 
     def __init__(self, expressions: Iterable[Scalar], names: Names) -> None:
         self._names = names
-        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in (*_METHODS, "line", "sight")}
+        self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in (*_METHODS, *_TOLD, "line", "sight")}
         """The subjects of each kind of reader, with the joints that it is asked for."""
         for leaf in _facts(expressions):
             self._note(leaf)
@@ -52,6 +60,11 @@ class Reads:
             f"self.read_{self._local(subject, what)} = engine.{method}({_arguments(subject, joints)})"
             for what, method in _METHODS.items()
             for subject, joints in self._needed[what].items()
+        ]
+        readers += [
+            f"self.read_{self._local(subject, what)} = {code.format(*map(_part, subject.split(' ')))}"
+            for what, code in _TOLD.items()
+            for subject in self._needed[what]
         ]
         lines = [quoted(subject.partition(" ")[2]) for subject in self._needed["line"]]
         followed = zip(self._followers, lines, strict=True)
@@ -83,7 +96,7 @@ class Reads:
         local = self._local(subject, what)
         if what in ("pose", "velocity"):
             return f"{local}[{_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
-        if what == "sight":
+        if what == "sight" or what in _TOLD:
             return local
         if what == "line":
             return f"{local}[{_PART[leaf.function]}]"
@@ -99,6 +112,8 @@ def _reader(leaf: World) -> tuple[str, str]:
     subject = leaf.subjects[0]
     if leaf.function in _OF_LINKS:
         return subject, _OF_LINKS[leaf.function]
+    if leaf.function in _TOLD:
+        return " ".join(leaf.subjects), leaf.function
     if leaf.function in _FOLLOWED:
         return f"{subject} {leaf.subjects[1]}", "line"
     if leaf.function == "visible":
@@ -118,7 +133,13 @@ def _place_of(body: str) -> World:
 
 
 def _facts(expressions: Iterable[Scalar]) -> Iterator[World]:
-    return (node for expression in expressions for node in walk(expression) if isinstance(node, World) and node.function not in ARRIVALS)
+    return (node for expression in expressions for node in walk(expression) if isinstance(node, World) and node.function not in UNREAD)
+
+
+def _part(name: str) -> str:
+    """A body or one of its links, as the port takes it."""
+    body, _, link = name.partition(".")
+    return f"({quoted(body)}, {quoted(link) if link else None})"
 
 
 def _arguments(subject: str, joints: list[str]) -> str:

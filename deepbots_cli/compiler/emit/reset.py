@@ -96,7 +96,7 @@ def _printer(space: Workspace) -> Printer:
 
 
 def _at_reset(space: Workspace, leaf: Name | World) -> str:
-    return space.reads.code(leaf) if isinstance(leaf, World) else space.parameter(leaf.name, leaf.component)
+    return space.fact(leaf) if isinstance(leaf, World) else space.parameter(leaf.name, leaf.component)
 
 
 def _varied(space: Workspace, index: int, number: int) -> str:

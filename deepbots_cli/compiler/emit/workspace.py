@@ -92,7 +92,7 @@ class Workspace:
 
     def _resolve(self, leaf: Name | World) -> str:
         if isinstance(leaf, World):
-            return self._arrival(leaf) if leaf.function in ARRIVALS else self.reads.code(leaf)
+            return self.fact(leaf)
         if leaf.name == "time":
             return f"({self.tick} * {self.scenario.world.timestep!r})"
         if leaf.name == "step":
@@ -104,6 +104,13 @@ class Workspace:
         if leaf.name in self._parameters:
             return self.parameter(leaf.name, leaf.component)
         return self.names(leaf.name, leaf.component)
+
+    def fact(self, leaf: World) -> str:
+        """The code of something that the world tells, after its reader was called."""
+        if leaf.function == "present":
+            group, _, number = leaf.subjects[0].partition("#")
+            return f"({self.present(group)} >= {number})"
+        return self._arrival(leaf) if leaf.function in ARRIVALS else self.reads.code(leaf)
 
     def _arrival(self, leaf: World) -> str:
         """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this tick."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 
@@ -23,13 +24,14 @@ _ARGUMENTS: dict[str, tuple[int, float]] = {
     **dict.fromkeys(("where", "clamp"), (3, 3)),
     "accumulate": (4, 4),
 }
-_OF_TWO = ("beside", "along", "visible")
+_COPY = re.compile(r"[a-z_][a-z0-9_]*#[1-9][0-9]{0,3}", re.ASCII)
+_OF_TWO = ("beside", "along", "visible", "gap", "contact")
 _FACTS: dict[str, tuple[str | None, ...]] = {
     **dict.fromkeys(("position", "velocity", "angular_velocity"), ("x", "y", "z")),
     "orientation": ("x", "y", "z", "w"),
     **dict.fromkeys(("age", "fresh"), (None,)),
     **dict.fromkeys(("joint_position", "joint_velocity", "joint_torque"), (None,)),
-    **dict.fromkeys(_OF_TWO, (None,)),
+    **dict.fromkeys((*_OF_TWO, "collided", "present"), (None,)),
 }
 
 
@@ -48,6 +50,8 @@ def require_known_nodes(scenario: object) -> None:
                 joint, wanted = word.startswith("joint_"), 2 if word in _OF_TWO else 1
                 if component not in _FACTS.get(word, ()) or len(subjects) != wanted or (joint and "." not in subjects[0]):
                     raise CanonicalError(f"{word[:40]!r} of {str(subjects)[:60]} is nothing that an engine can tell")
+                if word == "present" and not _COPY.fullmatch(subjects[0]):
+                    raise CanonicalError(f"{subjects[0][:60]!r} is no copy of anything")
 
 
 def _require_arguments(node: Op | State | Draw | World | Name) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
@@ -26,10 +26,10 @@ def require_places(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"{reset.attempts} attempts at a start")
     if any(not 0.0 <= layout.share < math.inf for layout in reset.layouts):
         raise CanonicalError("a layout that is taken in an impossible share of the episodes")
-    if any(isinstance(node, (State, World)) for node in nodes((reset.places, reset.layouts, reset.joints, reset.variations, reset.groups))):
-        raise CanonicalError("places that depend on the world in which they are")
-    if any(isinstance(node, State) for node in nodes((reset.require,))):
-        raise CanonicalError("a start that depends on what was before")
+    drawn = (reset.places, reset.layouts, reset.joints, reset.variations, reset.groups)
+    if any(isinstance(node, (State, World)) for node in nodes(drawn)) or any(isinstance(node, State) for node in nodes(reset.require)):
+        raise CanonicalError("a start that depends on what has happened")
+    _require_copies(scenario, groups)
     for place in _places(scenario):
         if place.body not in bodies and place.body not in groups:
             raise CanonicalError(f"'{place.body[:40]}' is placed, and is not in the world")
@@ -38,6 +38,15 @@ def require_places(scenario: CompiledScenario) -> None:
         if any(len(triple) not in (0, 3) for triple in (place.velocity, place.angular_velocity)):
             raise CanonicalError(f"'{place.body[:40]}' moves in {len(place.velocity)} directions")
         _require_spot(place)
+
+
+def _require_copies(scenario: CompiledScenario, groups: Mapping[str, int]) -> None:
+    """Whether a copy is present is asked only of those that there are."""
+    for node in nodes(scenario):
+        if isinstance(node, World) and node.function == "present":
+            group, _, number = node.subjects[0].partition("#")
+            if int(number) > groups.get(group, 0):
+                raise CanonicalError(f"'{node.subjects[0][:40]}' is a copy that there is not")
 
 
 def _require_spot(place: Place) -> None:
