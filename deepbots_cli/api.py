@@ -96,10 +96,15 @@ def lint(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[
 
 
 def _review(checked: Checked) -> list[Finding]:
-    """What the passes and the rules found, without what comments suppress."""
-    robots = tuple(robot.file.source for robot in (checked.robots or {}).values())
-    kept, unused = suppress([*checked.findings, *rules.run(checked)], (*checked.document.sources, *robots))
-    return sorted([*kept, *unused], key=lambda finding: finding.sort_key)
+    """What the passes and the rules found, without what comments suppress, and without warnings about robot files of packages.
+
+    Those are not the user's to mend; `inspect` of the robot file shows them.
+    """
+    robots = (checked.robots or {}).values()
+    kept, unused = suppress([*checked.findings, *rules.run(checked)], (*checked.document.sources, *(robot.file.source for robot in robots)))
+    packaged = {id(robot.file.source) for robot in robots if robot.spec.urdf.startswith("package://")}
+    ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
+    return sorted([*ours, *unused], key=lambda finding: finding.sort_key)
 
 
 def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> Compiled:

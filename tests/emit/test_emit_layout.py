@@ -26,6 +26,7 @@ LINES = {
     "condition": f"if {' or '.join(LONG)}:",
     "tuple": f"one, two = {' and '.join(LONG[:10])}, {LONG[0]}",
     "targets": f"stamp, {', '.join(f'a_long_name_{number}' for number in range(20))} = self.decode(message)",
+    "addition": f"value += ({' + '.join(LONG)}) * ({LONG[0]} / {LONG[1]})",
     "return": f"return {{{', '.join(f'{number}: {item}' for number, item in enumerate(LONG))}}}",
     "one item": f"self.drive(({' * '.join(LONG)},))",
     "product": f"x = ({' + '.join(LONG)}) * ({' - '.join(LONG)})",

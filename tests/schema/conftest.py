@@ -26,4 +26,4 @@ def check() -> Check:
 
 @pytest.fixture(scope="session")
 def cartpole() -> str:
-    return (Path(__file__).parents[1] / "data" / "samples" / "cartpole.yaml").read_text(encoding="utf-8")
+    return Path(__file__).with_name("cartpole.yaml").read_text(encoding="utf-8")

@@ -12,7 +12,9 @@ from deepbots_cli.schema.part import Part, fields
 from deepbots_cli.schema.plain import read_schedule
 from deepbots_cli.source import descend, load
 
-SAMPLES = sorted((Path(__file__).parents[1] / "data" / "samples").glob("*.yaml"))
+ROOT = Path(__file__).parents[2]
+SAMPLES = sorted([*ROOT.glob("tests/data/samples/*.yaml"), *ROOT.glob("scenarios/*.yaml")], key=lambda path: path.stem)
+BY_NAME = {path.stem: path for path in SAMPLES}
 
 
 def read(path: Path) -> Scenario:
@@ -43,7 +45,7 @@ def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> N
 
 
 def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
-    found = {(place, type(kind)): (kind, value) for place, kind, value in visit(read(SAMPLES[0].with_name("cartpole.yaml")))}
+    found = {(place, type(kind)): (kind, value) for place, kind, value in visit(read(BY_NAME["cartpole"]))}
     assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True), "32 ms")
     assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
     assert found[("observation", "speed"), Range] == (Range("any", auto=True), "-0.8 .. 0.8 m/s")
@@ -53,12 +55,12 @@ def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
 
 
 def test_patterns_of_links_are_visited_as_keys() -> None:
-    places = {place: value for place, kind, value in visit(read(SAMPLES[0].with_name("quadruped.yaml"))) if kind == Pattern("link")}
+    places = {place: value for place, kind, value in visit(read(BY_NAME["quadruped"])) if kind == Pattern("link")}
     assert places == {("robots", "dog", "links", "trunk"): "trunk", ("robots", "dog", "links", "*_toe"): "*_toe"}
 
 
 def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
-    training = read(SAMPLES[0].with_name("pit_escape.yaml")).train
+    training = read(BY_NAME["pit_escape"]).train
     assert training is not None
     assert dict(training.hyperparameters) == {
         "learning_rate": 1e-3,

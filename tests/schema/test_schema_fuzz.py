@@ -18,8 +18,9 @@ from deepbots_cli.source import load, to_data
 Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 Place = tuple[str | int, ...]
 
-FOLDER = Path(__file__).parents[1] / "data" / "samples"
-SAMPLES: list[Any] = [to_data(root) for path in sorted(FOLDER.glob("*.yaml")) if (root := load(path).root) is not None]
+ROOT = Path(__file__).parents[2]
+FILES = sorted([*ROOT.glob("tests/data/samples/*.yaml"), *ROOT.glob("scenarios/*.yaml")])
+SAMPLES: list[Any] = [to_data(root) for path in FILES if (root := load(path).root) is not None]
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 
 ODD_SCALARS = st.sampled_from([0, -1, 3, 1.5, True, "", "x", "1 m", "1 2 3 m", "0 .. 1", "[key]", "type", "list", "a when b"]) | st.text(

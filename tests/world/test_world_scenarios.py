@@ -1,0 +1,56 @@
+"""Every shipped scenario lints clean and runs, however it is driven."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.source import shipped
+
+
+def drive(name: str, steps: int) -> None:
+    """Random steps, with a reset at each ending; all that comes back is finite."""
+    with closing(api.make(name)) as environment:
+        environment.action_space.seed(0)
+        environment.reset(seed=0)
+        for _ in range(steps):
+            observation, reward, terminated, truncated, _ = environment.step(environment.action_space.sample())
+            parts = observation.values() if isinstance(observation, dict) else [observation]
+            assert all(np.isfinite(part).all() for part in parts)
+            assert np.isfinite(reward)
+            if terminated or truncated:
+                environment.reset()
+
+
+@pytest.mark.parametrize("name", shipped.scenario_names())
+def test_a_shipped_scenario_has_no_findings(name: str) -> None:
+    assert [f"{finding.span.where}: {finding.headline}" for finding in api.lint(name)] == []
+
+
+@pytest.mark.parametrize("name", shipped.scenario_names())
+def test_a_shipped_scenario_runs_under_random_actions(name: str) -> None:
+    drive(name, 100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped.scenario_names())
+def test_a_shipped_scenario_runs_for_long_under_random_actions(name: str) -> None:
+    drive(name, 10_000)
+
+
+def test_rocking_leaves_the_pit_and_driving_forward_does_not() -> None:
+    """What makes the pit a task: no motor holds the ball on its wall, and swinging with the gyro's sign gets it out."""
+    with closing(api.make("pit_escape")) as environment:
+
+        def escapes(rocking: bool, seed: int) -> bool:
+            observation, _ = environment.reset(seed=seed)
+            ended = False
+            while not ended:
+                backward = rocking and observation[1] < 0
+                observation, _, terminated, truncated, info = environment.step(int(backward))
+                ended = terminated or truncated
+            return info["is_success"]
+
+        assert [escapes(rocking=True, seed=seed) for seed in range(3)] == [True] * 3
+        assert not escapes(rocking=False, seed=0)
