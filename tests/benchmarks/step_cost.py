@@ -20,12 +20,15 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import gymnasium as gym
+
 from deepbots_cli import api
 from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.runtime import Supervisor
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 
 with hushed():  # PyBullet prints when it is imported and when it connects
+    from deepbots_cli.engines.pybullet import PyBulletEngine
     from tests.benchmarks.layered import LayeredCartPole
 
 RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
@@ -36,7 +39,7 @@ class Episode:
     """One held action, for so many steps after the first."""
 
     seed: int
-    action: int
+    action: Any
     steps: int
 
 
@@ -47,22 +50,44 @@ def opened(source: str, *sets: str) -> Iterator[Supervisor]:
     environment.close()
 
 
+@contextmanager
+def rays_bound() -> Iterator[list[Callable[[], object]]]:
+    """Collects the ray readers of the worlds that are made meanwhile."""
+    found: list[Callable[[], object]] = []
+    bind = PyBulletEngine.rays
+
+    def collecting(engine: PyBulletEngine, *arguments: Any) -> Any:
+        found.append(bind(engine, *arguments))
+        return found[-1]
+
+    PyBulletEngine.rays = collecting  # type: ignore[method-assign]
+    try:
+        yield found
+    finally:
+        PyBulletEngine.rays = bind  # type: ignore[method-assign]
+
+
 def plan(environment: Supervisor, steps: int) -> list[Episode]:
-    """Episodes of about so many steps altogether, none of which goes on beyond its end."""
+    """Episodes of about so many steps altogether, none of which goes on beyond its end.
+
+    Choices take turns; an action from a range is drawn for each episode.
+    """
     episodes: list[Episode] = []
-    left = steps
+    left, space = steps, environment.action_space
     while left > 0:
-        seed, action = len(episodes), len(episodes) % 2
+        seed = len(episodes)
         environment.reset(seed=seed)
+        action = seed % int(space.n) if isinstance(space, gym.spaces.Discrete) else space.sample()
         count = 0
-        while not any(environment.step(action)[2:4]):
+        while count < left and not any(environment.step(action)[2:4]):
             count += 1
-        episodes.append(Episode(seed, action, min(count, left)))
-        left -= count
+        if count:
+            episodes.append(Episode(seed, action, count))
+        left -= max(1, count)
     return episodes
 
 
-def timed(environment: Any, episodes: list[Episode], step: Callable[[int], object], arguments: list[int]) -> float:
+def timed(environment: Any, episodes: list[Episode], step: Callable[[Any], object], arguments: list[Any]) -> float:
     """CPU time of a call of `step` in us, resets and first steps left out; each episode has one argument for all its calls."""
     total = 0.0
     for episode, argument in zip(episodes, arguments, strict=True):
@@ -80,9 +105,16 @@ def whole(environment: Any, episodes: list[Episode]) -> Callable[[], float]:
     return lambda: timed(environment, episodes, environment.step, [episode.action for episode in episodes])
 
 
-def bare(environment: Supervisor, episodes: list[Episode]) -> Callable[[], float]:
-    substeps = environment.scenario.world.substeps
-    return lambda: timed(environment, episodes, environment.engine.step, [substeps] * len(episodes))
+def bare(environment: Supervisor, episodes: list[Episode], reads: tuple[Callable[[], object], ...] = ()) -> Callable[[], float]:
+    """Physics alone, and what of the world has to be read in every step whoever does it."""
+    substeps, advance = environment.scenario.world.substeps, environment.engine.step
+
+    def advance_and_read(substeps: int) -> None:
+        advance(substeps)
+        for read in reads:
+            read()
+
+    return lambda: timed(environment, episodes, advance_and_read if reads else advance, [substeps] * len(episodes))
 
 
 def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) -> None:
@@ -93,16 +125,22 @@ def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) ->
     for _ in range(episode.steps):
         one.step(episode.action)
         other.engine.step(other.scenario.world.substeps)
-    ours, bare_side = (environment.step(episode.action)[0] for environment in (one, other))
-    if ours.tobytes() != bare_side.tobytes():
+    ours, bare_side = (whereabouts(environment) for environment in (one, other))
+    if ours != bare_side:
         raise RuntimeError(f"the two sides moved apart: {ours} and {bare_side}")
 
 
-def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int) -> Row:
-    with opened(source, *sets) as environment, opened(source, *sets) as other:
+def whereabouts(environment: Supervisor) -> list[Any]:
+    """Where robots are and how they move."""
+    engine = environment.engine
+    return [read() for robot in environment.scenario.world.robots for read in (engine.pose(robot.name), engine.velocity(robot.name))]
+
+
+def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int, *, with_rays: bool = False) -> Row:
+    with opened(source, *sets) as environment, rays_bound() as rays, opened(source, *sets) as other:
         episodes = plan(environment, steps)
         require_same_motion(environment, other, episodes[0])
-        found = pairs(whole(environment, episodes), bare(other, episodes), count)
+        found = pairs(whole(environment, episodes), bare(other, episodes, tuple(rays) if with_rays else ()), count)
     step, physics = (median(side) for side in zip(*found, strict=True))
     return Row(f"{what} ({step:.2f} / {physics:.2f} us)", ratio(found), "x", bar)
 
