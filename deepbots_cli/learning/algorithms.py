@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from inspect import signature
 from itertools import pairwise
@@ -108,6 +108,7 @@ def create(
         MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
+    training = replace(training, environments=copies.num_envs)
     settings = algorithm.defaults(training, total_timesteps)
     if training.replay is not None:
         settings |= _hindsight(training, longest_episode)

@@ -31,8 +31,8 @@ class BuildWorld(Protocol):
 class Copies(VecEnv):
     """A vector environment over `worlds`; copy i starts from `seeds[i]` at the first reset and runs on from there.
 
-    `on_step` is called after the step of each copy, `on_episode` after each finished episode with the number of its copy, both
-    in the order of copies. Then `renew` may give that copy another world to go on in, and the seed to begin it with.
+    `on_step` is called after the step of each copy, `on_episode` after each finished episode with the number of its world,
+    both in order. Then `renew` may give another world to go on in, and the seed to begin it with.
     """
 
     def __init__(
@@ -51,9 +51,15 @@ class Copies(VecEnv):
         self._renew = renew
         self._tallies = [Tally() for _ in worlds]
         self._actions: npt.NDArray[Any] = np.zeros(0)
-        first = self.worlds[0]
-        self._keys = list(first.observation_space.spaces) if isinstance(first.observation_space, gym.spaces.Dict) else None
-        super().__init__(len(self.worlds), first.observation_space, first.action_space)
+        first = self._agents(self.worlds[0])
+        space = first[0].observation_space
+        self._keys = list(space.spaces) if isinstance(space, gym.spaces.Dict) else None
+        super().__init__(len(self.worlds) * len(first), space, first[0].action_space)
+
+    @staticmethod
+    def _agents(world: World) -> Sequence[World]:
+        """Those that the policy acts for in a world, a row each."""
+        return [world]
 
     def reset(self) -> VecEnvObs:
         self._tallies = [Tally() for _ in self.worlds]
@@ -120,7 +126,79 @@ class Copies(VecEnv):
         return [False for _ in self._chosen(indices)]
 
     def _chosen(self, indices: VecEnvIndices) -> Iterable[World]:
-        return [self.worlds[index] for index in self._get_indices(indices)]
+        agents = [agent for world in self.worlds for agent in self._agents(world)]
+        return [agents[index] for index in self._get_indices(indices)]
+
+
+class Teams(Copies):
+    """The same over worlds in which several copies of a robot act under one policy: a row for each, world after world.
+
+    An episode ends for all when it ends for one; for the others it was cut short, and the log says that another copy ended it.
+    """
+
+    @staticmethod
+    def _agents(world: World) -> Sequence[World]:
+        agents: Sequence[World] = world.get_wrapper_attr("members")
+        return agents
+
+    def reset(self) -> VecEnvObs:
+        self._tallies = [Tally() for _ in range(self.num_envs)]
+        for world, seed in zip(self.worlds, self.starts, strict=True):
+            world.reset(seed=seed)
+        agents = [agent for world in self.worlds for agent in self._agents(world)]
+        self.reset_infos = [agent.get_wrapper_attr("get_info")() for agent in agents]
+        return self._stack([_seen(agent) for agent in agents])
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = [], [], [], []
+        size = self.num_envs // len(self.worlds)
+        for index, world in enumerate(self.worlds):
+            first = index * size
+            _, _, terminated, truncated, _ = world.step(self._actions[first : first + size])
+            done = terminated or truncated
+            for row, agent in enumerate(self._agents(world), first):
+                reward, info = float(agent.get_wrapper_attr("get_reward")()), agent.get_wrapper_attr("get_info")()
+                self._tallies[row].add(reward, info)
+                self._on_step()
+                if done:
+                    info = self._ended(index, row, agent, info)
+                rewards.append(reward)
+                dones.append(done)
+                infos.append(info)
+            if done:
+                _, began = self._begin(index)
+                self.reset_infos[first : first + size] = [began] * size
+            observations += [_seen(agent) for agent in self._agents(self.worlds[index])]
+        return self._stack(observations), np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos
+
+    def _ended(self, world: int, row: int, agent: World, info: Mapping[str, Any]) -> dict[str, Any]:
+        terminated, truncated = agent.get_wrapper_attr("is_done")()
+        own = terminated or truncated
+        episode = self._tallies[row].close(info if own else {**info, "ended_by": "another_copy"})
+        self._on_episode(world, episode)
+        return _last_info(info, _seen(agent), episode, timed_out=not terminated)
+
+
+def copies_over(
+    worlds: Sequence[World],
+    seeds: Sequence[int],
+    *,
+    on_step: Callable[[], None] = lambda: None,
+    on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
+    renew: Callable[[int], tuple[World, int] | None] = lambda world: None,
+) -> Copies:
+    """The vector environment that suits the worlds."""
+    kind = Teams if is_team(worlds[0]) else Copies
+    return kind(worlds, seeds, on_step=on_step, on_episode=on_episode, renew=renew)
+
+
+def is_team(world: World) -> bool:
+    """Whether several copies of a robot act in it, each for itself."""
+    return world.has_wrapper_attr("members")
+
+
+def _seen(agent: World) -> Any:
+    return agent.get_wrapper_attr("get_observations")()
 
 
 def _last_info(info: Mapping[str, Any], observation: Any, episode: Episode, *, timed_out: bool) -> dict[str, Any]:

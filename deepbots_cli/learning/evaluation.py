@@ -16,7 +16,7 @@ from deepbots_cli import interface
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario, Solved
 from deepbots_cli.learning import algorithms, video, weights
-from deepbots_cli.learning.environments import BuildWorld, Copies, World
+from deepbots_cli.learning.environments import BuildWorld, World, copies_over
 from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
 from deepbots_cli.learning.rollout import ROWS, rollout
@@ -146,7 +146,7 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
     algorithms.check(training)
-    spaces_only = Copies([world], [0], on_step=lambda: None, on_episode=lambda copy, episode: None)
+    spaces_only = copies_over([world], [0])
     model = algorithms.create(training, spaces_only, seed=0, total_timesteps=1, to_learn=False)
     weights.put(model, weights.read(run.model(name), model))
     model.policy.set_training_mode(False)

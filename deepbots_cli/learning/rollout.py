@@ -16,7 +16,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli.learning import algorithms
-from deepbots_cli.learning.environments import World
+from deepbots_cli.learning.environments import World, is_team
 from deepbots_cli.learning.episodes import Episode, Tally
 from deepbots_cli.runtime.streams import derive
 
@@ -25,7 +25,9 @@ ROWS = 8
 
 
 def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool) -> list[Episode]:
-    """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy only one."""
+    """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one."""
+    if is_team(worlds[0]):
+        return [_team_episode(model, worlds[0], seed, deterministic=deterministic) for seed in seeds]
     together = min(len(worlds), ROWS) if deterministic else 1
     batch = _Batch(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
@@ -41,6 +43,21 @@ def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int],
                     finished[lane.number] = episode
             running = [lane for lane in running if lane.number not in finished or lane.begin(batch)]
     return [finished[number] for number in range(len(seeds))]
+
+
+def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:
+    """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
+    torch.manual_seed(derive(seed, "policy"))
+    observation, _ = world.reset(seed=seed)
+    size, tally = len(world.get_wrapper_attr("members")), Tally()
+    heeds_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+    while True:
+        masks = {"action_masks": world.get_wrapper_attr("action_masks")().reshape(size, -1)} if heeds_masks else {}
+        actions, _ = model.predict(observation, deterministic=deterministic, **masks)
+        observation, reward, terminated, truncated, info = world.step(actions)
+        tally.add(float(reward), info)
+        if terminated or truncated:
+            return tally.close(info)
 
 
 class _Batch:

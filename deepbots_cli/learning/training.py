@@ -23,7 +23,7 @@ from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
 from deepbots_cli.learning.curriculum import Curriculum, StageEnd
-from deepbots_cli.learning.environments import BuildWorld, Copies, World
+from deepbots_cli.learning.environments import BuildWorld, Copies, World, copies_over
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
 from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.interruption import listening
@@ -236,9 +236,7 @@ def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> No
     for stage in ir.curriculum:
         build(stage.scenario).close()
     with closing(build(ir)) as world:
-        copies = Copies(
-            [world] * training.environments, [0] * training.environments, on_step=lambda: None, on_episode=lambda copy, episode: None
-        )
+        copies = copies_over([world] * training.environments, [0] * training.environments)
         algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=_longest_episode(ir))
 
 
@@ -328,7 +326,7 @@ def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, k
     for _ in range(training.environments):
         worlds.append(build(curriculum.scenario))
     seeds = [derive(run.record.seed, "environment", i, *branch) for i in range(training.environments)]
-    return Copies(worlds, seeds, on_step=count_step, on_episode=count_episode, renew=renew)
+    return copies_over(worlds, seeds, on_step=count_step, on_episode=count_episode, renew=renew)
 
 
 def _model(run: Run, training: Training, copies: Copies, statistics: Statistics) -> BaseAlgorithm:
