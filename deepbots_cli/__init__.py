@@ -8,6 +8,7 @@ The way of the data, and the packages along it:
 ir/           the compiled scenario       canonical.py  its JSON and its digest
 task.py       the checked task, before    port.py       what the runtime asks of an engine
 interface.py  what policy and world agree on
+arrays.py     expressions over arrays
 frames.py     rotations and frames        footprint.py  what bodies cover of the ground
 arrays.py     expressions over arrays    terrain/      heights of the ground
 api.py        from scenario to environment

@@ -6,6 +6,7 @@ replay asks for, the heights of a terrain), the tree is walked once and each ope
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
@@ -48,6 +49,11 @@ def _gathering(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     return lambda *terms: reduce(function, terms)
 
 
+def _hypot(*sides: Any) -> Any:
+    """By the function that generated code calls, which rounds otherwise than numpy's: 0.1 us per value."""
+    return np.asarray(np.frompyfunc(math.hypot, len(sides), 1)(*sides), float)
+
+
 def _wrap(angle: Any) -> Any:
     return np.pi - np.mod(np.pi - angle, 2 * np.pi)
 
@@ -66,7 +72,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "abs": np.abs,
     "min": _gathering(np.minimum),
     "max": _gathering(np.maximum),
-    "hypot": lambda *sides: np.abs(reduce(np.hypot, sides)),
+    "hypot": _hypot,
     "sqrt": np.sqrt,
     "exp": np.exp,
     "log": np.log,

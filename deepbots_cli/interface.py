@@ -17,6 +17,9 @@ def interface(ir: CompiledScenario) -> dict[str, str]:
     items: dict[str, str] = {}
     for observed in ir.observation:
         items[f"observation.{observed.full_name}"] = _observed(observed)
+    if ir.goal is not None:
+        for component, low, high in zip(ir.goal.components or ("",), ir.goal.low, ir.goal.high, strict=True):
+            items[f"goal.{component}".rstrip(".")] = _range(low, high, ir.goal.unit)
     if ir.agent.stack > 1:
         items["agent.stack"] = f"{ir.agent.stack} observations in a row"
     for part in ir.action:

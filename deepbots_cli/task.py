@@ -87,6 +87,17 @@ class ObservedValue:
 
 
 @dataclass(frozen=True, eq=False)
+class TaskGoal:
+    """Where the agent has got and shall get, with the bounds of both per component, and how close counts as reached."""
+
+    achieved: Valued
+    desired: Valued
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    within: float
+
+
+@dataclass(frozen=True, eq=False)
 class Forbidden:
     """A condition under which an option of a choice may not be chosen."""
 
@@ -236,6 +247,7 @@ class Task:
     from_robot: TaskRoute = TaskRoute()
     forbidden: tuple[Forbidden, ...] = ()
     disturbances: tuple[Push, ...] = ()
+    goal: TaskGoal | None = None
     cases: tuple[TaskCase, ...] = ()
     curriculum: tuple[TaskStage, ...] = ()
     groups: tuple[TaskGroup, ...] = ()

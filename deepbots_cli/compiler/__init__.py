@@ -14,7 +14,7 @@ bodies.py       objects; colours.py, files.py meshes and pictures
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
-actions.py      what the agent decides; observations.py what it sees
+actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get
 channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
 scoring.py      signals, reward, endings; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
@@ -37,6 +37,7 @@ from deepbots_cli.compiler.actions import Actions
 from deepbots_cli.compiler.channels import is_repeated_as_a_whole, route
 from deepbots_cli.compiler.controllers import Controller
 from deepbots_cli.compiler.disturbances import disturbances
+from deepbots_cli.compiler.goals import Goals
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
@@ -177,20 +178,20 @@ class _Pass:
         scope = ParameterScope(namespace, Context.FIELD)
         for name, robot in spec.robots.items():
             namespace.robots[name] = load_robot(name, robot, self.document, namespace, scope) if self._is_whole(name) else None
-        actions = Actions(spec, namespace)
+        actions, goals = Actions(spec, namespace), Goals(spec, namespace)
         scenes = [scene for scene in namespace.robots.values() if scene is not None]
         controllers = [Controller(scene, namespace) for scene in scenes]
         signals = Signals(spec, namespace)
-        return self._assemble(actions, controllers, signals, scenes)
+        return self._assemble(actions, goals, controllers, signals, scenes)
 
-    def _assemble(self, actions: Actions, controllers: list[Controller], signals: Signals, scenes: list[RobotScene]) -> Task:
+    def _assemble(self, actions: Actions, goals: Goals, controllers: list[Controller], signals: Signals, scenes: list[RobotScene]) -> Task:
         """Ask for everything once; names are typed as they are needed, whatever their order in the file."""
         spec, namespace, values = self.spec, self.namespace, self.values
         for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
             namespace.settle(name)
         world = WorldBuilder(spec, namespace).build(scenes, self.lines)
-        action = actions.parts()
         limits = truncation(spec, namespace)
+        action, rewards = actions.parts(), reward_terms(spec, namespace)
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
         return Task(
             spec.name,
@@ -204,7 +205,7 @@ class _Pass:
             action,
             signals.ordered(),
             Observations(spec, namespace).entries(),
-            reward_terms(spec, namespace),
+            rewards,
             signals.endings(),
             limits,
             beginnings(spec, namespace, world),
@@ -221,6 +222,7 @@ class _Pass:
             route(spec, "from_robot", namespace),
             forbidden=actions.forbidden(),
             disturbances=disturbances(spec, namespace),
+            goal=goals.goal(rewards),
         )
 
     def _define_parameters(self) -> None:

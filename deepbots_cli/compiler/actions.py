@@ -55,9 +55,11 @@ class Actions:
                     found.append(Forbidden(name, option, Valued(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
         return tuple(found)
 
-    def _own_action(self) -> Symbol:
+    def _own_action(self, context: Context) -> Symbol:
         """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
         name = "previous_action"
+        if context is Context.RECEIVE:
+            return Symbol(name, None, refused="it arrives with the action; use the action variable")
         parts = self.parts()
         if not parts:
             return Symbol(name, None, refused=None if self._parts else "the agent does nothing in this scenario")

@@ -21,6 +21,7 @@ from deepbots_cli.task import (
     Placement,
     Push,
     Task,
+    TaskGoal,
     TaskRobot,
     TaskRoute,
     Valued,
@@ -69,6 +70,7 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         tuple(ir.Case(case.name, case.episodes, lower(case.task)) for case in task.cases),
         tuple(ir.Stage(stage.name, stage.until, lower(stage.task)) for stage in task.curriculum),
         tuple(_disturbance(push) for push in task.disturbances),
+        goal=_goal(task.goal),
     )
 
 
@@ -89,6 +91,15 @@ def _redraw(value: Valued, owner: str) -> ir.Redraw | None:
         return None
     period = value.redraw.period
     return ir.Redraw(None if period is None else lang.lower(period, f"{owner}.every")[0])
+
+
+def _goal(goal: TaskGoal | None) -> ir.Goal | None:
+    if goal is None:
+        return None
+    achieved, components = _scalars(goal.achieved), goal.achieved.components
+    desired = _scalars(goal.desired)
+    unit = str(goal.achieved.typed.type.dimension)
+    return ir.Goal(components, achieved, desired * (len(achieved) // len(desired)), goal.low, goal.high, goal.within, unit)
 
 
 def _action(task: Task) -> tuple[ir.Choices | ir.Interval, ...]:

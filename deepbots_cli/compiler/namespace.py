@@ -16,7 +16,7 @@ from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.ir import Variation
 from deepbots_cli.lang.intervals import EVERYTHING, exact
-from deepbots_cli.lang.types import Kind, Subject, Symbol
+from deepbots_cli.lang.types import Context, Kind, Subject, Symbol
 from deepbots_cli.source import Document
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskGroup, Varied
@@ -33,6 +33,7 @@ class Origin(Enum):
     AUGMENT = "an augmentation"
     SIGNAL = "a signal"
     ENDING = "an ending"
+    GOAL = "a part of the goal"
     ROBOT = "a robot"
     OBJECT = "an object"
     LINE = "a line"
@@ -72,7 +73,7 @@ class Namespace:
         """Figures that are drawn anew in every episode, in the order in which they were found."""
         self.colours: list[Variation] = []
         """The same for colours."""
-        self.built_in: dict[str, Callable[[], Symbol]] = {}
+        self.built_in: dict[str, Callable[[Context], Symbol]] = {}
         """Names that the language gives, and whose type the scenario decides."""
         self._open: list[Definition] = []
 

@@ -16,9 +16,9 @@ from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol, Type
 
 _ENDLESS = Interval(0.0, float("inf"))
 _FLAGS = ("terminated", "truncated", "ended")
-_LATER = ("goal_reached",)
 _ACCOUNTS = ("previous_reward", "episode_return")
-_BUILT_IN = ("time", "step", "previous_action", *_ACCOUNTS, *_FLAGS, *_LATER)
+GOAL_IS_LATE = "the goal is settled after the signals, and seen by endings and rewards only"
+_BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_ACCOUNTS, *_FLAGS)
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,8 @@ class SupervisorScope:
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in (Context.REWARD, Context.ENDING):
             return Symbol(name, None, refused="endings are settled after the signals; use the condition itself")
+        if origin is Origin.GOAL and self.context not in (Context.REWARD, Context.ENDING):
+            return Symbol(name, None, refused=GOAL_IS_LATE)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
         if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_broken(name):
@@ -74,14 +76,12 @@ class SupervisorScope:
         if name in _ACCOUNTS:
             return Symbol(name, Type(NUMBER, stage=Stage.STEP))
         if name in self.namespace.built_in:
-            if self.context is Context.RECEIVE:
-                return Symbol(name, None, refused="it arrives with the action; use the action variable")
-            return self.namespace.built_in[name]()
+            return self.namespace.built_in[name](self.context)
         if name in _FLAGS:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
             return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
-        if name in _LATER:
-            return Symbol(name, None, later=True)
+        if name == "goal_reached":
+            return Symbol(name, None, refused=None if self.namespace.is_broken("goal") else "this scenario has no `goal`")
         return None
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:

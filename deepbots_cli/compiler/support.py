@@ -22,7 +22,6 @@ LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("objects", "*"), "one_of"),
     (("robots", "*"), "count"),
     (("agent",), "each"),
-    ((), "goal"),
     (("reset",), "layout"),
     (("reset",), "layouts"),
 )

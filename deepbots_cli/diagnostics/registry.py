@@ -65,6 +65,7 @@ _CATALOGUE = (
     Rule("DB609", "privileged-observation", "warning", "the policy sees what no robot measures, and what `augment` does not grant"),
     Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm that cannot act in the declared action space"),
     Rule("DB613", "case-changes-interface", "error", "a case or stage in which the policy would see, do or send something else"),
+    Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
 )

@@ -6,6 +6,7 @@
     ├── parameters    values drawn per episode or more often (fixed ones are folded into the expressions)
     ├── action, agent what the agent chooses, which variables that sets, for how many ticks
     ├── signals       augmentation and helpers, in order of evaluation
+    ├── goal          where it has got and shall get
     ├── observation   one entry per number of a frame of what the policy sees
     ├── reward, endings, truncation, reset, disturbances
     ├── training, evaluation, solved
@@ -44,6 +45,7 @@ from deepbots_cli.ir.task import (
     Agent,
     Choices,
     Ending,
+    Goal,
     Interval,
     Noise,
     Observed,
@@ -111,6 +113,7 @@ __all__ = [
     "Faults",
     "Field",
     "Formula",
+    "Goal",
     "Ground",
     "Group",
     "Hindsight",
@@ -194,6 +197,7 @@ class CompiledScenario:
     cases: tuple[Case, ...] = ()
     curriculum: tuple[Stage, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
+    goal: Goal | None = None
     version: int = IR_VERSION
 
     @property

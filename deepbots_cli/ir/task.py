@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
 
 Outcome = Literal["success", "failure"]
 
@@ -103,6 +103,32 @@ def own_action(action: Sequence[Choices | Interval]) -> tuple[str, ...]:
         alone = len(action) == 1 or not inner
         names += [part.name] if not inner else inner if alone else [f"{part.name}_{name}" for name in inner]
     return tuple(names) if len(set(names)) == len(names) else tuple(str(number + 1) for number in range(len(names)))
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the agent has got and where it shall get, told apart from the observation; one value per component, or one.
+
+    The policy sees both mapped from [low, high] to [-1, 1] and clipped. The names `achieved` and `desired`
+    mean what is left of them there, so that a reward can be recomputed from what was seen.
+    """
+
+    components: tuple[str, ...]
+    achieved: tuple[Scalar, ...]
+    desired: tuple[Scalar, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    within: float
+    unit: str
+
+    def names(self, which: Literal["achieved", "desired"]) -> tuple[Name, ...]:
+        return tuple(Name(which, component) for component in self.components or (None,))
+
+    @property
+    def reached(self) -> Scalar:
+        """Whether the two are `within` of each other."""
+        apart = tuple(Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True))
+        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.within)))
 
 
 @dataclass(frozen=True)

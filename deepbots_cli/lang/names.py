@@ -25,8 +25,6 @@ def reference(node: syntax.Name, scope: Scope, report: Report) -> Typed | None:
             continue
         if symbol.refused is not None:
             report("DB407", node.start, node.end, f"`{symbol.name}` has no value here", symbol.refused)
-        if symbol.later:
-            report("DB108", node.start, node.end, f"`{symbol.name}` is not supported yet", NOT_YET)
         if symbol.type is None:
             return None
         value: Typed | None = Reference(symbol.type, node.start, node.end, symbol)

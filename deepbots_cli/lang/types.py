@@ -62,15 +62,13 @@ class Symbol(NamedTuple):
     """A named value. `type` None marks one whose own definition is broken: using it is no further fault.
 
     `value` holds SI numbers, one per component, where the value is fixed and known; it is folded.
-    `refused` says why the name, which exists, has no value in this place; `later` that it has none
-    in this version.
+    `refused` says why the name, which exists, has no value in this place.
     """
 
     name: str
     type: Type | None
     value: tuple[float | bool, ...] | None = None
     refused: str | None = None
-    later: bool = False
 
 
 class Kind(StrEnum):

@@ -8,6 +8,7 @@ channel.py     the path of messages, radio.py one that is not perfect; messages.
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
 streams.py     named random streams under one root seed
+hindsight.py   rewards for other goals, for hindsight replay
 spaces.py      action and observation spaces; view.py a camera that sees the whole scene
 load.py        generated text to a module whose tracebacks show its lines
 

@@ -12,13 +12,19 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, viewed
 
 
-def observation_space(scenario: CompiledScenario) -> gym.Space[NDArray[np.float32]]:
-    """One float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value, without bounds if it is not clipped."""
+def observation_space(scenario: CompiledScenario) -> gym.Space[Any]:
+    """One float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value, without bounds if it is not clipped.
+
+    With a goal, that stands as `observation` in a Dict beside `achieved_goal` and `desired_goal`.
+    """
     entries = [scenario.observation[index] for index, _ in viewed(scenario.observation, scenario.agent.stack)]
     low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
     high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
-    box: gym.Space[Any] = gym.spaces.Box(low, high, dtype=np.float32)
-    return box
+    box = gym.spaces.Box(low, high, dtype=np.float32)
+    if scenario.goal is None:
+        return box
+    goal = gym.spaces.Box(-1.0, 1.0, (len(scenario.goal.low),), np.float32)
+    return gym.spaces.Dict({"observation": box, "achieved_goal": goal, "desired_goal": goal})
 
 
 def views(scenario: CompiledScenario) -> NDArray[np.intp]:

@@ -16,6 +16,7 @@ from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.ir import Choices, CompiledScenario, MessageLayout
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.channel import channel
+from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import codec, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.spaces import action_space, observation_space, views
@@ -76,6 +77,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.views = views(scenario)
         self.depth = len(self.views)
         self.frames = np.zeros(self.depth * len(scenario.observation), np.float32)
+        self.goal = np.zeros(2 * len(scenario.goal.low) if scenario.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self._closed = False
@@ -175,6 +177,19 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """The same as `action_space.sample` takes it."""
         masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
         return masks[0] if isinstance(self.action_space, gym.spaces.Discrete) else masks
+
+    def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
+        """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a number.
+
+        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which Stable-Baselines3 tells them.
+
+        Raises:
+            UsageError: The scenario has no goal, or the arrays do not fit it.
+        """
+        achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
+        if achieved.ndim == 1:
+            return recomputed(self.scenario, achieved[None], np.atleast_2d(desired)).item()
+        return recomputed(self.scenario, achieved, desired)
 
     # What the compiler prints
 

@@ -39,7 +39,8 @@ def as_bytes(transition: Transition) -> bytes:
     observation, reward, terminated, truncated, info = transition
     terms = struct.pack(f"<{len(info['reward_terms'])}d", *info["reward_terms"].values())
     said = json.dumps([terminated, truncated, info["is_success"], info["ended_by"], info["endings"], list(info["reward_terms"])])
-    return np.asarray(observation).tobytes() + struct.pack("<d", reward) + terms + said.encode()
+    parts = observation.values() if isinstance(observation, dict) else [observation]
+    return b"".join(np.asarray(part).tobytes() for part in parts) + struct.pack("<d", reward) + terms + said.encode()
 
 
 def record(environment: Supervisor, seed: int, steps: int = 60) -> list[bytes]:

@@ -5,7 +5,7 @@ supervisor.py  the supervisor class, whose methods are printed by
   reset.py       what an episode varies and how it begins; placing.py how bodies look for a place,
                  variations.py the statement of each figure that varies
   pushes.py      disturbances
-  step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py), observation.py, masks.py
+  step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py, goal.py), observation.py, masks.py
   redraws.py     parameters and figures of routes, drawn at a reset and within an episode
   readings.py    the paper's methods, which read what a step left
 workspace.py   what these share: names and readers

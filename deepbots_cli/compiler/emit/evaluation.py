@@ -1,11 +1,12 @@
 """Prints what is computed after physics and messages: signals, endings, truncation, reward, observation, masks.
 
-The order is the language's: signals once, then terminations, truncation, rewards (which see the
+The order is the language's: signals and the goal once, then terminations, truncation, rewards (which see the
 endings), then the observation. Failure beats success; terminated beats truncated.
 """
 
 from __future__ import annotations
 
+from deepbots_cli.compiler.emit.goal import print_goal
 from deepbots_cli.compiler.emit.limits import tick_limit
 from deepbots_cli.compiler.emit.masks import print_masks
 from deepbots_cli.compiler.emit.observation import print_observation
@@ -24,6 +25,7 @@ def print_evaluation(space: Workspace, printer: Printer) -> None:
     for entry in space.scenario.signals:
         for component, value in zip(entry.components or (None,), entry.values, strict=True):
             printer.assign(space.local(entry.name, component), value)
+    print_goal(space, printer)
     _print_endings(space, printer)
     if not printer.starting:
         _print_truncation(space, printer)
@@ -57,6 +59,8 @@ def _print_truncation(space: Workspace, printer: Printer) -> None:
         count, name = limit
         printer.line(f"{'elif' if space.scenario.endings else 'if'} {space.tick} >= {count}:")
         printer.line(f"    self._truncate({quoted(name)})")
+        if space.scenario.goal is not None and not any(ending.outcome == "success" for ending in space.scenario.endings):
+            printer.line(f"    self.is_success = {space.local('goal_reached')}")
 
 
 def _print_rewards(space: Workspace, printer: Printer) -> None:

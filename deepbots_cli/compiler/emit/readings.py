@@ -12,6 +12,10 @@ def readings(space: Workspace) -> list[list[str]]:
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in _histories(scenario).items()])
     seen += f"; {scenario.agent.stack} times in a row" if scenario.agent.stack > 1 else ""
     code = "self.frames.take(self.views[self.newest])" if space.remembers else "self.observed.copy()"
+    if scenario.goal is not None:
+        size = len(scenario.goal.low)
+        code = f'{{"observation": {code}, "achieved_goal": self.goal[:{size}].copy(), "desired_goal": self.goal[{size}:].copy()}}'
+        seen += "; and what is achieved and desired"
     summands = sentence_list([term.name for term in scenario.reward])
     ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
     limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.action import choice_tables
+from deepbots_cli.compiler.emit.goal import compute_reward
 from deepbots_cli.compiler.emit.masks import allowed
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.compiler.emit.pushes import bind_pushes, drawing
@@ -21,8 +22,8 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
     controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
     lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
     lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *choice_tables(space), ""])
-    methods = (_bind(space), begin(space), drawing(space), start(space), advance(space), *readings(space), allowed(space))
-    for method in methods:
+    asked = (*readings(space), allowed(space), compute_reward(space))
+    for method in (_bind(space), begin(space), drawing(space), start(space), advance(space), *asked):
         lines += indent(method)
     return lines
 
@@ -32,4 +33,6 @@ def _bind(space: Workspace) -> list[str]:
     if is_arranged(space.scenario.reset):
         lines.append("self.bodies = Arrangement(self.scenario, engine)")
     lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
+    if space.scenario.goal is not None:
+        lines.append(f'self.pack_goal = Struct("{2 * len(space.scenario.goal.low)}f").pack_into')
     return block("def bind(self, engine: Any) -> None:", lines)

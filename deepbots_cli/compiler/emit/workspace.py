@@ -27,6 +27,8 @@ class Workspace:
         choices = [part for part in scenario.action if isinstance(part, Choices)]
         self._conditions = [option.forbidden for part in choices for option in part.options if option.forbidden is not None]
         self.evaluated += self._conditions
+        if scenario.goal is not None:
+            self.evaluated += [*scenario.goal.achieved, *scenario.goal.desired]
         self.sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
         required = scenario.reset.require
         self.reads = Reads([*self.evaluated, *self.sent, *([] if required is None else [required])], self.names)

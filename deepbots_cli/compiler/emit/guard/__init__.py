@@ -7,7 +7,7 @@ outside of quotes must be an identifier of the language or an entry of a table.
 expressions.py  nodes: operations, functions, draws, facts       scopes.py   names in expressions
 figures.py      counts, figures, what an episode varies          sensing.py  sensors
 actuation.py    actuators, disturbances                          places.py   where bodies begin
-world.py        terrain, lines, colours
+world.py        terrain, lines, colours                          policy.py   what is seen, the goal
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from deepbots_cli.compiler.emit.guard.actuation import require_actuators, requir
 from deepbots_cli.compiler.emit.guard.expressions import require_known_nodes
 from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_routes, require_variations
 from deepbots_cli.compiler.emit.guard.places import require_places
+from deepbots_cli.compiler.emit.guard.policy import require_view
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
 from deepbots_cli.compiler.emit.guard.sensing import require_sensors
 from deepbots_cli.compiler.emit.guard.world import require_world
@@ -45,6 +46,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_known_nodes(scenario)
     require_figures(scenario)
     require_routes(scenario)
+    require_view(scenario)
     require_counts(scenario)
     require_variations(scenario)
     require_world(scenario)

@@ -22,6 +22,12 @@ def require_known_names(scenario: CompiledScenario) -> None:
     acted = [pair for part in scenario.action for pair in action_variables(part)]
     endings = [(ending.name, None) for ending in scenario.endings]
     known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
+    if scenario.goal is not None:
+        reached = {(name.name, name.component) for name in (*scenario.goal.names("achieved"), *scenario.goal.names("desired"))}
+        reached.add(("goal_reached", None))
+        _require_in([(scenario.goal.achieved, scenario.goal.desired)], known - {*endings})
+        _require_in([scenario.reward], reached)
+        known |= reached
     known |= {("previous_action", component) for component in own_action(scenario.action)}
     _require_parameters(scenario)
     _require_senders(scenario)
