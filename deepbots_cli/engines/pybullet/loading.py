@@ -105,7 +105,14 @@ def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, in
 
 
 def _make_contact(client: int, body: Body) -> None:
-    """One property per call: two in one went to the root link."""
+    """One property per call: two in one went to the root link.
+
+    What bounces is met where it touches. The solver otherwise begins to brake while there is still room, and of a bounce
+    of 0.8 between 0.06 and 0.82 was left, at 1 ms a step; met where it touches, 0.82 to 0.88.
+    """
     for link in body.model.links:
-        for what, value in contact_figures(link.friction).items():
+        figures = contact_figures(link.friction)
+        if figures["restitution"] > 0.0:
+            figures["contactProcessingThreshold"] = 0.0
+        for what, value in figures.items():
             p.changeDynamics(body.number, body.links[link.name], **{what: value}, physicsClientId=client)
