@@ -158,7 +158,7 @@ def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | 
         from gymnasium.envs.registration import EnvSpec
 
         from deepbots_cli import engines
-        from deepbots_cli.runtime import load_module
+        from deepbots_cli.runtime import assemble, load_module
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.canonical import digest
@@ -168,7 +168,7 @@ def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | 
     code = emit(ir)
     name = class_name(ir.name)
     module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(ir)[:12]}>")
-    environment: Supervisor = vars(module)[f"{name}Supervisor"](ir, engines.create(engine, ir.world), render_mode)
+    environment = assemble(vars(module)[f"{name}Supervisor"], ir, partial(engines.create, engine), render_mode)
     environment.rebuild = partial(build, ir, engine=engine, render_mode=render_mode)
     environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=partial(build, ir), kwargs={"engine": engine, "render_mode": render_mode})
     return environment

@@ -67,6 +67,7 @@ def _scenario(scenario: CompiledScenario, digest: str) -> Row:
         "action_space": _space(scenario),
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
+        "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.agent.each) else None,
         "solved": _solved(scenario),
     }
 

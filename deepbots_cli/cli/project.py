@@ -36,6 +36,7 @@ from pathlib import Path
 
 from deepbots_cli import api, canonical, engines
 from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.runtime import Supervisor, assemble
 from environment import {supervisor}
 
 HERE = Path(__file__).parent
@@ -45,9 +46,9 @@ def scenario() -> CompiledScenario:
     return canonical.from_json((HERE / "scenario.json").read_text(encoding="utf-8"))
 
 
-def make(ir: CompiledScenario, *, render_mode: str | None = None) -> {supervisor}:
+def make(ir: CompiledScenario, *, render_mode: str | None = None) -> Supervisor:
     """The environment: a Gymnasium environment like any other."""
-    return {supervisor}(ir, engines.create("pybullet", ir.world), render_mode)
+    return assemble({supervisor}, ir, lambda world: engines.create("pybullet", world), render_mode)
 
 
 def compiled() -> api.Compiled:

@@ -15,6 +15,7 @@ robots.py       robot files, overrides.py their changes, matching.py patterns an
 controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get
+copies.py       several of one robot under one policy
 channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
 scoring.py      signals, reward, endings; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
@@ -36,6 +37,7 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.actions import Actions
 from deepbots_cli.compiler.channels import is_repeated_as_a_whole, route
 from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.copies import copies
 from deepbots_cli.compiler.disturbances import disturbances
 from deepbots_cli.compiler.goals import Goals
 from deepbots_cli.compiler.inputs import Inputs
@@ -217,7 +219,7 @@ class _Pass:
             frozenset(spec.augment),
             tuple(namespace.variations),
             tuple(namespace.colours),
-            ir.Agent(spec.agent.repeat, spec.agent.stack),
+            ir.Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace)),
             route(spec, "to_robot", namespace),
             route(spec, "from_robot", namespace),
             forbidden=actions.forbidden(),

@@ -20,8 +20,6 @@ ACTUATED = frozenset({"velocity_motor", "position_motor", "torque_motor", "thrus
 LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("objects", "*"), "count"),
     (("objects", "*"), "one_of"),
-    (("robots", "*"), "count"),
-    (("agent",), "each"),
     (("reset",), "layout"),
     (("reset",), "layouts"),
 )

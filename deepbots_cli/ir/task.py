@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Literal
 
 from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
+from deepbots_cli.urdf.model import Vector
 
 Outcome = Literal["success", "failure"]
 
@@ -162,12 +163,25 @@ class Truncation:
 
 
 @dataclass(frozen=True)
+class Copies:
+    """Copies of a robot that share one world and one policy; all else in the scenario is said of one of them.
+
+    They stand in a row around the place of the robot, each `spacing` (m) from the one before.
+    """
+
+    robot: str
+    count: int
+    spacing: Vector
+
+
+@dataclass(frozen=True)
 class Agent:
     """How the policy is joined to the scenario.
 
     One action of the agent is held for `repeat` control ticks, which make one step; it sees `stack`
-    observations in a row.
+    observations in a row. `each` lets it act for every copy of a robot.
     """
 
     repeat: int = 1
     stack: int = 1
+    each: Copies | None = None

@@ -7,6 +7,7 @@ placement/     where bodies stand when an episode begins
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
+team.py        copies of a robot in one world, share.py what each sees of the engine
 streams.py     named random streams under one root seed
 hindsight.py   rewards for other goals, for hindsight replay
 spaces.py      action and observation spaces; view.py a camera that sees the whole scene
@@ -22,6 +23,7 @@ from deepbots_cli.runtime.messages import MALFORMED
 from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
+from deepbots_cli.runtime.team import assemble
 from deepbots_cli.urdf.rotation import quaternion
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "RobotController",
     "Supervisor",
     "Thrust",
+    "assemble",
     "clipped",
     "load_module",
     "quaternion",

@@ -20,15 +20,20 @@ def derive(root: int, *names: str | int) -> int:
 class Streams:
     """The random generators of one environment, made when first asked for."""
 
-    def __init__(self, root: int | None) -> None:
-        """`root` None takes a seed from the operating system."""
+    def __init__(self, root: int | None, copy: str = "") -> None:
+        """`root` None takes a seed from the operating system.
+
+        The streams of a `copy` of a robot, such as `cart#2`, are its own, apart from those of parameters.
+        """
+        self.copy = copy
         self.root = int(np.random.SeedSequence().generate_state(1)[0]) if root is None else int(root)
         self._generators: dict[str, np.random.Generator] = {}
 
     def __getitem__(self, name: str) -> np.random.Generator:
         generator = self._generators.get(name)
         if generator is None:
-            seed = np.random.SeedSequence(_words(f"{self.root}/{name}"))
+            own = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
+            seed = np.random.SeedSequence(_words(f"{self.root}/{own}{name}"))
             generator = self._generators[name] = np.random.Generator(np.random.PCG64(seed))
         return generator
 

@@ -98,6 +98,12 @@ class Supervisor(gym.Env[Observation, Any], ABC):
                 setattr(self, f"encode_to_{spec.name}", codec(spec.to_robot, scenario.format).encode)
                 setattr(self, f"decode_from_{spec.name}", codec(spec.from_robot, scenario.format).decode)
 
+    def begin_robots(self) -> None:
+        """Controllers and channels forget the last episode."""
+        for spec in self.scenario.robots:
+            for part in (f"robot_{spec.name}", f"to_{spec.name}", f"from_{spec.name}"):
+                getattr(self, part).begin(self.streams)
+
     # Gymnasium
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
@@ -119,10 +125,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._forget()
         try:
             self._begin()
-            for spec in self.scenario.robots:
-                getattr(self, f"robot_{spec.name}").begin(self.streams)
-                getattr(self, f"to_{spec.name}").begin(self.streams)
-                getattr(self, f"from_{spec.name}").begin(self.streams)
+            self.begin_robots()
             self._start()
         except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error
@@ -225,8 +228,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """Receive the first messages and compute what the first observation needs."""
 
     @abstractmethod
-    def _advance(self, action: Any) -> None:
-        """One tick: act, let the world go on, receive, and compute all that is read afterwards."""
+    def _advance(self, action: Any) -> Any:
+        """One tick: act, let the world go on, receive, and compute all that is read afterwards.
+
+        That of a copy in a team is a generator, which waits wherever the world goes on.
+        """
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
         """Give a fault of a sensor the figures of this episode."""

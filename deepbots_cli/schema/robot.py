@@ -67,6 +67,9 @@ class Robot(Part):
     )
     pose: Pose = Field(default_factory=Pose, description="Where it stands unless `reset` places it.")
     count: DrawnCount = Field(default=1, description="How many copies there are; the name then names a group.")
+    spacing: Annotated[Scalar, Quantity("length", components=3)] | None = Field(
+        default=None, description="The way from each copy to the next, x y z; the copies stand in a row around the place of the robot."
+    )
     links: dict[LinkPattern, LinkOverride] = Field(default={}, description="Changes of links, by name or pattern such as `wheel_*`.")
     joints: dict[JointPattern, JointOverride] = Field(default={}, description="Changes of joints, by name or pattern.")
     groups: dict[LocalName, Annotated[Many[Annotated[str, Pattern("joint or link")]], Size(1, "name")]] = Field(

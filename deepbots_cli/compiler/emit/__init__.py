@@ -62,6 +62,8 @@ def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
     ]
     if used_math:
         lines.append(f"from math import {', '.join(used_math)}")
+    if "Iterator" in words:
+        lines.insert(-1 if used_math else len(lines), "from collections.abc import Iterator")
     return [*lines, "from struct import Struct", "from typing import Any", "", f"from deepbots_cli.runtime import {', '.join(runtime)}"]
 
 

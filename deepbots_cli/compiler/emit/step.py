@@ -38,7 +38,7 @@ def advance(space: Workspace) -> list[str]:
         printer.line('"""One tick: act, let the world go on, receive, and compute all that is read afterwards."""')
         _print_acting(space, printer)
         _print_tick(space, printer)
-        return block("def _advance(self, action: Any) -> None:", printer.lines)
+        return block(f"def _advance(self, action: Any) -> {_result(space)}:", printer.lines)
     repeat, acting = space.scenario.agent.repeat, _acting(space)
     printer.line(f'"""Hold an action for {repeat} ticks; the reward is the sum over them."""')
     _print_acting(space, printer)
@@ -46,7 +46,7 @@ def advance(space: Workspace) -> list[str]:
         printer.line("self.previous_reward = self.reward")
     printer.line(f"self.reward = {' = '.join(f'self.term_{term.name}' for term in space.scenario.reward)} = 0.0")
     printer.line(f"for _ in range({repeat}):")
-    printer.line(f"    self._tick({', '.join(acting)})")
+    printer.line(f"    {'yield from ' if space.shares else ''}self._tick({', '.join(acting)})")
     printer.line("    if self.terminated or self.truncated:")
     printer.line("        break")
     steps = space.scenario.truncation.max_steps
@@ -59,9 +59,13 @@ def advance(space: Workspace) -> list[str]:
     _print_tick(space, ticking)
     arguments = ", ".join(["self", *(f"{name}: float" for name in acting)])
     return [
-        *block("def _advance(self, action: Any) -> None:", printer.lines),
-        *block(f"def _tick({arguments}) -> None:", ticking.lines),
+        *block(f"def _advance(self, action: Any) -> {_result(space)}:", printer.lines),
+        *block(f"def _tick({arguments}) -> {_result(space)}:", ticking.lines),
     ]
+
+
+def _result(space: Workspace) -> str:
+    return "Iterator[None]" if space.shares else "None"
 
 
 def _acting(space: Workspace) -> list[str]:
@@ -84,7 +88,10 @@ def _print_acting(space: Workspace, printer: Printer) -> None:
 def _print_tick(space: Workspace, printer: Printer) -> None:
     for robot in space.scenario.robots:
         print_delivering(space, printer, robot)
-    printer.line(f"self.physics({space.scenario.world.substeps})")
+    if space.shares:
+        printer.line("yield  # the world goes on when every copy has acted")
+    else:
+        printer.line(f"self.physics({space.scenario.world.substeps})")
     for robot in space.scenario.robots:
         print_receiving(space, printer, robot, first=False)
     print_evaluation(space, printer)

@@ -57,6 +57,11 @@ class Workspace:
         return bool(self._conditions)
 
     @property
+    def shares(self) -> bool:
+        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
+        return self.scenario.agent.each is not None
+
+    @property
     def tick(self) -> str:
         """Code that counts the ticks of the episode."""
         return "self.tick_count" if self.repeats else "self.step_count"

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.actuation import require_actuators, require_disturbances
 from deepbots_cli.compiler.emit.guard.expressions import require_known_nodes
-from deepbots_cli.compiler.emit.guard.figures import require_counts, require_figures, require_routes, require_variations
+from deepbots_cli.compiler.emit.guard.figures import require_copies, require_counts, require_figures, require_routes, require_variations
 from deepbots_cli.compiler.emit.guard.places import require_places
 from deepbots_cli.compiler.emit.guard.policy import require_view
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
@@ -46,6 +46,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_known_nodes(scenario)
     require_figures(scenario)
     require_routes(scenario)
+    require_copies(scenario)
     require_view(scenario)
     require_counts(scenario)
     require_variations(scenario)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.compiler.emit.reset import is_arranged
 from deepbots_cli.compiler.emit.text import flat
 from deepbots_cli.compiler.emit.variations import SETTERS
 from deepbots_cli.ir import MOST_BODIES, MOST_SETTLING_STEPS, MOST_SUBSTEPS, Choices, CompiledScenario
@@ -59,6 +60,19 @@ def require_figures(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"more than {MOST_BODIES} bodies")
     if scenario.truncation.max_steps is None and scenario.truncation.max_time is None:
         raise CanonicalError("episodes without a limit")
+
+
+def require_copies(scenario: CompiledScenario) -> None:
+    """Copies are of the one robot that there is, each in its place in the row, and no more than a world may hold."""
+    copies, world = scenario.agent.each, scenario.world
+    if copies is None:
+        return
+    if [robot.name for robot in scenario.robots] != [copies.robot] or [robot.name for robot in world.robots] != [copies.robot]:
+        raise CanonicalError(f"copies of {copies.robot[:40]!r}, which is not the one robot")
+    if not 1 <= copies.count <= MOST_BODIES - len(world.objects) or not all(abs(step) < 1e6 for step in copies.spacing):
+        raise CanonicalError(f"{copies.count} copies")
+    if is_arranged(scenario.reset):
+        raise CanonicalError("copies that look for their places")
 
 
 def require_routes(scenario: CompiledScenario) -> None:

@@ -1,0 +1,67 @@
+"""Copies of a robot that share one world and one policy."""
+
+from __future__ import annotations
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.values import Values
+from deepbots_cli.lang.dimensions import LENGTH, NUMBER
+from deepbots_cli.lang.names import NOT_YET
+from deepbots_cli.lang.types import SPACE, Context
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import Path, descend
+
+_TOGETHER: tuple[tuple[Path, str], ...] = (
+    (("goal",), "a goal"),
+    (("world", "terrain"), "terrain"),
+    (("reset", "require"), "`require`"),
+    (("reset", "layout"), "layouts"),
+)
+
+
+def copies(spec: Scenario, namespace: Namespace) -> ir.Copies | None:
+    """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
+    name, values = spec.agent.each, namespace.values
+    for robot, given in spec.robots.items():
+        if "count" in given.model_fields_set and robot != name:
+            headline = f"copies of `{robot}` without a policy for each are not supported yet"
+            help = f"write `agent: {{each: {robot}}}`, which lets one policy act for every copy"
+            values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
+    if name is None:
+        return None
+    if name not in spec.robots:
+        values.unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
+        return None
+    _refuse_others(spec, name, namespace)
+    path, scope = ("robots", name), ParameterScope(namespace, Context.FIXED)
+    robot_spec = spec.robots[name]
+    count = values.number((*path, "count"), robot_spec.count, NUMBER, scope)
+    if robot_spec.spacing is None:
+        help = f"say how far they stand apart, as in `robots.{name}.spacing: 0 0.5 0 m`"
+        values.findings.add("DB102", values.span(("agent", "each")), f"the copies of `{name}` have no `spacing`", help=help)
+        return None
+    spacing = values.numbers((*path, "spacing"), robot_spec.spacing, LENGTH, SPACE, scope)
+    if count is None or spacing is None:
+        return None
+    if not 1 <= count <= ir.MOST_BODIES:
+        values.findings.add("DB105", values.span((*path, "count")), f"{count:g} copies", help=f"give 1 to {ir.MOST_BODIES}")
+        return None
+    x, y, z = spacing
+    return ir.Copies(name, int(count), (x, y, z))
+
+
+def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
+    """DB108 for what would have to be agreed upon between the copies."""
+    values, paths = namespace.values, list(_TOGETHER)
+    paths += [(("robots", other), f"the robot `{other}`") for other in spec.robots if other != name]
+    paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.model_fields_set]
+    paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
+    for path, what in paths:
+        if _stands(path, values):
+            values.findings.add("DB108", values.key_span(path), f"{what} beside copies of `{name}` is not supported yet", help=NOT_YET)
+
+
+def _stands(path: Path, values: Values) -> bool:
+    """Whether the file holds this key."""
+    return descend(values.root, path)[2] == len(path)

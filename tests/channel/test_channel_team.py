@@ -1,0 +1,240 @@
+"""Copies of a robot in one world under one policy: each as if it were alone, all of them together one environment."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from deepbots_cli import api
+from deepbots_cli.canonical import CanonicalError, from_json, to_json
+from deepbots_cli.compiler.emit import emit
+from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
+from deepbots_cli.ir import Copies
+from deepbots_cli.runtime.team import Team
+
+TEAM = Path(__file__).parent / "team.yaml"
+RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
+ASIDE = (0.0, 1.0, 0.0)
+CALM = "reset.set={cart.hinge: 0.02 rad}"
+Make = Callable[..., Team]
+
+
+@pytest.fixture
+def team() -> Iterator[Make]:
+    opened: list[Any] = []
+
+    def make(*sets: str, engine: str = "exact", source: Path = TEAM) -> Any:
+        opened.append(api.make(source, sets=sets, engine=engine))
+        return opened[-1]
+
+    yield make
+    for environment in opened:
+        environment.close()
+
+
+def rows(environment: Team, steps: int, seed: int | None = 0) -> list[Any]:
+    """All that an episode gives, with one action for all that changes every five steps, and other ones for the last copy."""
+    given: list[Any] = [environment.reset(seed=seed)]
+    for step in range(steps):
+        action = np.array([step // 5 % 2] * (environment.copies.count - 1) + [step // 3 % 2])
+        given.append(environment.step(action))
+        if given[-1][2] or given[-1][3]:
+            break
+    return given
+
+
+def as_bytes(given: list[Any]) -> bytes:
+    return pickle.dumps([(row[0].tobytes(), row[1:-1], row[-1]) for row in given])
+
+
+def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
+    environment = team()
+    assert environment.observation_space.shape == (3, 4)
+    assert environment.action_space == gym.spaces.MultiDiscrete([2, 2, 2])
+    observation, info = environment.reset(seed=0)
+    assert observation in environment.observation_space
+    assert info["each"] == {"reward": (0.0,) * 3, "terminated": (False,) * 3, "is_success": (False,) * 3}
+    wide = team("action={drive: -1 .. 1, other: -1 .. 1}")
+    assert (wide.action_space.shape, wide.members[0].action_space.shape) == ((3, 2), (2,))
+    both = team("action={drive: {choices: {a: 1, b: -1}}, other: {choices: {a: 1, b: 2, c: 3}}}")
+    assert both.action_space.shape == (3, 2)
+    both.reset(seed=0)
+    both.step(both.action_space.sample())
+
+
+@pytest.mark.parametrize("engine", ["exact", "pybullet"])
+@pytest.mark.parametrize(
+    "sets", [(), ("messages.format=csv", "messages.timing=paper"), ("agent={each: cart, repeat: 3, stack: 2}", "termination={}")]
+)
+def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, sets: tuple[str, ...]) -> None:
+    together, alone = (
+        team(CALM, *sets, engine=engine),
+        team(CALM, *(text.replace("each: cart, ", "") for text in sets), source=RAIL, engine=engine),
+    )
+    seen = [observation for observation, *_ in rows(together, 12)]
+    for copy in range(3):
+        observation = alone.reset(seed=0)[0]
+        for step, row in enumerate(seen):
+            assert np.allclose(row[copy], observation, atol=1e-6 if engine == "pybullet" else 1e-12)
+            observation = alone.step(step // 5 % 2 if copy < 2 else step // 3 % 2)[0]
+
+
+def test_copies_stand_in_a_row_around_the_place_of_the_robot(team: Make) -> None:
+    environment = team("robots.cart.count=4", "robots.cart.spacing=0.5 1 0 m", "robots.cart.pose={x: 1 m}")
+    environment.reset(seed=0)
+    places = [member.engine.pose("cart")()[0] for member in environment.members]
+    assert places == [(0.25, -1.5, 0.0), (0.75, -0.5, 0.0), (1.25, 0.5, 0.0), (1.75, 1.5, 0.0)]
+
+
+def test_the_episode_ends_for_all_when_it_ends_for_one(team: Make) -> None:
+    environment = team()
+    *_, last = rows(environment, 300, seed=1)
+    _, reward, terminated, truncated, info = last
+    assert (terminated, truncated, info["ended_by"]) == (True, False, "fallen")
+    assert info["each"]["terminated"].count(True) == 1
+    assert info["each"]["reward"] == (1.0, 1.0, 1.0)
+    assert reward == info["reward_terms"]["alive"] == 1.0
+
+
+def test_the_reward_is_the_mean_and_each_has_its_own(team: Make) -> None:
+    environment = team(CALM, "reward={still: 1, pushed: drive}")
+    environment.reset(seed=0)
+    _, reward, _, _, info = environment.step(np.array([0, 1, 0]))
+    assert info["each"]["reward"] == (2.0, 0.0, 2.0)
+    assert reward == pytest.approx(4 / 3)
+    assert info["reward_terms"] == pytest.approx({"still": 1.0, "pushed": 1 / 3})
+
+
+def test_failure_of_one_beats_success_of_another(team: Make) -> None:
+    endings = "termination={failure: {back: drive < -0.5 and step > 2}, success: {forth: drive > 0.5 and step > 2}}"
+    environment = team(CALM, endings)
+    for action, is_success, ended_by in (((0, 0, 0), True, "forth"), ((0, 1, 0), False, "back")):
+        environment.reset(seed=0)
+        for _ in range(3):
+            _, _, terminated, _, info = environment.step(np.array(action))
+        assert (terminated, info["is_success"], info["ended_by"]) == (True, is_success, ended_by)
+
+
+def test_limits_cut_all_short(team: Make) -> None:
+    *_, (_, _, terminated, truncated, info) = rows(team(CALM, "truncation={max_steps: 7}"), 99)
+    assert (terminated, truncated, info["ended_by"]) == (False, True, "max_steps")
+
+
+def test_draws_are_each_copys_own_and_parameters_are_shared(team: Make) -> None:
+    drawn = "parameters={cart_speed: 1 m/s, gust: uniform(0 .. 1), wind: uniform(0 .. 1) every 60 ms}"
+    environment = team(drawn, "reward={wind: wind, gust: gust}")
+    first = environment.reset(seed=0)[0]
+    assert len({float(row[2]) for row in first}) == 3
+    for _ in range(12):
+        info = environment.step(np.zeros(3, int))[4]
+        assert len(set(info["each"]["reward"])) == 1
+
+
+def test_channels_of_copies_share_no_draw(team: Make) -> None:
+    environment = team(
+        "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50 %}}",
+        "reward={a: 1 when fresh(cart)}",
+    )
+    environment.reset(seed=0)
+    heard = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        assert 10 < np.sum(heard[:, one] == heard[:, other]) < 50
+
+
+@pytest.mark.parametrize("sets", [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, repeat: 4}",)])
+def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, sets: tuple[str, ...]) -> None:
+    environment = team(*sets)
+    first = as_bytes(rows(environment, 30, seed=3))
+    rows(environment, 17, seed=4)
+    assert as_bytes(rows(environment, 30, seed=3)) == first
+    second = as_bytes(rows(environment, 30, seed=None))
+    other = team(*sets)
+    assert as_bytes(rows(other, 30, seed=3)) == first
+    assert as_bytes(rows(other, 30, seed=None)) == second != first
+
+
+def test_settling_happens_once_for_all(team: Make) -> None:
+    together, alone = team(CALM, "reset.settle=0.2 s"), team(CALM, "reset.settle=0.2 s", source=RAIL)
+    expected = alone.reset(seed=0)[0]
+    assert all(np.allclose(row, expected, atol=1e-12) for row in together.reset(seed=0)[0])
+
+
+def test_it_is_a_gymnasium_environment(team: Make) -> None:
+    environment = team()
+    check_env(environment, skip_render_check=True)
+    with closing(pickle.loads(pickle.dumps(environment))) as other:
+        assert as_bytes(rows(other, 9)) == as_bytes(rows(environment, 9))
+    environment.close()
+    with pytest.raises(UsageError, match="closed"):
+        environment.step(np.zeros(3, int))
+
+
+@pytest.mark.parametrize("bad", [0, [0, 0], [0, 0, 2], [0.5, 0, 0], "x", None, np.zeros((3, 1), int), [0, 0, -1]])
+def test_an_action_that_does_not_fit_changes_nothing(team: Make, bad: Any) -> None:
+    environment, other = team(), team()
+    environment.reset(seed=0)
+    other.reset(seed=0)
+    with pytest.raises(UsageError, match="does not fit"):
+        environment.step(bad)
+    expected = other.step(np.array([1, 0, 1]))
+    assert as_bytes([environment.step([1, 0, 1])]) == as_bytes([expected])
+
+
+@pytest.mark.parametrize("bad", [np.zeros((2, 1)), np.full((3, 1), np.nan), np.zeros(3)])
+def test_numbers_that_do_not_fit_change_nothing(team: Make, bad: Any) -> None:
+    environment = team("action={drive: -1 .. 1}")
+    environment.reset(seed=0)
+    with pytest.raises(UsageError, match="does not fit"):
+        environment.step(bad)
+    assert environment.members[0].step_count == 0
+
+
+def test_errors_name_the_expression_as_ever(team: Make) -> None:
+    environment = team(CALM, 'reward={bad: "1 / (step - 2)"}')
+    environment.reset(seed=0)
+    environment.step(np.zeros(3, int))
+    with pytest.raises(EvaluationError, match="step 2: no value for"):
+        environment.step(np.zeros(3, int))
+
+
+def test_pictures_hold_the_whole_row(team: Make) -> None:
+    with closing(api.make(TEAM, render_mode="rgb_array")) as environment:
+        environment.reset(seed=0)
+        assert environment.render().shape == (320, 480, 3)
+
+
+@pytest.mark.parametrize(
+    "copies",
+    [
+        Copies("cart", 0, (0.0, 1.0, 0.0)),
+        Copies("cart", 10**6, (0.0, 1.0, 0.0)),
+        Copies("x", 2, (0.0, 1.0, 0.0)),
+        Copies("cart", 2, (1e300, 0.0, 0.0)),
+    ],
+    ids=str,
+)
+def test_odd_copies_in_a_forged_scenario_are_refused(copies: Copies) -> None:
+    ir = api.compile(TEAM).ir
+    forged = from_json(to_json(replace(ir, agent=replace(ir.agent, each=copies))))
+    with pytest.raises(CanonicalError):
+        emit(forged)
+
+
+def test_a_team_of_one_is_a_team(team: Make) -> None:
+    environment = team("robots.cart.count=1")
+    assert environment.reset(seed=0)[0].shape == (1, 4)
+
+
+def test_a_team_without_sense_is_refused_in_words() -> None:
+    for sets in (["agent={each: carts}"], ["robots.cart.count=integer(1 .. 3)"], ["robots.cart.count=2.5"], ["robots.cart.count=0"]):
+        with pytest.raises(DeepbotsError):
+            api.compile(TEAM, sets=sets)
