@@ -187,7 +187,7 @@ class Engine(Protocol):
         """
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        """Positions of the joints (rad or m) that bring the origin of a link somewhere, in a certain attitude or in any (None).
+        """Positions of joints (rad or m), within their ranges, that bring a link's origin somewhere, in a certain attitude or any (None).
 
         The same call in the same state of the world gives the same bits.
         """

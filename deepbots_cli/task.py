@@ -36,10 +36,14 @@ class Valued:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What drives one actuator: one target per joint, or one for all."""
+    """What drives one actuator: one target per component, or one for all.
+
+    That of a gripper is how far it is open, from 0 to 1: its joints are then between the two positions of `opening`.
+    """
 
     actuator: ir.Actuator
     target: Valued
+    opening: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,6 @@ _KEYS_LATER: dict[Route, tuple[str, ...]] = {
 }
 _KINDS_RUN: dict[Route, frozenset[str]] = {
     ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),
-    ("robots", "*", "actuators", "*"): support.ACTUATED,
 }
 
 

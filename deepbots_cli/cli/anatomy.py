@@ -10,7 +10,7 @@ from collections.abc import Mapping as Dictionary
 
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
-from deepbots_cli.ir import Actuator, Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, Thrust, viewed
+from deepbots_cli.ir import Actuator, Cartesian, Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, Thrust, viewed
 from deepbots_cli.lang.scalar import names_in
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
@@ -167,7 +167,8 @@ def _parts_of(robot: str, actuator: Actuator) -> list[Row]:
         known: Row = {"robot": robot, "actuator": actuator.name, "type": "thrust"}
         limits: Row = {"max_torque": None, "max_velocity": None, "thrust": [actuator.low, actuator.high]}
         return [{**known, "part": link, **limits, **answers} for link in actuator.links]
-    known = {"robot": robot, "actuator": actuator.name, "type": actuator.kind}
+    kind = "cartesian" if isinstance(actuator, Cartesian) else actuator.kind
+    known = {"robot": robot, "actuator": actuator.name, "type": kind}
     rows = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
     return [
         {**known, "part": joint, "max_torque": torque, "max_velocity": velocity, "thrust": None, **answers}

@@ -6,13 +6,15 @@ from typing import NamedTuple
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.drives import Figures
-from deepbots_cli.compiler.joints import effort_of, joint_dimension
+from deepbots_cli.compiler.joints import carries, effort_of, joint_dimension, joint_interval
 from deepbots_cli.compiler.matching import expand, joints_of, links_of, unmatched
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.lang.dimensions import FORCE, LENGTH, NUMBER, TIME, Dimension
-from deepbots_cli.lang.types import Components
-from deepbots_cli.schema.actuators import Actuator, Motor, PositionMotor, Thrust, VelocityMotor
+from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.lang.types import SPACE, Components
+from deepbots_cli.schema.actuators import Actuator, Cartesian, Gripper, Motor, PositionMotor, Thrust, VelocityMotor
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.urdf.model import Joint
 
 _KINDS: dict[str, ir.MotorKind] = {
     "velocity_motor": "velocity_motor",
@@ -27,10 +29,14 @@ class Driven(NamedTuple):
     actuator: ir.Actuator
     dimension: Dimension
     components: Components | None
+    opening: tuple[float, float] | None = None
+    """Of a gripper: the position of its joints at a command of 0, and at 1."""
 
 
 def driven_parts(scene: RobotScene, spec: Actuator) -> Components | None:
     """The components of a command to the actuator, without findings; None where there are none."""
+    if isinstance(spec, Cartesian):
+        return SPACE
     if isinstance(spec, Thrust):
         found, _ = expand(scene.link_names, spec.links or spec.link or (), scene.groups)
     else:
@@ -57,8 +63,12 @@ class Actuators:
                 driven = self._motor(name, spec, figures)
             case Thrust():
                 driven = self._thrust(name, spec, figures)
+            case Cartesian():
+                driven = self._cartesian(name, spec, figures)
+            case Gripper():
+                driven = self._gripper(name, spec, figures)
             case _:
-                driven = None  # `support` has said that this kind is not delivered yet
+                raise TypeError(f"{type(spec).__name__} is in no table")
         if name not in self._scene.spec.apply:
             del self._namespace.variations[varied:]
         return driven
@@ -83,6 +93,52 @@ class Actuators:
         motor = ir.Motor(name, kind, names, max_torque, max_velocity, stiffness, damping, max_acceleration, response)
         dimension = {"velocity_motor": rate, "position_motor": position, "torque_motor": effort}[kind]
         return Driven(motor, dimension, names if len(names) > 1 or spec.joints is not None else None)
+
+    def _cartesian(self, name: str, spec: Cartesian, figures: Figures) -> Driven | None:
+        joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
+        if spec.link not in self._scene.link_names:
+            self._values.unknown(self._values.span((*figures.place, "link")), "link", spec.link, self._scene.link_names)
+            return None
+        rpy = None if spec.rpy is None else self._values.numbers((*figures.place, "rpy"), spec.rpy, ANGLE, SPACE, figures.scope)
+        if not joints or (spec.rpy is not None and rpy is None):
+            return None
+        moving = {joint.name for joint in self._scene.model.moving_joints if carries(self._scene.model, joint, spec.link)}
+        idle = [joint.name for joint in joints if joint.name not in moving]
+        if idle:
+            headline, help = f"the joint `{idle[0]}` does not move `{spec.link}`", "name the joints between the base and the link"
+            self._values.findings.add("DB203", self._values.span((*figures.place, "joints")), headline, help=help)
+            return None
+        names = tuple(joint.name for joint in joints)
+        limits = figures.max_torque(spec.max_torque, joints), figures.max_velocity(spec.max_velocity, joints)
+        attitude = None if rpy is None else (rpy[0], rpy[1], rpy[2])
+        return Driven(ir.Cartesian(name, spec.link, names, attitude, *limits, figures.response(spec, names)), LENGTH, SPACE)
+
+    def _gripper(self, name: str, spec: Gripper, figures: Figures) -> Driven | None:
+        """A servo whose command is how far it is open."""
+        joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
+        if not joints:
+            return None
+        position = joint_dimension(joints[0])
+        closed, open_ = (figures.number(key, getattr(spec, key), position) for key in ("closed", "open"))
+        names = tuple(joint.name for joint in joints)
+        limits = figures.max_torque(spec.max_torque, joints), figures.max_velocity(None, joints)
+        motor = ir.Motor(name, "position_motor", names, *limits, response=figures.response(spec, names))
+        if closed is None or open_ is None:
+            return None
+        for key, figure in (("closed", closed), ("open", open_)):
+            self._check_reach((*figures.place, key), figure, joints)
+        return Driven(motor, NUMBER, None, (closed, open_))
+
+    def _check_reach(self, place: Path, position: float, joints: tuple[Joint, ...]) -> None:
+        """DB304 for a position that a joint cannot take."""
+        for joint in joints:
+            reach = joint_interval(joint)
+            if not reach.low <= position <= reach.high:
+                headline = (
+                    f"a position of {position:g} {joint_dimension(joint)}, where the robot file allows {reach.low:g} .. {reach.high:g}"
+                )
+                self._values.findings.add("DB304", self._values.span(place), headline, help=f"keep to the limits of `{joint.name}`")
+                return
 
     def _thrust(self, name: str, spec: Thrust, figures: Figures) -> Driven | None:
         links = links_of(self._values, self._scene.link_names, self._scene.groups, spec, figures.place)

@@ -129,4 +129,6 @@ class Controller:
             self.values.expression(text, scope, boolean=False)
             return None
         typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP)
-        return Command(driven.actuator, Valued(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}")) if typed else None
+        if typed is None:
+            return None
+        return Command(driven.actuator, Valued(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}"), driven.opening)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from deepbots_cli.lang import intervals
 from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TIME, TORQUE, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.urdf.model import Joint, RobotModel
 
 
 def joint_dimension(joint: Joint) -> Dimension:
@@ -31,6 +31,16 @@ def joint_interval(joint: Joint) -> Interval:
     if joint.limit.lower is None or joint.limit.upper is None:
         return EVERYTHING
     return Interval(joint.limit.lower, joint.limit.upper)
+
+
+def carries(model: RobotModel, joint: Joint, link: str) -> bool:
+    """Whether the link moves when the joint does."""
+    above = {other.child: other for other in model.joints}
+    while link in above:
+        if above[link].name == joint.name:
+            return True
+        link = above[link].parent
+    return False
 
 
 def hull(joints: Iterable[Joint]) -> Interval:

@@ -169,9 +169,12 @@ def _command(command: Command) -> ir.NamedValues:
     """One target per component, within the velocity limits of joints and the range of thrusts."""
     actuator = command.actuator
     values = _scalars(command.target)
-    if len(values) == 1:
-        values = values * len(actuator.components)
     reach = command.target.typed.type.interval
+    if command.opening:
+        closed, open_ = command.opening
+        share = _clamped(values[0], 0.0, 1.0, reach)
+        values = (op("add", Const(closed), op("mul", Const(open_ - closed), share)),)
+    values = values * len(actuator.components) if len(values) == 1 else values
     match actuator:
         case ir.Motor(kind="velocity_motor"):
             values = tuple(_limited(value, limit, reach) for value, limit in zip(values, actuator.max_velocity, strict=True))

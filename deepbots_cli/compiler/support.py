@@ -14,8 +14,6 @@ from deepbots_cli.schema.part import Part
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 
-ACTUATED = frozenset({"velocity_motor", "position_motor", "torque_motor", "thrust"})
-
 # A key of the parts found at a path (a `*` stands for any name) that is not delivered yet.
 LATER: tuple[tuple[tuple[str, ...], str], ...] = (
     (("objects", "*"), "count"),
@@ -31,9 +29,6 @@ def check_support(spec: Scenario, values: Values) -> None:
         kind = getattr(part, "type", None)
         if _fits(path, ("robots", "*", "sensors", "*")) and kind not in SENSOR_KINDS:
             _report(values, (*path, "type"), f"the sensor kind `{kind}`")
-            continue
-        if _fits(path, ("robots", "*", "actuators", "*")) and kind not in ACTUATED:
-            _report(values, (*path, "type"), f"the actuator kind `{kind}`")
             continue
         for pattern, key in LATER:
             if key in part.model_fields_set and _fits(path, pattern):

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 LEVER = 0.3  # m; what an error of 1 rad counts
 CLOSE = 1e-7  # m; an error to stop at
 ROUNDS = 100
+SLOW = 0.99  # of the square of the error; a round that leaves more than this share has not helped
+IDLE_ROUNDS = 12  # in a row, after which the search gives up
 LONGEST = 0.5  # rad or m; of a joint in one round
 
 
@@ -55,18 +57,35 @@ class Chain:
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
     def solve(self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None) -> list[float]:
-        """Positions of the driven joints that bring the link's origin there, or as near as the search gets from `positions`.
+        """Positions of the driven joints that bring the link's origin there, or as near as the search gets.
 
-        `root` is the pose of the root link, `positions` are those of all `moving` joints.
+        `root` is the pose of the root link, `positions` are those of all `moving` joints. The search begins there, and
+        once more in the middle of the ranges if that ends elsewhere: an arm that is stretched out finds no way to bend.
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
         turned = None if attitude is None else frames.multiply(inward, frames.normalised(attitude))
-        joints = list(positions)
+        found, missing = self._search(list(positions), goal, turned)
+        if missing > CLOSE * CLOSE:
+            other, still_missing = self._search(self._middle(positions), goal, turned)
+            if still_missing < missing:
+                found = other
+        return [found[place] for place in self._driven]
+
+    def _middle(self, positions: Sequence[float]) -> list[float]:
+        """These positions, with the driven joints in the middle of their ranges, where they have any."""
+        middle = list(positions)
+        for place, low, high in zip(self._driven, self._lower.tolist(), self._upper.tolist(), strict=True):
+            if low > -inf and high < inf:
+                middle[place] = (low + high) / 2
+        return middle
+
+    def _search(self, joints: list[float], goal: Triple, turned: Quaternion | None) -> tuple[list[float], float]:
+        """Where the search from these positions ends, and the square of the error that it leaves."""
         error, jacobian = self._linearised(joints, goal, turned)
-        damping, missing = 1e-4, float(error @ error)
+        damping, missing, idle = 1e-4, float(error @ error), 0
         for _ in range(ROUNDS):
-            if missing < CLOSE * CLOSE or damping > 1e8:
+            if missing < CLOSE * CLOSE or damping > 1e8 or idle > IDLE_ROUNDS:
                 break
             now = np.array([joints[place] for place in self._driven])
             normal = jacobian.T @ jacobian + damping * np.eye(len(now))
@@ -76,12 +95,13 @@ class Chain:
                 tried[place] = value
             new_error, new_jacobian = self._linearised(tried, goal, turned)
             left = float(new_error @ new_error)
+            idle = idle + 1 if left > SLOW * missing else 0
             if left < missing:
                 joints, error, jacobian, missing = tried, new_error, new_jacobian, left
                 damping = max(damping * 0.2, 1e-9)
             else:
                 damping *= 10.0
-        return [joints[place] for place in self._driven]
+        return joints, missing
 
     def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[Figures, Figures]:
         """The error at these positions, and how it shrinks with each driven joint."""

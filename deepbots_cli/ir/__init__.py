@@ -27,7 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.ir.actuation import Actuator, Motor, MotorKind, Response, Thrust
+from deepbots_cli.ir.actuation import Actuator, Cartesian, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.disturbances import NOTHING, Disturbance
 from deepbots_cli.ir.resets import Cells, Group, Layout, Place, Region, Reset, SetJoint, Variation
@@ -99,6 +99,7 @@ __all__ = [
     "Agent",
     "Arena",
     "Beams",
+    "Cartesian",
     "Case",
     "Cells",
     "Channels",

@@ -40,6 +40,11 @@ class Motor:
     response: Response = Response()
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """What it drives, each with figures of its own."""
+        return self.joints
+
+    @property
     def components(self) -> tuple[str, ...]:
         """What its command has one number for."""
         return self.joints
@@ -61,8 +66,36 @@ class Thrust:
     response: Response = Response()
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        return self.links
+
+    @property
     def components(self) -> tuple[str, ...]:
         return self.links
 
 
-Actuator = Motor | Thrust
+@dataclass(frozen=True)
+class Cartesian:
+    """Joints that bring the origin of a link to a commanded position (m, world frame), in the attitude `rpy` (rad) or any.
+
+    They are driven by the servo of the engine, within the ranges that the robot file gives them.
+    """
+
+    name: str
+    link: str
+    joints: tuple[str, ...]
+    rpy: tuple[float, float, float] | None
+    max_torque: tuple[float | None, ...]
+    max_velocity: tuple[float | None, ...]
+    response: Response = Response()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.joints
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return ("x", "y", "z")
+
+
+Actuator = Motor | Thrust | Cartesian

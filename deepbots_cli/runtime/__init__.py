@@ -16,7 +16,7 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
-from deepbots_cli.runtime.actuation import Motor, Push, Thrust
+from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
@@ -29,6 +29,7 @@ from deepbots_cli.urdf.rotation import quaternion
 __all__ = [
     "MALFORMED",
     "Arrangement",
+    "Cartesian",
     "Follower",
     "Motor",
     "Push",

@@ -68,23 +68,25 @@ class Thrust(Actuator):
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), least=1),)
 
     link: LinkName | None = Field(default=None, description="The link that it pushes.")
-    links: LinkNames | None = Field(default=None, description="The links that it pushes.")
+    links: LinkNames | None = Field(default=None, description="The links that it pushes: names, patterns, or a group.")
     range: Annotated[str, Range("force")] = Field(description="Smallest and largest thrust, such as `0 .. 0.15 N`.")
-    drag: Length = Field(default=0, description="Torque about z per thrust, m.")
+    drag: Length = Field(default=0, description="Torque about z per thrust, N*m/N = m.")
     spin: Annotated[
         dict[Annotated[str, Pattern("link")], Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)]]
         | Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)],
         FORMS,
-    ] = Field(default=1, description="Sense of rotation, 1 or -1, for all or per link.")
+    ] = Field(
+        default=1, description="Sense of that torque, 1 or -1, for all or per link; 1 for a rotor that turns clockwise seen from above."
+    )
 
 
 class Cartesian(Actuator):
-    """Moves a link to a commanded position by inverse kinematics."""
+    """Moves a link to a commanded position in the world, by inverse kinematics."""
 
     link: LinkName = Field(description="The link that is moved.")
     joints: JointNames = Field(description="The joints that move it.")
     rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = Field(
-        default=None, description="Attitude that the link keeps: roll, pitch, yaw."
+        default=None, description="Attitude that the link keeps in the world: roll, pitch, yaw; by default any."
     )
     max_torque: MaxTorque | None = Field(default=None, description="Largest torque or force per joint.")
     max_velocity: JointSpeed | None = Field(default=None, description="Largest velocity per joint.")

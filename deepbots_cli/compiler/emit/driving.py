@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
-from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Robot, Thrust
+from deepbots_cli.ir import Actuator, Cartesian, CompiledScenario, Motor, Robot, Thrust
 
 
 class Driving:
@@ -31,9 +31,13 @@ class Driving:
         return bool(self._actuators)
 
     def _code(self, actuator: Actuator) -> str:
-        if isinstance(actuator, Thrust):
-            return self._thrust(actuator)
-        return self._device(actuator) if self._is_device(actuator) else self._plain(actuator)
+        match actuator:
+            case Thrust():
+                return self._thrust(actuator)
+            case Cartesian():
+                return self._cartesian(actuator)
+            case Motor():
+                return self._device(actuator) if self._is_device(actuator) else self._plain(actuator)
 
     def _is_device(self, actuator: Actuator) -> bool:
         return not isinstance(actuator, Motor) or self._is_device_motor(actuator)
@@ -42,11 +46,19 @@ class Driving:
         varies = any(self._varies(motor, figure) for figure in ("strength", "max_torque", "stiffness", "damping"))
         return varies or self._responds(motor) or (motor.kind == "torque_motor" and motor.response.strength != 1.0)
 
-    def _responds(self, motor: Motor) -> bool:
+    def _responds(self, actuator: Motor | Cartesian) -> bool:
         """Whether it follows its commands in every substep, rather than at once."""
-        response = motor.response
-        late = response.delay > 0.0 or response.lag > 0.0 or self._varies(motor, "delay") or self._varies(motor, "lag")
-        return late or bool(_rates(motor))
+        response = actuator.response
+        late = response.delay > 0.0 or response.lag > 0.0 or self._varies(actuator, "delay") or self._varies(actuator, "lag")
+        return late or bool(_rates(actuator))
+
+    def _answers(self, actuator: Motor | Cartesian) -> list[str]:
+        """The arguments that say how strongly and promptly it answers."""
+        if not self._responds(actuator):
+            return _strength(actuator)
+        rates = _rates(actuator)
+        limited = [f"rates={tuple_code([_figure(rate) for rate in rates])}"] if rates else []
+        return [*_strength(actuator), f"substep={self._substep!r}", *_late(actuator), *limited]
 
     def _varies(self, actuator: Actuator, figure: str) -> bool:
         return (actuator.name, f"actuator_{figure}") in self._varied
@@ -63,13 +75,12 @@ class Driving:
         arguments = ["engine", quoted(motor.kind), self._joints(motor), _limits(motor)]
         gains = (("stiffness", motor.stiffness), ("damping", motor.damping))
         arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
-        arguments += _strength(motor)
-        if self._responds(motor):
-            arguments.append(f"substep={self._substep!r}")
-            arguments += _late(motor)
-            if rates := _rates(motor):
-                arguments.append(f"rates={tuple_code([_figure(rate) for rate in rates])}")
-        return f"Motor({', '.join(arguments)})"
+        return f"Motor({', '.join([*arguments, *self._answers(motor)])})"
+
+    def _cartesian(self, hand: Cartesian) -> str:
+        arguments = ["engine", quoted(self._robot.name), quoted(hand.link), quoted_tuple(hand.joints), _limits(hand)]
+        arguments += [f"rpy={tuple_code([repr(angle) for angle in hand.rpy])}"] if hand.rpy is not None else []
+        return f"Cartesian({', '.join([*arguments, *self._answers(hand)])})"
 
     def _thrust(self, thrust: Thrust) -> str:
         arguments = ["engine", quoted(self._robot.name), quoted_tuple(thrust.links), repr(thrust.drag)]
@@ -89,16 +100,16 @@ def _late(actuator: Actuator) -> list[str]:
     return [f"{name}={figure!r}" for name, figure in figures if figure]
 
 
-def _rates(motor: Motor) -> Sequence[float | None]:
+def _rates(motor: Motor | Cartesian) -> Sequence[float | None]:
     """How fast the targets of each joint may change; empty where at once."""
-    if motor.kind == "velocity_motor" and motor.max_acceleration is not None:
+    if isinstance(motor, Motor) and motor.kind == "velocity_motor" and motor.max_acceleration is not None:
         return (motor.max_acceleration,) * len(motor.joints)
-    if motor.kind == "position_motor" and any(limit is not None for limit in motor.max_velocity):
+    if (isinstance(motor, Cartesian) or motor.kind == "position_motor") and any(limit is not None for limit in motor.max_velocity):
         return motor.max_velocity
     return ()
 
 
-def _limits(motor: Motor, strength: float = 1.0) -> str:
+def _limits(motor: Motor | Cartesian, strength: float = 1.0) -> str:
     return tuple_code([_figure(limit, strength) for limit in motor.max_torque])
 
 

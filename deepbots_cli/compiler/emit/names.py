@@ -8,6 +8,7 @@ import math
 import re
 
 RUNTIME = (
+    "Cartesian",
     "Follower",
     "Arrangement",
     "MALFORMED",

@@ -64,7 +64,10 @@ class Response:
         before, share = self._origin() if self._value is None else self._value, self._share
         after = [old + share * (goal - old) for old, goal in zip(before, self._goal, strict=True)]
         if self._most:
-            after = [old + min(max(new - old, -most), most) for old, new, most in zip(before, after, self._most, strict=True)]
+            after = [
+                old + most if new - old > most else old - most if new - old < -most else new
+                for old, new, most in zip(before, after, self._most, strict=True)
+            ]
         self._still = self._value is not None and after == before
         self._value = after
         return after

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
-from deepbots_cli.ir import Actuator, CompiledScenario, Motor, Thrust, Variation
+from deepbots_cli.ir import Actuator, Cartesian, CompiledScenario, Motor, Thrust, Variation
 from deepbots_cli.lang.scalar import State, World
 
 _LONGEST = 1e9  # s or substeps; a delay or lag beyond is nothing that was compiled
@@ -38,6 +38,11 @@ def _require_sound(actuator: Actuator, substep: float) -> None:
             counts = {len(actuator.joints), len(actuator.max_torque), len(actuator.max_velocity)}
             limits: tuple[float | None, ...] = (*actuator.max_torque, *actuator.max_velocity)
             gains: tuple[float | None, ...] = (actuator.stiffness, actuator.damping, actuator.max_acceleration)
+        case Cartesian():
+            counts = {len(actuator.joints), len(actuator.max_torque), len(actuator.max_velocity)}
+            limits, gains = (*actuator.max_torque, *actuator.max_velocity), ()
+            if not all(abs(angle) < _MOST for angle in actuator.rpy or ()):
+                raise CanonicalError(f"'{actuator.name[:40]}' keeps no attitude")
         case Thrust():
             counts, limits, gains = {len(actuator.links), len(actuator.spin)}, (), (actuator.drag, *map(abs, actuator.spin))
             if not -_MOST < actuator.low < actuator.high < _MOST:
@@ -51,7 +56,7 @@ def _require_sound(actuator: Actuator, substep: float) -> None:
 
 def _require_varied(variation: Variation, actuator: Actuator | None) -> None:
     figure = variation.what.removeprefix(_PREFIX)
-    count = 1 if figure in ("delay", "lag") else len(actuator.components) if actuator else 0
+    count = 1 if figure in ("delay", "lag") else len(actuator.parts) if actuator else 0
     if actuator is None or not _has(actuator, figure) or len(variation.values) != count:
         raise CanonicalError(f"{'.'.join(variation.of)[:40]!r} has no {figure} to vary")
 
@@ -59,7 +64,9 @@ def _require_varied(variation: Variation, actuator: Actuator | None) -> None:
 def _has(actuator: Actuator, figure: str) -> bool:
     if figure in ("strength", "delay", "lag"):
         return True
-    return isinstance(actuator, Motor) and (figure == "max_torque" or getattr(actuator, figure) is not None)
+    if figure == "max_torque":
+        return not isinstance(actuator, Thrust)
+    return isinstance(actuator, Motor) and getattr(actuator, figure) is not None
 
 
 def require_disturbances(scenario: CompiledScenario) -> None:

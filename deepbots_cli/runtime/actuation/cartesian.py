@@ -1,0 +1,43 @@
+"""Arms that are told where to bring their hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deepbots_cli.port import Engine
+from deepbots_cli.runtime.actuation.motors import Figures, Motor
+from deepbots_cli.urdf.rotation import quaternion
+
+
+class Cartesian(Motor):
+    """Brings the origin of a link to a position (m, world frame); called with x, y and z.
+
+    Joint positions are computed once per command, from where the joints are and within their ranges; what is out of
+    reach is approached. The engine's servo then drives the joints there, with the delay, lag and rates of a `Motor`.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        robot: str,
+        link: str,
+        joints: Sequence[str],
+        max_torque: Figures,
+        *,
+        rpy: tuple[float, float, float] | None = None,
+        strength: Figures = 1.0,
+        substep: float | None = None,
+        delay: float = 0.0,
+        lag: float = 0.0,
+        rates: Sequence[float] = (),
+    ) -> None:
+        """`rpy` (rad) is the attitude that the link keeps; without, it may have any."""
+        self._solve = engine.inverse_kinematics((robot, link), joints)
+        self._attitude = None if rpy is None else quaternion(*rpy)
+        super().__init__(
+            engine, "position_motor", robot, joints, max_torque, strength=strength, substep=substep, delay=delay, lag=lag, rates=rates
+        )
+
+    def __call__(self, targets: Sequence[float]) -> None:
+        x, y, z = targets
+        super().__call__(self._solve((x, y, z), self._attitude))
