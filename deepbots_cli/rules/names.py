@@ -64,6 +64,8 @@ def _judged(task: Task) -> Iterator[Valued]:
     yield from task.order
     yield from task.reward
     yield from (ending.value for ending in task.endings)
+    for robot in task.robots:
+        yield from robot.receive
 
 
 def _sensors(value: Typed) -> Iterator[str]:

@@ -235,9 +235,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
-        """Give a fault of a sensor the figures of this episode."""
+        """Give a fault of a sensor the figures of this episode; of one that nothing reads there is no device."""
         controller: RobotController = getattr(self, f"robot_{robot}")
-        controller.devices[sensor].vary(fault, values)
+        if sensor in controller.devices:
+            controller.devices[sensor].vary(fault, values)
 
     def rub(self, bodies: tuple[str, ...], friction: float) -> None:
         """Let several bodies, such as the walls around an arena, have the same coefficient of friction."""

@@ -29,6 +29,7 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("../../channel/radio", ()),
     ("../../world/hills", ()),
     ("drone", ()),
+    ("sensed", ()),
 )
 
 

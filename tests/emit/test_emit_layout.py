@@ -21,6 +21,7 @@ LINES = {
     "call": f"self.read = engine.thing({', '.join(LONG)})",
     "call of calls": f"self.read = engine.thing(hypot({', '.join(LONG)}), {LONG[0]})",
     "sum": f"self.reward = reward = {' + '.join(LONG)}",
+    "increment": f"memory += ({' + '.join(LONG)} - memory) * (0.01 / (0.5 + 0.01))",
     "sum of products": f"total = {' + '.join(f'{item} * {item}' for item in LONG)}",
     "choice": f"value = {' + '.join(LONG)} if {' and '.join(LONG)} else 0.0",
     "condition": f"if {' or '.join(LONG)}:",

@@ -41,7 +41,7 @@ def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: 
     """Messages of one robot into local variables; the first of an episode arrives at once."""
     controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
     targets = [space.local(f"{robot.name}.{name}", component) for name, component in flat(robot.emit)]
-    if observes(robot) and not first:
+    if observes(space.scenario, robot) and not first:
         printer.line(f"{controller}.observe()")
     if space.scenario.format == "none":
         printer.line(f"{targets_code(targets)} = {controller}.sense()" if targets else "")

@@ -20,7 +20,7 @@ class RobotPrinter:
         self._robot = robot
         self._messages = scenario.format != "none"
         self._names = Names()
-        self._sensing = Sensing(robot, self._names)
+        self._sensing = Sensing(scenario, robot, self._names)
         self._emitted = [self._sensing.resolved(value) for entry in robot.emit for value in entry.values]
         self._applied = [self._sensing.resolved(value) for entry in robot.apply for value in entry.values]
         self._reads = Reads([*self._emitted, *self._applied], self._names)
@@ -37,7 +37,7 @@ class RobotPrinter:
         lines += indent(self._bind())
         if self._keeps_state or any(outer_states(value) for value in self._applied):
             lines += indent(self._reset())
-        if observes(robot):
+        if observes(self._scenario, robot):
             lines += indent(self._sense_once())
         lines += indent(self._use_message_data())
         lines += indent(self._create_message())
@@ -135,9 +135,9 @@ def keeps_state(robot: Robot) -> bool:
     return any(outer_states(value) for entry in robot.emit for value in entry.values)
 
 
-def observes(robot: Robot) -> bool:
+def observes(scenario: CompiledScenario, robot: Robot) -> bool:
     """Whether anything on board happens once per tick: a device is sampled, or a memory advances."""
-    return keeps_state(robot) or bool(devices(robot))
+    return keeps_state(robot) or bool(devices(scenario, robot))
 
 
 def controller_name(robot: Robot) -> str:

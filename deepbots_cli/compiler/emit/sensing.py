@@ -7,19 +7,19 @@ from collections.abc import Iterable
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
 from deepbots_cli.compiler.sensors import is_fact, reading
-from deepbots_cli.ir import Robot, Sensor
-from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World, names_in
+from deepbots_cli.ir import CompiledScenario, Robot, Sensor
+from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 
 
 class Sensing:
     """The sensors of one robot, in its printed controller."""
 
-    def __init__(self, robot: Robot, names: Names) -> None:
+    def __init__(self, scenario: CompiledScenario, robot: Robot, names: Names) -> None:
         self._robot = robot
         self._names = names
         self._received = {entry.name for entry in robot.receive}
         self._sensors = {sensor.name: sensor for sensor in robot.sensors}
-        self._devices = devices(robot)
+        self._devices = devices(scenario, robot)
 
     def resolved(self, expression: Scalar) -> Scalar:
         """The expression with the name of each sensor that is a fact replaced by that fact."""
@@ -63,6 +63,13 @@ class Sensing:
         return self._names(f"{sensor} reading")  # the blank keeps it apart from every name of the scenario
 
 
-def devices(robot: Robot) -> dict[str, Sensor]:
-    """The sensors that are sampled once per tick, by name."""
-    return {sensor.name: sensor for sensor in robot.sensors if not is_fact(sensor)}
+def devices(scenario: CompiledScenario, robot: Robot) -> dict[str, Sensor]:
+    """The sensors that are sampled once per tick, by name: those that something reads, and that are no facts."""
+    on_board = [value for entry in (*robot.emit, *robot.apply) for value in entry.values]
+    sent = [entry for other in scenario.robots for entry in other.receive]
+    judged = [value for entry in (*scenario.signals, *sent) for value in entry.values]
+    judged += [*(ending.condition for ending in scenario.endings), *(term.value for term in scenario.reward)]
+    read = {leaf.name for value in on_board for leaf in names_in(value)}
+    asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}
+    used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
+    return {sensor.name: sensor for sensor in used if not is_fact(sensor)}

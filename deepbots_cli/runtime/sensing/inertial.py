@@ -49,13 +49,11 @@ class Accelerometer:
         self._pose = mounted_pose(engine, robot, link, mount)
         self._velocity = mounted_velocity(engine, robot, link, mount)
         self._substep = substep
+        self.restart()
         engine.after_substep(self._look)
 
-    def restart(self, _generator: Any) -> None:
+    def restart(self, _generator: Any = None) -> None:
         self._gravity = self._engine.gravity
-        self._forget()
-
-    def _forget(self) -> None:
         self._before, self._turned = self._velocity()[0], self._pose()[1]
         self._sum: Triple = (0.0, 0.0, 0.0)
         self._steps = 0

@@ -54,7 +54,9 @@ def _require_senders(scenario: CompiledScenario) -> None:
     told = [scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.action]
     known = {robot.name for robot in scenario.robots}
     asked = _senders((*told, *(robot.receive for robot in scenario.robots)))
-    on_board = [(_senders((robot.emit, robot.apply)), {f"{robot.name}.{name}" for name in devices(robot)}) for robot in scenario.robots]
+    on_board = [
+        (_senders((robot.emit, robot.apply)), {f"{robot.name}.{name}" for name in devices(scenario, robot)}) for robot in scenario.robots
+    ]
     if not asked <= known or _senders(scenario.reset) or any(not ages <= sensors for ages, sensors in on_board):
         raise CanonicalError("the age of something that is not known here")
 
