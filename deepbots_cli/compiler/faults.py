@@ -88,6 +88,14 @@ class FaultReader:
         if "quantise" not in spec.model_fields_set:
             return ()
         given = self.namespace.values.numbers((*self.path, "quantise"), spec.quantise, known.dimension, known.components, self._fixed)
+        if given and any(0.0 < step < ir.FINEST for step in given):
+            values, place = self.namespace.values, (*self.path, "quantise")
+            values.findings.add(
+                "DB105",
+                values.span(place),
+                f"a step of {min(given):g} between two readings",
+                help=f"give at least {ir.FINEST:g}, or take it out",
+            )
         return given if given and all(given) else ()
 
     def _range(self, spec: Sensor, known: Type) -> tuple[tuple[float, ...], tuple[float, ...]]:

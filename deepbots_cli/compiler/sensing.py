@@ -20,6 +20,7 @@ from deepbots_cli.lang.types import Components, Kind, Stage, Symbol, Type
 from deepbots_cli.schema.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
 from deepbots_cli.source.nodes import Path
 
+_LINKS = frozenset({Kind.LINK})
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS})
 
 
@@ -134,12 +135,14 @@ class Sensing:
         given = spec.against or ()
         found: list[str] = []
         for index, name in enumerate([given] if isinstance(given, str) else given):
-            subject = self._namespace.subject(name, frozenset({Kind.LINK}))
+            subject = self._namespace.subject(name, _LINKS)
             if subject is not None and subject.kind in _FELT:
                 found += subject.members or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
                 span = self._values.span((*place, "against") if isinstance(given, str) else (*place, "against", index))
-                fitting = [n for n in self._namespace.subjects() if (s := self._namespace.subject(n)) is not None and s.kind in _FELT]
+                fitting = [
+                    n for n in self._namespace.subjects() if (s := self._namespace.subject(n, _LINKS)) is not None and s.kind in _FELT
+                ]
                 self._values.unknown(span, "body or link", name, [*dict.fromkeys(fitting), "ground"])
         return tuple(dict.fromkeys(found))
 

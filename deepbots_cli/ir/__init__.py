@@ -39,7 +39,7 @@ from deepbots_cli.ir.robots import (
     Robot,
     Timing,
 )
-from deepbots_cli.ir.sensing import MOST_PIXELS, MOST_RAYS, Beams, Channels, Combined, Faults, Lookup, Optics, Sensor
+from deepbots_cli.ir.sensing import FINEST, MOST_PIXELS, MOST_RAYS, Beams, Channels, Combined, Faults, Lookup, Optics, Sensor
 from deepbots_cli.ir.task import (
     MOST_SEEN,
     Agent,
@@ -84,6 +84,7 @@ from deepbots_cli.ir.world import (
 
 __all__ = [
     "ARENA_WALLS",
+    "FINEST",
     "GROUND",
     "IR_VERSION",
     "MOST_BODIES",

@@ -10,6 +10,8 @@ from deepbots_cli.urdf.model import Pose
 MOST_RAYS = 4096
 MOST_PIXELS = 1024
 """Per side of a picture."""
+FINEST = 1e-12
+"""The least step between two readings, in the sensor's unit."""
 
 Combined = Literal["each", "nearest", "mean"]
 Channels = Literal["rgb", "grey", "depth", "mask"]

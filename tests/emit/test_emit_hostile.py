@@ -23,7 +23,7 @@ from deepbots_cli.errors import DeepbotsError
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
 SOURCES = [
     "cartpole",
-    *(str(DATA / f"{name}.yaml") for name in ("drawn", "pair", "placed", "sensed")),
+    *(str(DATA / f"{name}.yaml") for name in ("drawn", "pair", "placed")),
     str(DATA.parents[1] / "channel" / "radio.yaml"),
     str(DATA.parents[1] / "world" / "hills.yaml"),
 ]

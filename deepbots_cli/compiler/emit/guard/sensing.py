@@ -9,10 +9,14 @@ from itertools import pairwise
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import MOST_PIXELS, MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Optics, Robot, Sensor, Variation
+from deepbots_cli.ir import FINEST, MOST_PIXELS, MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Optics, Robot, Sensor, Variation
 from deepbots_cli.lang.scalar import World
+from deepbots_cli.urdf.model import Pose
 
 _MOST_TICKS = 1e5
+_LARGEST = 1e30
+_FARTHEST = 1e6  # m
+_NONE = Beams((), 0.0)
 _FAULTS = ("noise", "relative_noise", "bias", "relative_bias", "drift")
 
 
@@ -38,7 +42,7 @@ def _sees(robots: Mapping[str, Robot], camera: str, _body: str) -> bool:
 
 def _is_sound(sensor: Sensor, timestep: float) -> bool:
     kind, count = SENSOR_KINDS.get(sensor.kind), max(1, len(sensor.components))
-    if kind is None or not sensor.subjects:
+    if kind is None or not sensor.subjects or not all(_is_near(pose) for pose in (sensor.mount, *(sensor.beams or _NONE).rays)):
         return False
     match kind.of:
         case "joints" | "links":
@@ -50,6 +54,10 @@ def _is_sound(sensor: Sensor, timestep: float) -> bool:
         case _:
             fits = sensor.beams is not None and _are_beams(sensor.beams, sensor)
     return fits and (sensor.faults is None or _are_faults(sensor.faults, count, timestep))
+
+
+def _is_near(pose: Pose) -> bool:
+    return all(abs(figure) < _FARTHEST for figure in (*pose.xyz, *pose.rpy))
 
 
 def _are_beams(beams: Beams, sensor: Sensor) -> bool:
@@ -76,8 +84,8 @@ def _are_faults(faults: Faults, count: int, timestep: float) -> bool:
         and 0.0 <= faults.latency / timestep <= _MOST_TICKS
         and len(faults.low) == len(faults.high)
         and all(len(values) in (0, count) for values in figures)
-        and all(math.isfinite(value) for values in figures for value in values)
-        and all(step > 0.0 for step in faults.quantise)
+        and all(abs(value) <= _LARGEST for values in figures for value in values)
+        and all(step >= FINEST for step in faults.quantise)
     )
 
 
