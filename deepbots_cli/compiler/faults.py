@@ -89,12 +89,9 @@ class FaultReader:
             return ()
         given = self.namespace.values.numbers((*self.path, "quantise"), spec.quantise, known.dimension, known.components, self._fixed)
         if given and any(0.0 < step < ir.FINEST for step in given):
-            values, place = self.namespace.values, (*self.path, "quantise")
+            values, headline = self.namespace.values, f"a step of {min(given):g} between two readings"
             values.findings.add(
-                "DB105",
-                values.span(place),
-                f"a step of {min(given):g} between two readings",
-                help=f"give at least {ir.FINEST:g}, or take it out",
+                "DB105", values.span((*self.path, "quantise")), headline, help=f"give at least {ir.FINEST:g}, or take it out"
             )
         return given if given and all(given) else ()
 

@@ -140,11 +140,13 @@ class Sensing:
                 found += subject.members or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
                 span = self._values.span((*place, "against") if isinstance(given, str) else (*place, "against", index))
-                fitting = [
-                    n for n in self._namespace.subjects() if (s := self._namespace.subject(n, _LINKS)) is not None and s.kind in _FELT
-                ]
-                self._values.unknown(span, "body or link", name, [*dict.fromkeys(fitting), "ground"])
+                self._values.unknown(span, "body or link", name, [*self._felt(), "ground"])
         return tuple(dict.fromkeys(found))
+
+    def _felt(self) -> list[str]:
+        """Every body and link that a touch sensor may feel."""
+        subjects = {name: self._namespace.subject(name, _LINKS) for name in self._namespace.subjects()}
+        return [name for name, subject in subjects.items() if subject is not None and subject.kind in _FELT]
 
 
 def _sensor(name: str, kind: str, subjects: tuple[str, ...], components: Components) -> ir.Sensor:
