@@ -68,7 +68,6 @@ UNSUPPORTED = frozenset(
     {
         "path_distance",
         "reachable",
-        "visible",
     }
 )
 
