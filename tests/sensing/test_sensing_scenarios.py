@@ -1,0 +1,122 @@
+"""Sensors from the text of a scenario to what the policy sees, on a rail whose exact motion is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler import check
+from deepbots_cli.compiler.lower import lower
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.source import loads
+
+TEXT = """\
+deepbots: 1
+name: Small
+world: {timestep: 20 ms, substeps: 4}
+parameters: {off: uniform(-0.1 .. 0.1 m)}
+robots:
+  cart:
+    urdf: cartpole_rail
+    base: fixed
+    sensors:
+      place: {type: joint_position, joint: slider}
+      eye: %s
+    actuators:
+      motor: {type: velocity_motor, joint: slider, max_torque: 10 N}
+    emit: [place, eye]
+    apply: {motor: drive * 1 m/s}
+action: {drive: -1 .. 1}
+observation: {cart.place: -1 .. 1 m, cart.eye: {range: %s, clip: false}}
+reward: {a: 1}
+truncation: {max_steps: 1000}
+reset: {set: {cart.slider: uniform(-0.2 .. 0.2 m)}}
+"""
+Make = Callable[[str, str], Supervisor]
+METRE = "-1 .. 1 m"
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    with ExitStack() as opened:
+
+        def build(sensor: str, range: str = METRE) -> Supervisor:
+            checked = check(loads(TEXT % (sensor, range), base=Path.cwd()))
+            assert checked.task is not None, [finding.headline for finding in checked.findings]
+            return opened.enter_context(closing(api.build(lower(checked.task), engine="exact")))
+
+        yield build
+
+
+def seen(world: Supervisor, steps: int, seed: int = 1) -> np.ndarray:
+    """What was true and what the sensor said, after the reset and after each step."""
+    rows = [world.reset(seed=seed)[0]]
+    rows += [world.step(np.array([0.5], np.float32))[0] for _ in range(steps)]
+    return np.array(rows, np.float64)
+
+
+def test_a_perfect_sensor_costs_no_device_and_one_with_faults_is_one(make: Make) -> None:
+    assert make("{type: joint_position, joint: slider}").robot_cart.devices == {}
+    assert list(make("{type: joint_position, joint: slider, noise: 1 cm}").robot_cart.devices) == ["eye"]
+
+
+def test_latency_and_period_hold_the_truth_back(make: Make) -> None:
+    rows = seen(make("{type: joint_position, joint: slider, latency: 40 ms, period: 60 ms}"), 12)
+    assert rows[:, 1] == pytest.approx(rows[[0, 0, 0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9], 0])
+
+
+def test_a_bias_is_drawn_once_per_episode_and_is_constant_in_it(make: Make) -> None:
+    world = make("{type: joint_position, joint: slider, bias: uniform(-10 .. 10 cm)}")
+    found = []
+    for seed in range(40):
+        rows = seen(world, 5, seed)
+        error = rows[:, 1] - rows[:, 0]
+        assert np.ptp(error) < 1e-6
+        found.append(error[0])
+    assert np.abs(found).max() <= 0.1 + 1e-6
+    assert np.ptp(found) > 0.15
+
+
+def test_a_parameter_is_one_draw_for_all_that_use_it(make: Make) -> None:
+    world = make("{type: joint_position, joints: [slider], bias: off}")
+    rows = seen(world, 1, 3)
+    assert rows[0, 1] - rows[0, 0] == pytest.approx(world.parameter_off, abs=1e-6)
+
+
+def test_each_component_has_a_bias_of_its_own(make: Make) -> None:
+    world = make("{type: position, link: pole, bias: uniform(-10 .. 10 cm)}", "-2 .. 2 m")
+    biases = set()
+    for seed in range(5):
+        world.reset(seed=seed)
+        biases |= {round(error, 9) for error in world.robot_cart.devices["eye"].reading}
+    assert len(biases) == 15
+
+
+def test_drift_grows_with_the_time_since_the_reset(make: Make) -> None:
+    rows = seen(make("{type: joint_position, joint: slider, drift: 0.5 m/s}"), 50)
+    assert rows[:, 1] - rows[:, 0] == pytest.approx(0.5 * 0.02 * np.arange(51), abs=1e-6)
+
+
+def test_quantise_and_range_shape_what_the_policy_sees(make: Make) -> None:
+    rows = seen(make("{type: joint_position, joint: slider, quantise: 5 cm, range: -10 .. 10 cm}"), 40)
+    assert rows[:, 1] == pytest.approx(np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6)
+    assert np.ptp(rows[:, 0]) > 0.3
+
+
+def test_the_known_range_of_a_sensor_is_its_automatic_one(make: Make) -> None:
+    world = make("{type: joint_position, joint: slider, noise: 1 cm, range: -50 .. 50 cm}", "auto")
+    rows = seen(world, 20)
+    assert rows[:, 1] == pytest.approx(2 * rows[:, 0], abs=0.1)
+
+
+def test_the_same_seed_gives_the_same_readings(make: Make) -> None:
+    world = make("{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}")
+    first = seen(world, 30)
+    seen(world, 7, 2)
+    assert np.array_equal(seen(world, 30), first)
+    assert not np.array_equal(seen(world, 30, 3)[:, 1] - seen(world, 30, 3)[:, 0], first[:, 1] - first[:, 0])
