@@ -80,6 +80,8 @@ class Actuators:
         names, effort, position = tuple(joint.name for joint in joints), effort_of(joints[0]), joint_dimension(joints[0])
         max_torque, rate = figures.max_torque(spec.max_torque, joints), position / TIME
         max_velocity = figures.max_velocity(spec.max_velocity if isinstance(spec, (VelocityMotor, PositionMotor)) else None, joints)
+        if isinstance(spec, PositionMotor) and spec.stiffness is not None and spec.max_velocity is None:
+            max_velocity = (None,) * len(joints)  # a spring pulls as it is said to, and its torque is what bounds it
         max_acceleration = stiffness = damping = None
         if isinstance(spec, VelocityMotor):
             max_acceleration = figures.number("max_acceleration", spec.max_acceleration, rate / TIME)

@@ -54,7 +54,8 @@ class PositionMotor(Motor):
     stiffness: Stiffness | None = Field(default=None, description="Torque per angle, N*m/rad, or force per length, N/m.")
     damping: Damping | None = Field(default=None, description="Torque per angular speed, N*m*s/rad, or force per speed, N*s/m.")
     max_velocity: JointSpeed | None = Field(
-        default=None, description="How fast the position that it drives to may move; by default the velocity limit of the robot file."
+        default=None,
+        description="How fast the position that it drives to may move; by default the robot file's limit, with stiffness at once.",
     )
 
 

@@ -142,3 +142,33 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
     let_go = rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 N", type="torque_motor")
     let_go.reset(seed=0)
     assert abs(let_go.engine.joint_states("cart", ("slider",))()[0][0]) > 0.01
+
+
+def test_the_target_of_a_spring_jumps_unless_the_scenario_bounds_how_fast_it_moves():
+    servo = ["robots.cart.apply.motor=drive * 0.2 m", "robots.cart.actuators.motor={type: position_motor, joint: slider}"]
+    spring = [*servo, "robots.cart.actuators.motor.stiffness=50 N/m"]
+    assert "engine.position_motor(" in api.compile(RAIL, sets=spring).code
+    assert "rates=(1.0,)" in api.compile(RAIL, sets=[*spring, "robots.cart.actuators.motor.max_velocity=1 m/s"]).code
+    assert "rates=(100.0,)" in api.compile(RAIL, sets=servo).code
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 8])
+@pytest.mark.parametrize(
+    ("target", "motor"),
+    [
+        ("1000 m/s", {"type": "velocity_motor"}),
+        ("1000 N", {"type": "torque_motor"}),
+        ("1000 m", {"type": "position_motor", "stiffness": "50 N/m"}),
+    ],
+    ids=["velocity", "torque", "spring"],
+)
+def test_a_limit_times_strength_is_all_that_a_motor_exerts_whatever_the_substeps(
+    rail: Make, target: str, motor: dict[str, str], substeps: int
+):
+    apply = f"robots.cart.apply.motor=drive * {target}"
+    weak = rail(f"world.substeps={substeps}", *ENDLESS, apply, engine="pybullet", strength="0.5", **motor)
+    weak.reset(seed=0)
+    weak.step(FORWARD)
+    ((_, speed, *_),) = weak.engine.joint_states("cart", ("slider",))()
+    # The rod hangs still at first, and a quarter of its mass moves along.
+    assert speed == pytest.approx(5.0 * TICK / (1.0 + 0.1 / 4), rel=1e-2)

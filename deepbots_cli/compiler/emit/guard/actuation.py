@@ -50,7 +50,7 @@ def _require_sound(actuator: Actuator, substep: float) -> None:
     if len(counts) != 1 or 0 in counts:
         raise CanonicalError(f"'{actuator.name[:40]}' has not one figure for each part")
     figures = (response.strength, *gains)
-    if any(gain is not None and not 0.0 <= gain < _MOST for gain in figures) or any(limit is not None and limit < 0.0 for limit in limits):
+    if any(gain is not None and not 0.0 <= gain < _MOST for gain in figures) or not all(limit is None or limit >= 0.0 for limit in limits):
         raise CanonicalError(f"'{actuator.name[:40]}' has a figure below 0 or beyond all bounds")
 
 
