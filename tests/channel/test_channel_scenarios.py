@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.errors import MessageError
 from deepbots_cli.runtime import Supervisor
 
 Make = Callable[..., Supervisor]
@@ -186,3 +187,38 @@ def test_the_age_of_a_reading_is_its_own_and_that_of_the_message(make: Make, sen
     messages = f"messages={{format: {format}, from_robot: {route}}}"
     found = terms(make(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
     assert found["place"] == pytest.approx(ages)
+
+
+REWARD = "reward={rival: joint_velocity(rival.slider) / (0.1 m/s)}"
+SCRIPTED = """\
+  rival:
+    urdf: cartpole_rail
+    base: fixed
+    pose: {y: 1 m}
+    sensors: {place: {type: joint_position, joint: slider}}
+    actuators: {motor: {type: velocity_motor, joint: slider, max_torque: 1000 N}}
+    receive:
+      seen: cart.place
+    emit: []
+    apply:
+      motor: where(place > 3 mm, -1, 1) * 0.1 m/s + seen / s
+"""
+
+
+@pytest.mark.parametrize("format", ["struct", "csv", "none"])
+def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(make: Make, format: str) -> None:
+    """No action variable reaches it: it goes forth and back around 3 mm, by what it senses, and drifts with where the other one is."""
+    environment = make(f"messages.format={format}", REWARD, rival=SCRIPTED)
+    found = terms(environment, [0.0] * 4)
+    assert found["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
+    drifting = terms(environment, [1.0, 0.0])["rival"]
+    assert drifting == pytest.approx([1.0, 1.0 + 0.02], abs=1e-3)
+    assert [field.name for field in environment.scenario.robots[1].to_robot.fields] == ["seen"]
+
+
+def test_a_message_on_a_foreign_channel_is_refused(make: Make) -> None:
+    environment = make(REWARD, rival=SCRIPTED)
+    environment.reset(seed=0)
+    environment.to_rival.send(environment.encode_to_cart(1.0))
+    with pytest.raises(MessageError, match="robot 'rival', to the robot, step 1: a foreign message"):
+        environment.step(np.zeros(1))

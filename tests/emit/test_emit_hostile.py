@@ -24,7 +24,7 @@ DATA = Path(__file__).parents[1] / "data" / "scenarios"
 SOURCES = [
     "cartpole",
     *(str(DATA / f"{name}.yaml") for name in ("drawn", "pair", "placed")),
-    str(DATA.parents[1] / "channel" / "radio.yaml"),
+    *(str(DATA.parents[1] / "channel" / f"{name}.yaml") for name in ("radio", "team")),
     str(DATA.parents[1] / "world" / "hills.yaml"),
 ]
 MARK = "intruder"
