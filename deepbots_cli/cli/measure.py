@@ -65,7 +65,7 @@ def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: 
             return _time(environment, plan, environment.step, lambda episode: episode.action)
 
         def bare() -> float:
-            return _time(other, plan, other.engine.step, lambda episode: ir.world.substeps)
+            return _time(other, plan, other.engine.step, lambda episode: ir.world.substeps * ir.agent.repeat)
 
         whole(), bare()  # caches and clocks warm up
         measured = [_pair(whole, bare, swapped=bool(number % 2)) for number in range(pairs)]
