@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.urdf.mesh import extent
 from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Mesh, RobotModel, Shape, Sphere
 from deepbots_cli.urdf.rotation import quaternion
 
@@ -169,7 +170,25 @@ def link_frames(model: RobotModel) -> dict[str, Frame]:
     return found
 
 
-# How high
+# How large and how high
+
+Bounds = tuple[Triple, Triple]
+"""The least and the greatest coordinates of a box."""
+
+
+def bounds(model: RobotModel) -> Bounds:
+    """Of the box around all that is seen of a robot or touches, in the frame of its root, with all joints at 0."""
+    where = link_frames(model)
+    parts = [(where[link.name], part) for link in model.links for part in (*link.visuals, *link.collisions)]
+    boxes = [_bounds(part.shape, frames.inside(link, frames.frame(part.origin))) for link, part in parts]
+    boxes += [(origin, origin) for origin, _ in where.values()]
+    lows, highs = (list(zip(*corners, strict=True)) for corners in zip(*boxes, strict=True))
+    return (min(lows[0]), min(lows[1]), min(lows[2])), (max(highs[0]), max(highs[1]), max(highs[2]))
+
+
+def bounds_of_shape(shape: Shape) -> Bounds:
+    """Of the box around a shape, in its own frame."""
+    return _bounds(shape, frames.HERE)
 
 
 def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
@@ -203,7 +222,14 @@ def _bounds(shape: Shape, frame: Frame) -> tuple[Triple, Triple]:
 
 
 def _corners(shape: Shape, frame: Frame) -> Iterator[Triple]:
-    """Of the box around a shape; a mesh counts as its origin."""
+    """Of the box around a shape; a mesh whose size is unknown counts as its origin."""
+    if isinstance(shape, Mesh):
+        low, high = extent(shape) or (frames.HERE[0], frames.HERE[0])
+        for x in (low[0], high[0]):
+            for y in (low[1], high[1]):
+                for z in (low[2], high[2]):
+                    yield frames.add(frame[0], frames.rotate(frame[1], (x, y, z)))
+        return
     match shape:
         case Box(size):
             a, b, c = size[0] / 2, size[1] / 2, size[2] / 2

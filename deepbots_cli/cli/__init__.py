@@ -7,7 +7,8 @@ terminal.py  what goes to stdout and stderr, and when in colour
 outlets.py   stdout and stderr whose reader may be gone
 tables.py    aligned columns
 exits.py     from exceptions to exit codes
-anatomy.py   what `inspect` shows          measure.py  what `bench` times
+anatomy.py   what `inspect` shows, robot_file.py of a robot file
+measure.py   what `bench` times
 ageing.py    when actions act, how old observations are
 picture.py   a picture as PNG              replay.py   episodes of a policy without a network
 copying.py   what `copy` writes            project.py  what `eject` writes

@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
+from deepbots_cli.frames import Triple
 from deepbots_cli.ir import Choices, CompiledScenario, MessageLayout
-from deepbots_cli.port import Engine
+from deepbots_cli.port import STILL, Engine
 from deepbots_cli.runtime.channel import channel
 from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import codec, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.spaces import action_space, observation_space, views
 from deepbots_cli.runtime.streams import Streams
-from deepbots_cli.runtime.view import overview
+from deepbots_cli.runtime.view import moved, overview
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
@@ -156,7 +157,16 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """A picture of the world (uint8, height x width x 3), or None without a render mode."""
         if self.render_mode is None:
             return None
-        return self.engine.render(overview(self.scenario))
+        return self.engine.render(moved(overview(self.scenario), self._strayed()))
+
+    def _strayed(self) -> Triple:
+        """How far the view follows the robots: nowhere within an arena or on terrain, else to the first that can go."""
+        world = self.scenario.world
+        goers = [robot.name for robot in world.robots if not robot.fixed_base]
+        if not goers or world.arena is not None or world.terrain is not None or world.lines:
+            return STILL
+        x, y, _ = self.engine.pose(goers[0])()[0]
+        return x, y, 0.0
 
     def close(self) -> None:
         """Release the engine; may be called twice."""

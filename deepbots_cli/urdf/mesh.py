@@ -9,9 +9,11 @@ import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
-from deepbots_cli.urdf.mesh_format import fault
+from deepbots_cli.urdf.mesh_format import Measure, fault, measure
+from deepbots_cli.urdf.model import Mesh, Vector
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
@@ -80,6 +82,31 @@ def beside(folder: Path) -> ResolveMesh:
         return Refusal("the mesh lies outside the folder of the robot", "move it beside the robot file")
 
     return resolve
+
+
+def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
+    """The least and the greatest coordinates of a scaled mesh, m; None where the file does not say or has gone."""
+    found = _measured(mesh.path, mesh.digest)
+    if found is None:
+        return None
+    ends = [sorted((low * factor, high * factor)) for low, high, factor in zip(found.lower, found.upper, mesh.scale, strict=True)]
+    (x, x_end), (y, y_end), (z, z_end) = ends
+    return (x, y, z), (x_end, y_end, z_end)
+
+
+@lru_cache(maxsize=1000)
+def _measured(path: str, digest: str) -> Measure | None:
+    file = Path(path)
+    try:
+        if not file.is_file() or file.stat().st_size > MAX_BYTES:
+            return None
+        data = file.read_bytes()
+    except (OSError, ValueError):
+        return None
+    suffix = file.suffix.lower()
+    if hashlib.sha256(data).hexdigest() != digest or fault(suffix, data) is not None:
+        return None
+    return measure(suffix, data)
 
 
 class Meshes:

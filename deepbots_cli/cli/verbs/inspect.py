@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import anatomy, terminal
+from deepbots_cli.cli import anatomy, robot_file, terminal
 from deepbots_cli.cli import picture as drawing
-from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.options import AllowPaths, Json, Sets
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.errors import ScenarioError
 
@@ -22,7 +22,10 @@ _CAPTIONS = {
 
 
 def command(
-    scenario: Scenario,
+    scenario: Annotated[
+        str,
+        typer.Argument(metavar="SCENARIO|ROBOT", help="A scenario or robot file: a path, package://..., or the name of a shipped one."),
+    ],
     sets: Sets = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode; the file is replaced.")
@@ -30,7 +33,7 @@ def command(
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Show what a scenario means: spaces, messages, reward, timing.
+    """Show what a scenario means: spaces, messages, reward, timing. Or what a robot file holds: links, joints, what is odd.
 
     Figures are in SI units. The table of timing tells from which physics step an action acts and how old each observation is.
 
@@ -38,9 +41,13 @@ def command(
       deepbots inspect cartpole
       deepbots inspect cartpole --picture world.png
       deepbots inspect cartpole --set messages.timing=paper
+      deepbots inspect package://pybullet_data/husky/husky.urdf --picture husky.png
     """
     if picture is not None:
         drawing.check(picture)
+    if robot_file.named(scenario):
+        _inspect_robot(scenario, picture, as_json)
+        return
     checked = api.load(scenario, sets=sets or (), allow_paths=allow_paths or ())
     root = checked.document.root
     if root is None:
@@ -58,6 +65,21 @@ def command(
         _show(tables)
     if picture is not None:
         terminal.note(f"the world is drawn in {picture}")
+
+
+def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:
+    robot, findings = robot_file.opened(reference)
+    tables = robot_file.sections(robot, findings)
+    if picture is not None:
+        picture.write_bytes(robot_file.photograph(robot.model))
+    if as_json:
+        terminal.show_json(tables)
+    else:
+        _show({name: rows for name, rows in tables.items() if name != "findings"})
+        if findings:
+            terminal.show_findings(findings)
+    if picture is not None:
+        terminal.note(f"the robot is drawn in {picture}")
 
 
 def _show(tables: anatomy.Sections) -> None:

@@ -33,7 +33,7 @@ def command(
     if known:
         terminal.say(f"\nruns in {runs}\n" + table(known))
     else:
-        terminal.note(f"\nno runs in {runs} yet; make one with: deepbots train {scenarios[0]['name'] if scenarios else 'SCENARIO'}")
+        terminal.note(f"\nno runs in {runs} yet; make one with: deepbots train cartpole")
 
 
 def _scenarios() -> list[Row]:

@@ -6,15 +6,18 @@ from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
+from deepbots_cli.engines.lump import held_by
 from deepbots_cli.errors import EngineError
 from deepbots_cli.urdf.mesh import MAX_BYTES
 from deepbots_cli.urdf.mesh_format import fault
 from deepbots_cli.urdf.model import Inertial, Joint, Limit, Mesh, RobotModel
+from deepbots_cli.urdf.override import with_link
 
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 NOWHERE = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
 _KNOWN: set[tuple[str, str]] = set()  # meshes that were looked at in this process: suffix and digest
+TRACE = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
 
 
@@ -35,8 +38,21 @@ def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
             raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):
-        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
+        model = _with_heavy_root(name, model)
     return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
+
+
+def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
+    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to it.
+
+    The engine would take a free root without mass for one that is bolted to the world.
+    """
+    links = [model.link(link).inertial for link in held_by(model, model.root)]
+    mass = sum(known.mass for known in links if known)
+    if mass <= 0.0:
+        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
+    trace = TRACE * mass
+    return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
 
 
 def _carried(model: RobotModel) -> dict[str, float]:
