@@ -17,6 +17,8 @@ def interface(ir: CompiledScenario) -> dict[str, str]:
     items: dict[str, str] = {}
     for observed in ir.observation:
         items[f"observation.{observed.full_name}"] = _observed(observed)
+    for pictured in ir.pictures:
+        items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
     if ir.goal is not None:
         for component, low, high in zip(ir.goal.components or ("",), ir.goal.low, ir.goal.high, strict=True):
             items[f"goal.{component}".rstrip(".")] = _range(low, high, ir.goal.unit)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from deepbots_cli.cli.tables import Row
-from deepbots_cli.ir import Choices, CompiledScenario, Route
+from deepbots_cli.ir import Choices, CompiledScenario, Observed, Route
 from deepbots_cli.lang.scalar import Const, Name, Scalar, walk
 
 
@@ -27,7 +27,7 @@ def timing(scenario: CompiledScenario) -> list[Row]:
         rows.append({"what": "action", "name": part.name, "moment": "acts from", "physics_step": acts, "age_s": age})
     senders = {f"{robot.name}.{entry.name}": robot for robot in scenario.robots for entry in robot.emit}
     signals = {entry.name: entry.values for entry in scenario.signals}
-    for observed in scenario.observation:
+    for observed in scenario.seen:
         sent = set(senders) & set(_names(observed.value, signals))
         ticks = _most(scenario, [senders[name].from_route for name in sent])
         after = 0 if ticks is None else substeps * (repeat - ticks)
@@ -35,7 +35,7 @@ def timing(scenario: CompiledScenario) -> list[Row]:
         rows.append(
             {
                 "what": "observation",
-                "name": observed.full_name,
+                "name": observed.full_name if isinstance(observed, Observed) else observed.name,
                 "moment": "measured after",
                 "physics_step": "varies" if ticks is None else f"{substeps * repeat}n{behind}",
                 "age_s": None if ticks is None else ticks * timestep,

@@ -10,7 +10,19 @@ from collections.abc import Mapping as Dictionary
 
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
-from deepbots_cli.ir import Actuator, Cartesian, Choices, CompiledScenario, Field, Interval, MessageFormat, MessageLayout, Thrust, viewed
+from deepbots_cli.ir import (
+    Actuator,
+    Cartesian,
+    Choices,
+    CompiledScenario,
+    Field,
+    Interval,
+    MessageFormat,
+    MessageLayout,
+    Pictured,
+    Thrust,
+    viewed,
+)
 from deepbots_cli.lang.scalar import names_in
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
@@ -63,13 +75,27 @@ def _scenario(scenario: CompiledScenario, digest: str) -> Row:
         "gravity": list(world.gravity),
         "messages": scenario.format,
         "message_timing": scenario.timing,
-        "observation_space": f"Box({len(viewed(scenario.observation, scenario.agent.stack))})",
+        "observation_space": _view(scenario),
         "action_space": _space(scenario),
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
         "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.agent.each) else None,
         "solved": _solved(scenario),
     }
+
+
+def _view(scenario: CompiledScenario) -> str:
+    numbers = len(viewed(scenario.observation, scenario.agent.stack))
+    parts = [f"Box({numbers})"] if numbers or not scenario.pictures else []
+    parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.pictures]
+    if scenario.goal is not None:
+        parts.append(f"two goals of {len(scenario.goal.low)}")
+    return ", ".join(parts)
+
+
+def _sides(entry: Pictured, scenario: CompiledScenario) -> str:
+    rows, columns, channels = entry.shape
+    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.agent.stack))}"
 
 
 def _space(scenario: CompiledScenario) -> str:
@@ -262,7 +288,7 @@ def _observation(scenario: CompiledScenario) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
     seen = [(scenario.observation[index], ago) for index, ago in viewed(scenario.observation, scenario.agent.stack)]
     remembers = any(ago for _, ago in seen)
-    return [
+    rows: list[Row] = [
         {
             "index": index,
             "name": entry.full_name,
@@ -274,6 +300,10 @@ def _observation(scenario: CompiledScenario) -> list[Row]:
         }
         for index, (entry, ago) in enumerate(seen)
     ]
+    pictures: list[Row] = [
+        {"index": None, "name": entry.key, "seen_as": f"{_sides(entry, scenario)} of 0 .. 255"} for entry in scenario.pictures
+    ]
+    return rows + pictures
 
 
 def _endings(scenario: CompiledScenario, root: Node) -> list[Row]:

@@ -46,7 +46,7 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         tuple(_parameter(value) for value in task.parameters),
         _action(task),
         tuple(_named(value) for value in task.order),
-        tuple(entry for observed in task.observation for entry in _observed(observed)),
+        tuple(entry for observed in task.observation if not observed.value.typed.type.picture for entry in _observed(observed)),
         tuple(ir.Term(term.name, _scalars(term)[0]) for term in task.reward),
         tuple(ir.Ending(ending.value.name, ending.outcome, _scalars(ending.value)[0]) for ending in task.endings),
         task.truncation,
@@ -71,6 +71,7 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         tuple(ir.Stage(stage.name, stage.until, lower(stage.task)) for stage in task.curriculum),
         tuple(_disturbance(push) for push in task.disturbances),
         goal=_goal(task.goal),
+        pictures=tuple(_pictured(observed) for observed in task.observation if observed.value.typed.type.picture),
     )
 
 
@@ -124,6 +125,11 @@ def _observed(observed: ObservedValue) -> list[ir.Observed]:
         ir.Observed(value.name, component, scalar, low, high, unit, known.boolean, history, clip, added)
         for component, scalar, low, high, added in rows
     ]
+
+
+def _pictured(observed: ObservedValue) -> ir.Pictured:
+    value = observed.value
+    return ir.Pictured(value.name, _scalars(value)[0], value.typed.type.picture or (), observed.history)
 
 
 def _noise(noise: ObservedNoise | None, components: tuple[str, ...] | None) -> tuple[ir.Noise, ...]:

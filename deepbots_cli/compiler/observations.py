@@ -11,7 +11,6 @@ from deepbots_cli.compiler.values import Text
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.names import NOT_YET
 from deepbots_cli.lang.typed import Typed, zero
 from deepbots_cli.lang.types import Context, Stage
 from deepbots_cli.schema.scenario import Scenario
@@ -33,6 +32,7 @@ class Observations:
     def entries(self) -> tuple[ObservedValue, ...]:
         found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
         self._check_size(found)
+        self._check_keys(found)
         return found
 
     def _entry(self, key: str, given: Observed | str) -> ObservedValue | None:
@@ -68,8 +68,10 @@ class Observations:
     def _bounds(self, typed: Typed, text: Text) -> Bounds | None:
         count = len(typed.type.components or ("",))
         if typed.type.picture:
-            self._values.findings.add("DB108", text.span, "observing a picture is not supported yet", help=NOT_YET)
-            return None
+            if text.text != "auto":
+                self._values.findings.add("DB403", text.span, "a range for a picture", help="write `auto`: its pixels are seen as 0 to 255")
+                return None
+            return (), ()
         if typed.type.boolean:
             if text.text != "auto":
                 self._values.findings.add("DB403", text.span, "a range for a truth value", help="write `auto`: it is seen as 0 or 1")
@@ -92,8 +94,10 @@ class Observations:
             return None
         path: Path = (*place, "noise")
         text = self._values.text(path, spec.noise)
-        if typed.type.boolean:
-            self._values.findings.add("DB403", text.span, "noise on a truth value", help="take it out, or observe the number behind it")
+        if typed.type.boolean or typed.type.picture:
+            self._values.findings.add(
+                "DB403", text.span, f"noise on {typed.type.words}", help="take it out, or observe the number behind it"
+            )
             return None
         scope = ParameterScope(self._namespace, Context.FIELD)
         components = typed.type.components
@@ -107,8 +111,21 @@ class Observations:
         return ObservedNoise(Valued("noise", text.span, text.text, noise, owner), relative) if noise else None
 
     def _check_size(self, entries: tuple[ObservedValue, ...]) -> None:
-        seen = self._spec.agent.stack * sum(len(entry.low) * entry.history for entry in entries)
-        if seen > ir.MOST_SEEN:
-            span = self._values.key_span(("observation",))
-            headline = f"an observation of {seen} numbers, which is more than {ir.MOST_SEEN}"
-            self._values.findings.add("DB105", span, headline, help="shorten its histories, or the stack of the agent")
+        stack = self._spec.agent.stack
+        seen = stack * sum(len(entry.low) * entry.history for entry in entries)
+        pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
+        for found, most, what in ((seen, ir.MOST_SEEN, "numbers"), (pixels, ir.MOST_SEEN_BYTES, "bytes of pictures")):
+            if found > most:
+                headline = f"an observation of {found} {what}, which is more than {most}"
+                help = "shorten its histories, or the stack of the agent"
+                self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
+
+    def _check_keys(self, entries: tuple[ObservedValue, ...]) -> None:
+        """Pictures stand under keys of their own, in which a dot is an underscore."""
+        taken = {"observation", "achieved_goal", "desired_goal"}
+        for entry in entries:
+            key = entry.value.name.replace(".", "_")
+            if entry.value.typed.type.picture and key in taken:
+                headline = f"the picture `{entry.value.name}` would stand under the key `{key}`, which is taken"
+                self._values.findings.add("DB202", entry.value.span, headline, help="send it under another name")
+            taken |= {key} if entry.value.typed.type.picture else set()

@@ -7,7 +7,7 @@
     ├── action, agent what the agent chooses, which variables that sets, for how many ticks
     ├── signals       augmentation and helpers, in order of evaluation
     ├── goal          where it has got and shall get
-    ├── observation   one entry per number of a frame of what the policy sees
+    ├── observation   one entry per number of a frame of what the policy sees, pictures apart
     ├── reward, endings, truncation, reset, disturbances
     ├── training, evaluation, solved
     └── cases, curriculum   the whole once more for each case of the evaluation and each stage of the curriculum
@@ -42,6 +42,7 @@ from deepbots_cli.ir.robots import (
 from deepbots_cli.ir.sensing import FINEST, MOST_PIXELS, MOST_RAYS, Beams, Channels, Combined, Faults, Lookup, Optics, Sensor
 from deepbots_cli.ir.task import (
     MOST_SEEN,
+    MOST_SEEN_BYTES,
     Agent,
     Choices,
     Copies,
@@ -52,6 +53,7 @@ from deepbots_cli.ir.task import (
     Observed,
     Option,
     Outcome,
+    Pictured,
     Term,
     Truncation,
     own_action,
@@ -92,6 +94,7 @@ __all__ = [
     "MOST_POINTS",
     "MOST_RAYS",
     "MOST_SEEN",
+    "MOST_SEEN_BYTES",
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
     "NOTHING",
@@ -141,6 +144,7 @@ __all__ = [
     "Outcome",
     "Parameter",
     "Picture",
+    "Pictured",
     "Pit",
     "Place",
     "Point",
@@ -202,7 +206,13 @@ class CompiledScenario:
     curriculum: tuple[Stage, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
     goal: Goal | None = None
+    pictures: tuple[Pictured, ...] = ()
     version: int = IR_VERSION
+
+    @property
+    def seen(self) -> tuple[Observed | Pictured, ...]:
+        """All entries of the observation, the numbers first."""
+        return (*self.observation, *self.pictures)
 
     @property
     def period(self) -> float:

@@ -13,8 +13,9 @@ from deepbots_cli.urdf.model import Vector
 
 Outcome = Literal["success", "failure"]
 
-# What one observation may hold; a network with more inputs is no small one.
+# What one observation may hold, in numbers and in bytes of pictures; a network with more inputs is no small one.
 MOST_SEEN = 100_000
+MOST_SEEN_BYTES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,25 @@ class Observed:
     @property
     def full_name(self) -> str:
         return self.name if self.component is None else f"{self.name}.{self.component}"
+
+
+@dataclass(frozen=True)
+class Pictured:
+    """A picture that the policy sees: uint8 of `shape` (rows, columns, channels), with its history side by side as channels."""
+
+    name: str
+    value: Scalar
+    shape: tuple[int, ...]
+    history: int = 1
+
+    @property
+    def key(self) -> str:
+        """Where it stands in the observation; torch takes no dots."""
+        return self.name.replace(".", "_")
+
+    def ages(self, stack: int = 1) -> tuple[int, ...]:
+        """How many steps ago each picture that the policy sees was the newest, oldest first."""
+        return tuple(back + ago for back in reversed(range(stack)) for ago in reversed(range(self.history)))
 
 
 def viewed(observation: Sequence[Observed], stack: int = 1) -> tuple[tuple[int, int], ...]:

@@ -9,6 +9,7 @@ sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
 team.py        copies of a robot in one world, share.py what each sees of the engine
 streams.py     named random streams under one root seed
+album.py       the last pictures
 hindsight.py   rewards for other goals, for hindsight replay
 spaces.py      action and observation spaces; view.py a camera that sees the whole scene
 load.py        generated text to a module whose tracebacks show its lines

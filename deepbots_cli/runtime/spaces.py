@@ -15,27 +15,37 @@ from deepbots_cli.ir import Choices, CompiledScenario, Interval, viewed
 def observation_space(scenario: CompiledScenario) -> gym.Space[Any]:
     """One float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value, without bounds if it is not clipped.
 
-    With a goal, that stands as `observation` in a Dict beside `achieved_goal` and `desired_goal`.
+    With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as uint8 (rows,
+    columns, channels), and `achieved_goal` and `desired_goal`.
     """
     entries = [scenario.observation[index] for index, _ in viewed(scenario.observation, scenario.agent.stack)]
     low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
     high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
-    if scenario.goal is None:
+    if scenario.goal is None and not scenario.pictures:
         return box
-    goal = gym.spaces.Box(-1.0, 1.0, (len(scenario.goal.low),), np.float32)
-    return gym.spaces.Dict({"observation": box, "achieved_goal": goal, "desired_goal": goal})
+    parts: dict[str, gym.Space[Any]] = {"observation": box} if entries or not scenario.pictures else {}
+    for pictured in scenario.pictures:
+        rows, columns, channels = pictured.shape
+        parts[pictured.key] = gym.spaces.Box(0, 255, (rows, columns, channels * len(pictured.ages(scenario.agent.stack))), np.uint8)
+    if scenario.goal is not None:
+        goal = gym.spaces.Box(-1.0, 1.0, (len(scenario.goal.low),), np.float32)
+        parts |= {"achieved_goal": goal, "desired_goal": goal}
+    return gym.spaces.Dict(parts)
+
+
+def depth(scenario: CompiledScenario) -> int:
+    """How many steps must be kept for the longest history."""
+    stack = scenario.agent.stack
+    return stack + max([entry.history for entry in scenario.seen], default=1) - 1
 
 
 def views(scenario: CompiledScenario) -> NDArray[np.intp]:
-    """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p.
-
-    There are as many rows as frames are needed for the longest history.
-    """
+    """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p."""
     seen = np.array(viewed(scenario.observation, scenario.agent.stack), np.intp).reshape(-1, 2)
-    depth = 1 + int(seen[:, 1].max(initial=0))
-    newest = np.arange(depth)[:, None]
-    return (newest - seen[:, 1]) % depth * len(scenario.observation) + seen[:, 0]
+    frames = depth(scenario)
+    newest = np.arange(frames)[:, None]
+    return (newest - seen[:, 1]) % frames * len(scenario.observation) + seen[:, 0]
 
 
 def action_space(scenario: CompiledScenario) -> gym.Space[Any]:

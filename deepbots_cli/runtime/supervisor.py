@@ -16,6 +16,7 @@ from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
 from deepbots_cli.ir import Choices, CompiledScenario, MessageLayout
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.runtime.album import Album
 from deepbots_cli.runtime.channel import channel
 from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import codec, excerpt, explain
@@ -77,6 +78,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.observed = np.zeros(len(scenario.observation), np.float32)
         self.views = views(scenario)
         self.depth = len(self.views)
+        self.albums = {entry.key: Album(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.pictures}
         self.frames = np.zeros(self.depth * len(scenario.observation), np.float32)
         self.goal = np.zeros(2 * len(scenario.goal.low) if scenario.goal else 0, np.float32)
         self.physics = engine.step
@@ -272,9 +274,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
     def fill_frames(self) -> None:
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
-        self.newest = 0
         width = len(self.observed)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
+        for album in self.albums.values():
+            album.frames[1:] = album.frames[0]
 
     def _nothing_allowed(self, choice: str) -> None:
         """Called when every option of a choice is forbidden while the episode goes on."""
@@ -283,7 +286,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 
     def _forget(self) -> None:
-        self.step_count = self.tick_count = 0
+        self.step_count = self.tick_count = self.newest = 0
         self.reward = self.previous_reward = self.episode_return = 0.0
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import Noise, Observed
+from deepbots_cli.ir import Noise, Observed, Pictured
 from deepbots_cli.lang.emit import operand
 from deepbots_cli.lang.scalar import Const, Name
 
@@ -34,13 +34,20 @@ def print_observation(space: Workspace, printer: Printer) -> None:
             printer.line(f"if not -1e30 < {name} < 1e30:")
             printer.line(f"    unbounded({name})")
         packed.append(name)
-    if not space.remembers:
+    if packed and space.remembers:
+        place = "0" if printer.starting else f"self.newest * {4 * len(packed)}"
+        printer.line(f"self.pack({', '.join(['self.frames', place, *packed])})")
+    elif packed:
         printer.line(f"self.pack({', '.join(['self.observed', '0', *packed])})")
-        return
-    place = "0" if printer.starting else f"self.newest * {4 * len(packed)}"
-    printer.line(f"self.pack({', '.join(['self.frames', place, *packed])})")
-    if printer.starting:
+    for pictured in space.scenario.pictures:
+        printer.line(f"{album(space, pictured)}[{'0' if printer.starting else 'self.newest'}] = {printer.value(pictured.value)}")
+    if space.remembers and printer.starting:
         printer.line("self.fill_frames()")
+
+
+def album(space: Workspace, pictured: Pictured) -> str:
+    """The attribute that holds the last pictures of one kind, a ring as that of the numbers."""
+    return f"self.{space.names('album', pictured.key)}"
 
 
 def print_next_frame(space: Workspace, printer: Printer) -> None:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import CompiledScenario
 
 
 def readings(space: Workspace) -> list[list[str]]:
     scenario = space.scenario
-    seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in _histories(scenario).items()])
+    histories = {entry.name: entry.history for entry in scenario.seen}
+    seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
     seen += f"; {scenario.agent.stack} times in a row" if scenario.agent.stack > 1 else ""
-    code = "self.frames.take(self.views[self.newest])" if space.remembers else "self.observed.copy()"
-    if scenario.goal is not None:
-        size = len(scenario.goal.low)
-        code = f'{{"observation": {code}, "achieved_goal": self.goal[:{size}].copy(), "desired_goal": self.goal[{size}:].copy()}}'
-        seen += "; and what is achieved and desired"
+    seen += "; and what is achieved and desired" if scenario.goal is not None else ""
+    parts = _parts(space)
+    code = parts["observation"] if set(parts) == {"observation"} else _dictionary(parts)
     summands = sentence_list([term.name for term in scenario.reward])
     ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
     limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
@@ -44,6 +42,18 @@ def readings(space: Workspace) -> list[list[str]]:
     ]
 
 
-def _histories(scenario: CompiledScenario) -> dict[str, int]:
-    """How many values in a row the policy sees of each name."""
-    return {entry.name: entry.history for entry in scenario.observation}
+def _dictionary(parts: dict[str, str]) -> str:
+    return f"{{{', '.join(f'{quoted(key)}: {part}' for key, part in parts.items())}}}"
+
+
+def _parts(space: Workspace) -> dict[str, str]:
+    """The code of each part of an observation, under its key."""
+    scenario = space.scenario
+    parts = {}
+    if scenario.observation or not scenario.pictures:
+        parts["observation"] = "self.frames.take(self.views[self.newest])" if space.remembers else "self.observed.copy()"
+    parts |= {pictured.key: f"self.albums[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.pictures}
+    if scenario.goal is not None:
+        size = len(scenario.goal.low)
+        parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}
+    return parts

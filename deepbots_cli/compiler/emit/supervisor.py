@@ -6,6 +6,7 @@ from deepbots_cli.compiler.emit.action import choice_tables
 from deepbots_cli.compiler.emit.goal import compute_reward
 from deepbots_cli.compiler.emit.masks import allowed
 from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.compiler.emit.observation import album
 from deepbots_cli.compiler.emit.pushes import bind_pushes, drawing
 from deepbots_cli.compiler.emit.readings import readings
 from deepbots_cli.compiler.emit.reset import begin, is_arranged
@@ -32,7 +33,10 @@ def _bind(space: Workspace) -> list[str]:
     lines = [*space.reads.bind_lines(), *bind_pushes(space)]
     if is_arranged(space.scenario.reset):
         lines.append("self.bodies = Arrangement(self.scenario, engine)")
-    lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
+    if space.scenario.observation:
+        lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
+    for pictured in space.scenario.pictures:
+        lines.append(f"{album(space, pictured)} = self.albums[{quoted(pictured.key)}].frames")
     if space.scenario.goal is not None:
         lines.append(f'self.pack_goal = Struct("{2 * len(space.scenario.goal.low)}f").pack_into')
     return block("def bind(self, engine: Any) -> None:", lines)

@@ -23,7 +23,7 @@ class Workspace:
         self.evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.values]
         self.evaluated += [ending.condition for ending in scenario.endings]
         self.evaluated += [term.value for term in scenario.reward]
-        self.evaluated += [entry.value for entry in scenario.observation]
+        self.evaluated += [entry.value for entry in scenario.seen]
         choices = [part for part in scenario.action if isinstance(part, Choices)]
         self._conditions = [option.forbidden for part in choices for option in part.options if option.forbidden is not None]
         self.evaluated += self._conditions
@@ -44,7 +44,7 @@ class Workspace:
     @property
     def remembers(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
-        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
+        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.seen)
 
     @property
     def taken(self) -> list[tuple[str, str]]:

@@ -31,7 +31,7 @@ def require_known_names(scenario: CompiledScenario) -> None:
     known |= {("previous_action", component) for component in own_action(scenario.action)}
     _require_parameters(scenario)
     _require_senders(scenario)
-    supervisor = [scenario.action, scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.reset]
+    supervisor = [scenario.action, scenario.signals, scenario.seen, scenario.reward, scenario.endings, scenario.reset]
     _require_in([*supervisor, *(robot.receive for robot in scenario.robots)], known)
     for robot in scenario.robots:
         sensed = [(sensor.name, component) for sensor in robot.sensors for component in (sensor.components or (None,))]

@@ -1,0 +1,75 @@
+"""Pictures of a camera as part of what the policy sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from deepbots_cli.errors import ScenarioError
+from deepbots_cli.runtime import Supervisor
+
+Small = Callable[..., Supervisor]
+SECTIONS = """\
+reward: {pay: drive}
+objects: {ball: {shape: sphere, radius: 10 cm, colour: red, fixed: true, pose: {x: 1 m, z: 0.6 m}}}
+"""
+EYE = "robots.cart.sensors.eye={type: camera, link: cart, pose: {x: 0.3 m, z: 0.2 m}, resolution: 24 16, fov: 60 deg}"
+SEND = "robots.cart.emit=[place, eye]"
+PUSH = "robots.cart.apply={motor: drive * 2 m/s}"
+
+
+def look(small: Small, observation: str, *sets: str) -> Supervisor:
+    return small(SECTIONS, EYE, SEND, PUSH, f"observation={observation}", *sets, engine="pybullet")
+
+
+def test_a_picture_stands_under_its_name_beside_the_numbers(small: Small) -> None:
+    environment = look(small, "{cart.place: -2 .. 2 m, cart.eye: auto}")
+    observation, _ = environment.reset(seed=0)
+    assert environment.observation_space.contains(observation)
+    assert observation["cart_eye"].shape == (16, 24, 3)
+    assert observation["cart_eye"].dtype == np.uint8
+    assert observation["cart_eye"].std() > 1
+    assert observation["observation"].shape == (1,)
+
+
+def test_a_policy_may_see_pictures_alone(small: Small) -> None:
+    assert set(look(small, "{cart.eye: auto}").observation_space) == {"cart_eye"}
+
+
+def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Small) -> None:
+    single = look(small, "{cart.eye: auto}")
+    pictures = [single.reset(seed=0)[0]["cart_eye"]]
+    pictures += [single.step(np.ones(1, np.float32))[0]["cart_eye"] for _ in range(5)]
+    assert len({picture.tobytes() for picture in pictures}) > 2
+    several = look(small, "{cart.eye: {range: auto, history: 3}, cart.place: -2 .. 2 m}")
+    for _ in range(2):
+        seen = [several.reset(seed=0)[0]["cart_eye"]]
+        seen += [several.step(np.ones(1, np.float32))[0]["cart_eye"] for _ in range(5)]
+        for index, picture in enumerate(seen):
+            expected = [pictures[max(0, index - ago)] for ago in (2, 1, 0)]
+            np.testing.assert_array_equal(picture, np.concatenate(expected, axis=2))
+
+
+def test_a_stack_holds_for_pictures_too(small: Small) -> None:
+    environment = look(small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={stack: 2, repeat: 2}")
+    assert environment.observation_space["cart_eye"].shape == (16, 24, 6)
+    environment.reset(seed=0)
+    first = environment.step(np.ones(1, np.float32))[0]["cart_eye"]
+    second = environment.step(np.ones(1, np.float32))[0]["cart_eye"]
+    np.testing.assert_array_equal(first[..., 3:], second[..., :3])
+
+
+def test_pictures_that_were_given_out_do_not_change(small: Small) -> None:
+    environment = look(small, "{cart.eye: {range: auto, history: 2}}")
+    kept = environment.reset(seed=0)[0]["cart_eye"]
+    copy = kept.copy()
+    environment.step(np.ones(1, np.float32))
+    np.testing.assert_array_equal(kept, copy)
+
+
+@pytest.mark.parametrize("entry", ["0 .. 255", "{range: auto, noise: 0.1}", "{range: auto, history: 1000}"])
+def test_what_is_no_use_for_a_picture_is_a_finding(small: Small, entry: str) -> None:
+    with pytest.raises(ScenarioError):
+        look(small, f"{{cart.place: -2 .. 2 m, cart.eye: {entry}}}", "agent={stack: 20}")
