@@ -194,6 +194,7 @@ class _Pass:
         world = WorldBuilder(spec, namespace).build(scenes, self.lines)
         limits = truncation(spec, namespace)
         action, rewards = actions.parts(), reward_terms(spec, namespace)
+        agent = ir.Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
         return Task(
             spec.name,
@@ -214,12 +215,12 @@ class _Pass:
             joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
             self._settle(world.timestep),
             solved(spec, values),
-            training(spec, values, action, limits, world.timestep),
+            training(spec, values, action, agent, limits, world.timestep),
             Evaluation(spec.evaluation.episodes),
             frozenset(spec.augment),
             tuple(namespace.variations),
             tuple(namespace.colours),
-            ir.Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace)),
+            agent,
             route(spec, "to_robot", namespace),
             route(spec, "from_robot", namespace),
             forbidden=actions.forbidden(),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import interface, ir
 from deepbots_cli.compiler.lower import lower
+from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.schema.plain import read_until
 from deepbots_cli.schema.scenario import Scenario
@@ -86,6 +87,10 @@ class _Maker:
                 self._findings.add("DB202", here, f"`{stage.name}` is already a stage", help="choose another name", also=also)
             first.setdefault(stage.name, here)
             last = index == len(spec.curriculum) - 1
+            found = read_until(stage.until)
+            if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
+                help = "add a condition under `termination.success`, or ask for a `mean_return`"
+                self.report("DB407", (*path, "until"), NO_SUCCESS, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
                 self._findings.add("DB102", here, f"the stage `{stage.name}` never ends, and others follow", help=help)

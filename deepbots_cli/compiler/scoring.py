@@ -17,6 +17,8 @@ from deepbots_cli.schema.task import PythonTerm
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskEnding, Valued
 
+NO_SUCCESS = "a success rate, where nothing counts as success"
+
 
 class Signals:
     """Augmentation, signals and endings: named values of the supervisor, typed when first asked for."""
@@ -113,5 +115,9 @@ def solved(spec: Scenario, values: Values) -> ir.Solved | None:
     if spec.solved is None:
         return None
     rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
+    known = spec.termination.success or spec.goal or values.is_lost("success") or values.is_lost("termination")
+    if rate is not None and not known:
+        help = "add a condition under `termination.success`, or ask for a `mean_return`"
+        values.findings.add("DB407", values.span(("solved", "success_rate")), NO_SUCCESS, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return ir.Solved(spec.solved.episodes, mean_return, rate)

@@ -15,7 +15,7 @@ _INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 Action = tuple[ir.Choices | ir.Interval, ...]
 
 
-def training(spec: Scenario, values: Values, action: Action, limits: ir.Truncation, tick: float) -> ir.Training | None:
+def training(spec: Scenario, values: Values, action: Action, agent: ir.Agent, limits: ir.Truncation, tick: float) -> ir.Training | None:
     """The training section; `tick` is the timestep in s.
 
     An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
@@ -32,7 +32,8 @@ def training(spec: Scenario, values: Values, action: Action, limits: ir.Truncati
     replay = _hindsight(own.get("replay"), spec, values)
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and limits != ir.Truncation():
-        longest = spec.train.environments * limits.most_steps(tick * spec.agent.repeat)
+        rows = spec.train.environments * (agent.each.count if agent.each else 1)
+        longest = rows * limits.most_steps(tick * agent.repeat)
         if starts < longest:
             headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")

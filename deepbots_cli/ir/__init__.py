@@ -219,6 +219,11 @@ class CompiledScenario:
         """Simulated time of a whole step of the agent, in s."""
         return self.world.timestep * self.agent.repeat
 
+    @property
+    def defines_success(self) -> bool:
+        """Whether an episode can be a success at all."""
+        return self.goal is not None or any(ending.outcome == "success" for ending in self.endings)
+
     def case(self, name: str) -> Case:
         """The case of the evaluation of that name.
 

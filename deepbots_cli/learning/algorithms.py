@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -127,11 +128,10 @@ def create(
         check_replay(settings, copies.observation_space)
     policy = "MultiInputPolicy" if isinstance(copies.observation_space, gym.spaces.Dict) else "MlpPolicy"
     try:
-        models.append(
-            _imported(algorithm)(
-                policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=_networks(training.policy, algorithm), **settings
-            )
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of batches that do not divide a roll-out, which does no harm
+            make, networks = _imported(algorithm), _networks(training.policy, algorithm)
+            models.append(make(policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=networks, **settings))
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error

@@ -85,7 +85,7 @@ class Watch(BaseCallback):
         self.told = told
         self.interruption = interruption
         self.total = total
-        self._has_success = any(ending.outcome == "success" for ending in run.ir.endings)
+        self._has_success = run.ir.defines_success
         # A task that an earlier part of this run has solved is trained on for its own sake.
         self._until_solved = run.record.stop_when_solved and self.statistics.solved_at is None
         self._beat = max(1, min(2_000, total // 100))

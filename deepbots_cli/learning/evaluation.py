@@ -31,7 +31,7 @@ class EvaluationResult:
 
     `case` is None for the scenario itself. `deviation` is the sample's; it and `return_interval` are None for a single
     episode. `solved` is None where the scenario says nothing, or asks for more episodes than there were; `verdict` puts it in
-    words. Where the scenario has no ending in success (`success_defined`), the success rate is 0 and means nothing.
+    words. Where the scenario knows no success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
@@ -189,7 +189,7 @@ def _summary(
         return_interval=mean_interval(returns),
         least_return=min(returns),
         greatest_return=max(returns),
-        success_defined=any(ending.outcome == "success" for ending in ir.endings),
+        success_defined=ir.defines_success,
         successes=successes,
         success_rate=rate,
         success_interval=wilson(successes, len(done)),

@@ -46,7 +46,7 @@ def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
     assert inputs["meshes/part.obj"] == MESH
 
 
-@pytest.mark.parametrize("sets", [(), ("fall_angle=10deg", "world.substeps=5")])
+@pytest.mark.parametrize("sets", [(), ("world.gravity=0 0 -9.8 m/s^2", "world.substeps=5")])
 @pytest.mark.parametrize("name", shipped.scenario_names())
 def test_a_resolved_scenario_compiles_to_the_same_from_its_copies(tmp_path, name, sets):
     compiled = api.compile(name, sets=sets)
