@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from deepbots_cli.frames import HERE, Frame, inside
+from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.lang import intervals
 from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TIME, TORQUE, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
@@ -41,6 +43,18 @@ def carries(model: RobotModel, joint: Joint, link: str) -> bool:
             return True
         link = above[link].parent
     return False
+
+
+def held(model: RobotModel, link: str) -> tuple[str, Frame]:
+    """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame in its frame."""
+    above = {joint.child: joint for joint in model.joints if not joint.moves}
+    frame = HERE
+    for _ in model.joints:  # no more than there are, whatever circle a forged model may hold
+        joint = above.get(link)
+        if joint is None:
+            break
+        link, frame = joint.parent, inside(pose_frame(joint.origin), frame)
+    return link, frame
 
 
 def hull(joints: Iterable[Joint]) -> Interval:

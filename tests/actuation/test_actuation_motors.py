@@ -172,3 +172,13 @@ def test_a_limit_times_strength_is_all_that_a_motor_exerts_whatever_the_substeps
     ((_, speed, *_),) = weak.engine.joint_states("cart", ("slider",))()
     # The rod hangs still at first, and a quarter of its mass moves along.
     assert speed == pytest.approx(5.0 * TICK / (1.0 + 0.1 / 4), rel=1e-2)
+
+
+def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
+    twins = rail(
+        *ENDLESS,
+        "robots.cart.actuators={place: {type: velocity_motor, joint: slider, lag: 20 ms}}",
+        "robots.cart.apply={place: drive * 1 m/s - 0.1 * place / s}",
+    )
+    found = speeds(twins, 20)
+    assert 0.8 < found[-1] < 1.0

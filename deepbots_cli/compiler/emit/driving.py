@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from deepbots_cli import frames
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
+from deepbots_cli.compiler.joints import held
 from deepbots_cli.ir import Actuator, Cartesian, CompiledScenario, Motor, Robot, Thrust
 
 
@@ -13,6 +15,7 @@ class Driving:
 
     def __init__(self, scenario: CompiledScenario, robot: Robot) -> None:
         self._robot = robot
+        self._model = next(body.model for body in scenario.world.robots if body.name == robot.name)
         self._substep = scenario.world.timestep / scenario.world.substeps
         self._varied = {(*variation.of[1:], variation.what) for variation in scenario.reset.variations if variation.of[:1] == (robot.name,)}
         commanded = {entry.name for entry in robot.apply}
@@ -83,9 +86,15 @@ class Driving:
         return f"Cartesian({', '.join([*arguments, *self._answers(hand)])})"
 
     def _thrust(self, thrust: Thrust) -> str:
-        arguments = ["engine", quoted(self._robot.name), quoted_tuple(thrust.links), repr(thrust.drag)]
-        arguments += [tuple_code([repr(sense) for sense in thrust.spin]), repr(self._substep), *_strength(thrust), *_late(thrust)]
-        return f"Thrust({', '.join(arguments)})"
+        rotors = [self._rotor(link, thrust.drag * sense) for link, sense in zip(thrust.links, thrust.spin, strict=True)]
+        arguments = ["engine", quoted(self._robot.name), tuple_code(rotors), repr(self._substep)]
+        return f"Thrust({', '.join([*arguments, *_strength(thrust), *_late(thrust)])})"
+
+    def _rotor(self, link: str, drag: float) -> str:
+        """The link that carries a rotor, where on it the rotor sits, its axis and its drag."""
+        carrier, (position, turned) = held(self._model, link)
+        axis = frames.rotate(turned, (0.0, 0.0, 1.0))
+        return f"({quoted(carrier)}, {position!r}, {axis!r}, {drag!r})"
 
     def _joints(self, motor: Motor) -> str:
         return f"{quoted(self._robot.name)}, {quoted_tuple(motor.joints)}"
