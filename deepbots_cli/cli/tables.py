@@ -10,6 +10,7 @@ from deepbots_cli.diagnostics.render import columns
 Row = Mapping[str, object]
 
 _NUMBERS = (int, float, type(None))
+_LISTED = 4  # items of a list in one cell, beyond which there are too many to read
 _NOTHING: tuple[object, ...] = (None, "", [], ())
 
 
@@ -45,7 +46,9 @@ def cell(value: object) -> str:
         case float():
             return f"{value:.5g}"
         case list() | tuple():
-            return ", ".join(map(cell, value)) or "-"
+            shown = value if len(value) <= _LISTED + 1 else value[:_LISTED]
+            rest = [] if len(shown) == len(value) else [f"... {len(value)} in all"]
+            return ", ".join([*map(cell, shown), *rest]) or "-"
         case _:
             return printable(str(value).replace("\n", " ")) or "-"
 

@@ -33,3 +33,8 @@ def test_any_values_make_lines_that_no_terminal_obeys(rows):
     shown = table(rows)
     assert shown.replace("\n", "").isprintable()
     assert shown.count("\n") == len(rows) + 1
+
+
+def test_a_long_list_is_cut_short_and_says_how_long_it_is():
+    assert pairs({"joints": [f"j{n}" for n in range(12)]}, indent="") == "joints  j0, j1, j2, j3, ... 12 in all"
+    assert pairs({"joints": [f"j{n}" for n in range(5)]}, indent="") == "joints  j0, j1, j2, j3, j4"
