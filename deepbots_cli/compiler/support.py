@@ -35,9 +35,6 @@ def check_support(spec: Scenario, values: Values) -> None:
                 _report(values, (*path, key), f"`{key}`")
         if "python" in part.model_fields_set:
             _report(values, (*path, "python"), "a Python term")
-    mixed = {hasattr(part, "choices") for part in spec.action.values()}
-    if len(mixed) > 1:
-        _report(values, ("action",), "an action of both choices and ranges")
 
 
 def _report(values: Values, path: Path, what: str) -> None:

@@ -7,6 +7,7 @@ from deepbots_cli.compiler.values import Values
 from deepbots_cli.schema.hyperparameters import ActionNoise, Hindsight
 from deepbots_cli.schema.plain import read_schedule
 from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.schema.task import DiscreteAction
 
 _ONE_CHOICE = frozenset({"DQN"})
 _CHOICES = frozenset({"DQN", "MaskablePPO"})
@@ -22,7 +23,7 @@ def training(spec: Scenario, values: Values, action: Action, agent: ir.Agent, li
     """
     if spec.train is None:
         return None
-    _check_algorithm(spec.train.algorithm, values, action)
+    _check_algorithm(spec, spec.train.algorithm, values, action)
     own = spec.train.hyperparameters
     figures = []
     for name, given in own.items():
@@ -64,7 +65,7 @@ def _hindsight(given: Hindsight | str | None, spec: Scenario, values: Values) ->
     return ir.Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, Hindsight) else ir.Hindsight()
 
 
-def _check_algorithm(algorithm: str, values: Values, action: Action) -> None:
+def _check_algorithm(spec: Scenario, algorithm: str, values: Values, action: Action) -> None:
     intervals = [part for part in action if isinstance(part, ir.Interval)]
     if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
         headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
@@ -74,6 +75,8 @@ def _check_algorithm(algorithm: str, values: Values, action: Action) -> None:
         headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
     elif intervals and len(intervals) < len(action):
         headline, help = "no algorithm acts by both choices and ranges", "give the ranges as choices, or the choices as ranges"
+    elif algorithm != "MaskablePPO" and any(isinstance(part, DiscreteAction) and part.forbid for part in spec.action.values()):
+        headline, help = f"{algorithm} does not heed what `forbid` forbids", "use MaskablePPO, or take `forbid` out"
     else:
         return
     values.findings.add("DB612", values.span(("train", "algorithm")), headline, help=help)

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import Choices, CompiledScenario, Interval, viewed
 
 
@@ -49,14 +48,11 @@ def views(scenario: CompiledScenario) -> NDArray[np.intp]:
 
 
 def action_space(scenario: CompiledScenario) -> gym.Space[Any]:
-    """Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals."""
-    choices = [part for part in scenario.action if isinstance(part, Choices)]
-    intervals = [part for part in scenario.action if isinstance(part, Interval)]
-    if choices and intervals:
-        raise UsageError("choices and intervals in one action are not supported by this version")
-    if intervals:
-        size = sum(max(1, len(part.components)) for part in intervals)
-        return gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
-    if len(choices) == 1:
-        return gym.spaces.Discrete(len(choices[0].options))
-    return gym.spaces.MultiDiscrete([len(part.options) for part in choices])
+    """Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of `choices` and `ranges` for both."""
+    options = [len(part.options) for part in scenario.action if isinstance(part, Choices)]
+    size = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, Interval))
+    ranges = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
+    if not options:
+        return ranges
+    choices: gym.Space[Any] = gym.spaces.Discrete(options[0]) if len(options) == 1 else gym.spaces.MultiDiscrete(options)
+    return gym.spaces.Dict({"choices": choices, "ranges": ranges}) if size else choices

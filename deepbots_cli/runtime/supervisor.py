@@ -191,6 +191,8 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     def action_mask(self) -> Any:
         """The same as `action_space.sample` takes it."""
         masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
+        if isinstance(self.action_space, gym.spaces.Dict):
+            return {"choices": masks[0] if len(masks) == 1 else masks, "ranges": None}
         return masks[0] if isinstance(self.action_space, gym.spaces.Discrete) else masks
 
     def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
@@ -315,7 +317,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         usual = _usual(self.action_space, action)
         if usual is None:
             raise UsageError(f"action {excerpt(action)} does not fit {self.action_space}") from None
-        if type(usual) is type(action) or isinstance(action, int | np.integer):
+        if _alike(usual, action):
             raise self._no_value(error) from error
         try:
             self._go_on(usual)
@@ -343,6 +345,9 @@ def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
 def _usual(space: gym.Space[Any], action: Any) -> Any:
     """The action as generated code takes it (int or array), or None if it is none of this space."""
     try:
+        if isinstance(space, gym.spaces.Dict):
+            parts = {key: _usual(part, action[key]) for key, part in space.spaces.items()} if set(action) == set(space.spaces) else {}
+            return parts if parts and all(part is not None for part in parts.values()) else None
         array = np.asarray(action)
         if isinstance(space, gym.spaces.Box):
             fits = array.shape == space.shape and np.isrealobj(array) and np.isfinite(array.astype(float)).all()
@@ -352,6 +357,13 @@ def _usual(space: gym.Space[Any], action: Any) -> Any:
         return array if space.contains(array) else None
     except (TypeError, ValueError, OverflowError):
         return None
+
+
+def _alike(usual: Any, action: Any) -> bool:
+    """Whether an action came in the form in which generated code takes it."""
+    if isinstance(usual, dict):
+        return all(_alike(part, action[key]) for key, part in usual.items())
+    return type(usual) is type(action) or isinstance(action, int | np.integer)
 
 
 def clipped(value: float) -> float:

@@ -28,18 +28,22 @@ def _table(rows: list[str]) -> str:
 
 
 def print_decoding(space: Workspace, printer: Printer) -> None:
-    """Statements that set the action variables from `action`."""
+    """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there are both."""
     choices, intervals = _parts(space)
     given = _own_action(space)
-    picks = ["action"] if len(choices) == 1 else [space.names(f"{part.name} pick") for part in choices]
+    chosen = ranged = "action"
+    if choices and intervals:
+        chosen, ranged = space.names("chosen part"), space.names("ranged part")
+        printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
+    picks = [chosen] if len(choices) == 1 else [space.names(f"{part.name} pick") for part in choices]
     if len(picks) > 1:
-        printer.line(f"{', '.join(picks)} = action")
+        printer.line(f"{', '.join(picks)} = {chosen}")
     for part, pick in zip(choices, picks, strict=True):
         printer.line(f"{', '.join(space.local(variable) for variable in part.variables)} = self.CHOICES_{part.name}[{pick}]")
         if given:
             printer.line(f"{targets_code(given[part.name])} = self.TAKEN_{part.name}[{pick}]")
     if intervals:
-        printer.line(f"{targets_code([space.local(*v) for part in intervals for v in action_variables(part)])} = action.tolist()")
+        printer.line(f"{targets_code([space.local(*v) for part in intervals for v in action_variables(part)])} = {ranged}.tolist()")
     for interval in intervals:
         half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
         for index, variable in enumerate(action_variables(interval)):

@@ -1,0 +1,77 @@
+"""Actions of both choices and ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.runtime import Supervisor
+
+Small = Callable[..., Supervisor]
+MIXED = "action={drive: -1 .. 1, gear: {choices: {low: 1, high: 3}, forbid: {high: step < 1}}, tilt: 0 .. 4}"
+REWARD = "reward: {drive: drive, gear: 10 * gear, tilt: 100 * tilt}\n"
+
+
+def act(gear: Any, *ranges: float) -> dict[str, Any]:
+    return {"choices": gear, "ranges": np.array(ranges, np.float32)}
+
+
+def test_choices_and_ranges_together_are_a_dict(small: Small) -> None:
+    environment = small(REWARD, MIXED)
+    environment.reset(seed=0)
+    assert environment.step(act(1, 0.5, 0))[1] == 0.5 + 30 + 200
+    assert environment.step(act(np.int64(0), -1, 1))[1] == -1 + 10 + 400
+    for _ in range(20):
+        environment.step(environment.action_space.sample())
+
+
+def test_the_previous_action_lists_both_as_numbers_in_file_order(small: Small) -> None:
+    environment = small(REWARD, MIXED, "observation={previous_action: auto}")
+    names = [entry.component for entry in environment.scenario.observation]
+    assert names == ["drive", "gear_low", "gear_high", "tilt"]
+    assert environment.reset(seed=0)[0].tolist() == [0, 0, 0, 0]
+    assert environment.step(act(1, 0.5, -0.25))[0].tolist() == [0.5, 0, 1, -0.25]
+
+
+def test_masks_of_the_choices_go_with_samples_of_the_dict(small: Small) -> None:
+    environment = small(REWARD, MIXED)
+    _, info = environment.reset(seed=0)
+    assert environment.action_masks().tolist() == [True, False]
+    assert all(environment.action_space.sample(info["action_mask"])["choices"] == 0 for _ in range(20))
+
+
+@pytest.mark.parametrize("form", [list, tuple, lambda array: array.astype(float)])
+def test_both_parts_may_come_in_usual_forms(small: Small, form: Callable[[Any], Any]) -> None:
+    environment = small(REWARD, MIXED)
+    environment.reset(seed=0)
+    action = {"choices": np.array(1), "ranges": form(np.array([0.5, 0.0], np.float32))}
+    assert environment.step(action)[1] == 230.5
+
+
+BAD = [
+    None,
+    0,
+    "low",
+    {},
+    [],
+    np.zeros(3),
+    {"choices": 0},
+    {"ranges": np.zeros(2)},
+    act(2, 0, 0),
+    act(0, 0),
+    act(0, np.nan, 0),
+    act("low", 0, 0),
+]
+
+
+@pytest.mark.parametrize("action", BAD, ids=str)
+def test_what_does_not_fit_is_refused_and_changes_nothing(small: Small, action: Any) -> None:
+    environment = small(REWARD, MIXED)
+    environment.reset(seed=0)
+    with pytest.raises(UsageError, match="does not fit"):
+        environment.step(action)
+    assert environment.step_count == 0
