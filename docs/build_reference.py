@@ -17,9 +17,11 @@ from pydantic_core import PydanticUndefinedType
 from deepbots_cli.compiler import support
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER, TIME
+from deepbots_cli.lang.examples import EXAMPLES
 from deepbots_cli.lang.functions import ALLOWED, Family, Function
 from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.types import Context
+from deepbots_cli.lang.types import Context, Kind
 from deepbots_cli.lang.units import UNITS
 from deepbots_cli.schema.fields import Expression, Leaf, Quantity
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
@@ -194,6 +196,14 @@ _FAMILIES = {
     Family.STATEFUL: "With a memory",
     Family.DRAW: "Draws",
 }
+_SETTLED = {
+    Family.PURE: "Settled as late as what they are computed from: of fixed figures they are fixed.",
+    Family.WORLD: "What is true in the world at this moment, which only the supervisor knows; new in every tick (*step*).",
+    Family.MESSAGE: "What the supervisor knows of the messages themselves; new in every tick (*step*).",
+    Family.STATEFUL: "They keep something from tick to tick, and are new in every tick (*step*). `start`, where it may be given, is the"
+    " value before the first.",
+    Family.DRAW: "One draw per episode (*episode*), or, in a parameter, `every 5 s` or `each step`.",
+}
 _PLACES = {
     Context.FIXED: "figures that set spaces and sizes: timestep, arena, ranges",
     Context.PARAMETER: "`parameters`",
@@ -215,8 +225,12 @@ def _functions() -> str:
         "",
         _NOTE,
         "",
-        f"{_LATER} marks what is understood and refused with [DB108](rules.md). How they are used is said in"
-        " [the language](../language.md).",
+        "How they are used is said in [the language](../language.md). The examples are about one scenario: a small two-wheeled `rover` with"
+        " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. A unit is that in which a"
+        " value is kept; 1 is a plain number."
+        + (
+            "" if all(function.supported for function in FUNCTIONS.values()) else f" {_LATER} marks what is refused with [DB108](rules.md)."
+        ),
         "",
         "## Units",
         "",
@@ -225,7 +239,7 @@ def _functions() -> str:
     ]
     lines += [f"| `{unit.text}` | {unit.dimension.words} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
     for family, title in _FAMILIES.items():
-        lines += ["", f"## {title}", "", "| function | gives |", "|---|---|"]
+        lines += ["", f"## {title}", "", _SETTLED[family], "", "| function | gives | unit | example |", "|---|---|---|---|"]
         lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]
     lines += ["", "## Where they may be called", "", f"| place | {' | '.join(_FAMILIES.values())} |", f"|---|{'---|' * len(_FAMILIES)}"]
     for context, place in _PLACES.items():
@@ -235,7 +249,21 @@ def _functions() -> str:
 
 
 def _function_row(function: Function) -> str:
-    return f"| `{_cell(function.signature)}` | {_cell(function.doc)}{'' if function.supported else f' {_LATER}'} |"
+    later = "" if function.supported else f" {_LATER}"
+    example = _cell(EXAMPLES[function.name])
+    return f"| `{_cell(function.signature)}` | {_cell(function.doc)}{later} | {_unit(function)} | `{example}` |"
+
+
+def _unit(function: Function) -> str:
+    """The unit of the result; where it follows that of the arguments, how, found by trying a length."""
+    if function.boolean:
+        return "truth value"
+    given = function.result(LENGTH)
+    if Kind.JOINT in function.params[0].kinds:
+        return f"`{function.result(ANGLE)}` or `{given}`"
+    if function.result(TIME) == given:
+        return "1" if given == NUMBER else f"`{given}`"
+    return {LENGTH: "as given", LENGTH * TIME: "as given, times seconds"}.get(given, "the root of what is given")
 
 
 # Rules

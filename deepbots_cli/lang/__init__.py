@@ -9,6 +9,7 @@ stream.py      the tokens one by one, quantities    parser.py     tokens to tree
 foreign.py     habits of other languages, refused kindly
 types.py       Type, Stage, Symbol, Subject, Scope  intervals.py  interval arithmetic
 functions.py   what an entry of the table says      table.py      the functions of the language
+examples.py    a call of each, for the reference
 typed.py       the typed tree                       check.py      tree to typed tree, with
                  names.py, operators.py, calls.py, agree.py, size.py
 expect.py      what a field demands of a value

@@ -1,0 +1,75 @@
+"""Every function of the language has an example in the reference, which runs as it stands there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler import Checked, check
+from deepbots_cli.lang.dimensions import NUMBER
+from deepbots_cli.lang.examples import EXAMPLES
+from deepbots_cli.lang.functions import Family
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.lang.types import Symbol
+from deepbots_cli.source import loads
+
+SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
+RUN = {name: FUNCTIONS[name] for name in FUNCTIONS if FUNCTIONS[name].supported}
+
+
+def scenario_with_examples(observation: dict[str, str]) -> Checked:
+    """The model scenario with each example as a value that the policy may see: a draw as a parameter, all else as an augmentation."""
+    drawn = [name for name, function in RUN.items() if function.family is Family.DRAW]
+    lines = ["deepbots: 1", "extends: reference.yaml", "parameters:"]
+    lines += [f"  drawn_{name}: {EXAMPLES[name]}" for name in drawn]
+    lines += ["augment:", *(f"  by_{name}: '{f'drawn_{name}' if name in drawn else EXAMPLES[name]}'" for name in RUN)]
+    lines += ["observation:", *(f"  {name}: {shown}" for name, shown in observation.items())]
+    return check(loads("\n".join(lines), base=SCENARIOS))
+
+
+def symbol(checked: Checked, name: str) -> Symbol:
+    assert checked.namespace is not None
+    symbol = checked.namespace.settle(name)
+    assert symbol is not None
+    return symbol
+
+
+def as_observed(symbol: Symbol) -> str:
+    assert symbol.type is not None
+    dimension = symbol.type.dimension
+    return "auto" if symbol.type.boolean else f"{{range: -1 .. 1{'' if dimension == NUMBER else f' {dimension}'}, clip: false}}"
+
+
+@pytest.fixture(scope="module")
+def checked() -> Checked:
+    first = scenario_with_examples({"rover.near": "0 .. 50 cm"})
+    return scenario_with_examples({f"by_{name}": as_observed(symbol(first, f"by_{name}")) for name in RUN})
+
+
+def test_every_function_has_an_example():
+    assert list(EXAMPLES) == list(FUNCTIONS)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_an_example_is_about_its_function(name: str):
+    assert EXAMPLES[name].count(f"{name}(") == 1
+
+
+def test_the_examples_have_no_findings(checked: Checked):
+    assert [f"{finding.code} {finding.headline}" for finding in checked.findings if finding.severity == "error"] == []
+
+
+def test_the_examples_give_finite_values_in_every_step(checked: Checked):
+    compiled = api.compile(checked)
+    fields = [entry.name for entry in compiled.ir.observation]
+    env = api.build(compiled.ir)
+    seen = [env.reset(seed=1)[0]]
+    env.action_space.seed(1)
+    seen += [env.step(env.action_space.sample())[0] for _ in range(20)]
+    env.close()
+    values = np.array(seen)
+    assert values.shape == (21, len(fields))
+    assert [name for name, column in zip(fields, values.T, strict=True) if not np.isfinite(column).all()] == []
