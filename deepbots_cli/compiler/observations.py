@@ -20,6 +20,9 @@ from deepbots_cli.task import ObservedNoise, ObservedValue, Valued
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
+LEAST_SIDE = 36
+"""Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
+
 
 class Observations:
     """Reads the entries of the observation."""
@@ -32,6 +35,7 @@ class Observations:
     def entries(self) -> tuple[ObservedValue, ...]:
         found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
         self._check_size(found)
+        self._check_pictures(found)
         self._check_keys(found)
         return found
 
@@ -119,6 +123,23 @@ class Observations:
                 headline = f"an observation of {found} {what}, which is more than {most}"
                 help = "shorten its histories, or the stack of the agent"
                 self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
+
+    def _check_pictures(self, entries: tuple[ObservedValue, ...]) -> None:
+        """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
+
+        It tells the channels, which histories and stacks add to, from the sides by their being fewest.
+        """
+        for entry in entries if self._spec.train is not None else ():
+            picture = entry.value.typed.type.picture
+            if picture is None:
+                continue
+            rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.stack
+            if min(rows, columns) < LEAST_SIDE:
+                headline = f"pictures of {columns} x {rows} pixels, where the network needs {LEAST_SIDE} x {LEAST_SIDE}"
+                self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
+            elif channels >= min(rows, columns):
+                headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
+                self._values.findings.add("DB612", entry.value.span, headline, help="shorten the history, or raise the `resolution`")
 
     def _check_keys(self, entries: tuple[ObservedValue, ...]) -> None:
         """Pictures stand under keys of their own, in which a dot is an underscore."""

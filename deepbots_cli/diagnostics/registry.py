@@ -63,7 +63,7 @@ _CATALOGUE = (
     Rule("DB504", "degrees-as-radians", "warning", "a value in radians that was probably meant in degrees"),
     Rule("DB505", "implausible-magnitude", "warning", "a figure far outside what its field usually holds"),
     Rule("DB609", "privileged-observation", "warning", "the policy sees what no robot measures, and what `augment` does not grant"),
-    Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm that cannot act in the declared action space"),
+    Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm or its network that does not suit what the agent sees and does"),
     Rule("DB613", "case-changes-interface", "error", "a case or stage in which the policy would see, do or send something else"),
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),
