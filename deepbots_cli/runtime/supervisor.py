@@ -54,6 +54,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     endings: tuple[str, ...]
     step_count: int
     tick_count: int
+    _viewed: tuple[float, float] | None  # where the robot was that pictures follow
 
     def __init__(self, scenario: CompiledScenario, engine: Engine, render_mode: str | None = None) -> None:
         """Takes over `engine`, which holds the scenario's world, and closes it with itself.
@@ -162,13 +163,14 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         return self.engine.render(moved(overview(self.scenario), self._strayed()))
 
     def _strayed(self) -> Triple:
-        """How far the view follows the robots: nowhere within an arena or on terrain, else to the first that can go."""
+        """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""
         world = self.scenario.world
         goers = [robot.name for robot in world.robots if not robot.fixed_base]
         if not goers or world.arena is not None or world.terrain is not None or world.lines:
             return STILL
         x, y, _ = self.engine.pose(goers[0])()[0]
-        return x, y, 0.0
+        self._viewed = self._viewed or (x, y)
+        return x - self._viewed[0], y - self._viewed[1], 0.0
 
     def close(self) -> None:
         """Release the engine; may be called twice."""
@@ -293,6 +295,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None
         self.endings = ()
+        self._viewed = None
 
     def _refuse(self, action: Any) -> None:
         """Stands in for `_advance` while no episode runs."""

@@ -1,0 +1,63 @@
+"""Pictures show what matters: all of it is in the frame, and the frame is filled."""
+
+import math
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.frames import cross, dot, scaled, subtract
+from deepbots_cli.port import View
+from deepbots_cli.runtime.view import around, overview
+from deepbots_cli.source import shipped
+
+
+def seen_at(view: View, point: tuple[float, float, float]) -> tuple[float, float]:
+    """Where a point is in the picture: -1 to 1 from left to right and from bottom to top."""
+    ahead = subtract(view.target, view.eye)
+    ahead = scaled(ahead, 1 / math.sqrt(dot(ahead, ahead)))
+    right = cross(ahead, (0.0, 0.0, 1.0))
+    right = scaled(right, 1 / math.sqrt(dot(right, right)))
+    offset = subtract(point, view.eye)
+    depth, tall = dot(offset, ahead), math.tan(view.fov / 2)
+    assert depth > 0
+    return dot(offset, right) / depth / tall * view.height / view.width, dot(offset, cross(right, ahead)) / depth / tall
+
+
+BOXES = [
+    ((-0.04, -0.04, 0.0), (0.04, 0.04, 0.05)),
+    ((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1)),
+    ((0.0, 0.0, 0.0), (0.1, 0.1, 3.0)),
+    ((9.0, -3.0, 1.0), (11.0, -2.0, 2.0)),
+]
+
+
+@pytest.mark.parametrize("box", BOXES)
+def test_a_view_holds_a_box_and_hardly_more(box) -> None:
+    view = around([box])
+    corners = [seen_at(view, (x, y, z)) for x in (box[0][0], box[1][0]) for y in (box[0][1], box[1][1]) for z in (box[0][2], box[1][2])]
+    greatest = max(abs(part) for corner in corners for part in corner)
+    assert 0.4 < greatest < 1.0
+
+
+@pytest.mark.parametrize("name", shipped.scenario_names())
+def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> None:
+    with closing(api.make(name)) as environment:
+        view = overview(environment.scenario)
+        for seed in range(5):
+            environment.reset(seed=seed)
+            for robot in environment.scenario.world.robots:
+                x, y = seen_at(view, environment.engine.pose(robot.name)()[0])
+                assert abs(x) < 1.0
+                assert abs(y) < 1.0
+
+
+def test_the_view_follows_a_robot_that_leaves_and_stays_where_there_is_an_arena() -> None:
+    with closing(api.make("quadruped", render_mode="rgb_array")) as environment:
+        environment.reset(seed=0)
+        first = environment.render()
+        (x, y, z), turn = environment.engine.pose("dog")()
+        environment.engine.place("dog", (x + 8.0, y, z), turn)
+        body = np.abs(environment.render().astype(int) - first.astype(int)).sum(axis=2) > 60
+        assert body.mean() < 0.05  # the floor under it has the same tiles, and the robot is where it was
