@@ -37,6 +37,9 @@ PoseReader = Callable[[], tuple[Triple, Quaternion]]
 """Position of the link's origin (m), not of its centre of mass, and its orientation."""
 VelocityReader = Callable[[], tuple[Triple, Triple]]
 """Velocity of the link's origin (m/s) and its angular velocity (rad/s), both in the world frame."""
+Motion = tuple[tuple[Triple, Quaternion], tuple[Triple, Triple]]
+MotionReader = Callable[[], Motion]
+"""What a `PoseReader` and a `VelocityReader` say, read together."""
 MotorWriter = Callable[[Sequence[float]], object]
 """Sets one target per joint, in force until the next call; after a reset motors exert nothing until written.
 
@@ -110,7 +113,7 @@ class Engine(Protocol):
         """Put a joint there (rad or m; rad/s or m/s). Meant between `reset` and the first step."""
 
     def choose(self, body: str, variant: str) -> None:
-        """Let a pooled body take the form of one of its variants. Meant between `reset` and `place`."""
+        """Let a pooled body take the form of one of its variants. Meant between `reset` and `place`, before figures are set."""
 
     # Figures that an episode may vary; meant between `reset` and `place`, and in force until the next reset,
     # which brings back those of the world model. `link` None is the root link.
@@ -210,6 +213,9 @@ class Engine(Protocol):
         """Of a link, or of the root link of a robot or object."""
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        """Pose and velocity in one call, which costs half of two where a link is not the root."""
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         Image,
         JointReader,
         Kinematics,
+        MotionReader,
         MotorWriter,
         Part,
         PoseReader,
@@ -216,6 +217,10 @@ class ExactEngine:
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
         motion, name = self._link(body, link)
         return lambda: motion.velocity(name)
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        motion, name = self._link(body, link)
+        return lambda: (motion.pose(name), motion.velocity(name))
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._motor(robot, joints, max_torque, lambda target, limit: Drive(velocity=target, limit=limit))

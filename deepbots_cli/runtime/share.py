@@ -16,6 +16,7 @@ from deepbots_cli.port import (
     GapReader,
     JointReader,
     Kinematics,
+    MotionReader,
     MotorWriter,
     Part,
     PoseReader,
@@ -182,6 +183,9 @@ class Share:
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
         return self._engine.velocity(self._of(body), link)
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        return self._engine.motion(self._of(body), link)
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._engine.velocity_motor(self._of(robot), joints, max_torque)

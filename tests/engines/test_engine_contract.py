@@ -122,6 +122,18 @@ def test_placing_means_the_origin_of_the_link_and_not_its_centre_of_mass(engine_
 
 
 @BOTH
+@pytest.mark.parametrize("world_name", ["rail", "crooked"])
+def test_pose_and_velocity_read_together_are_what_they_are_read_apart(engine_name, world_name, worlds, build):
+    engine = build(engine_name, getattr(worlds, world_name)())
+    engine.place("robot", (0.1, 0.2, 0.3), TURNED, (0.3, 0.2, 0.1), (1.0, 2.0, 3.0))
+    links = [None, *(link.name for link in getattr(worlds, world_name)().robots[0].model.links)]
+    if world_name == "rail":
+        engine.set_joint("robot", "hinge", 0.4, 2.0)
+    for link in links:
+        assert engine.motion("robot", link)() == (engine.pose("robot", link)(), engine.velocity("robot", link)())
+
+
+@BOTH
 def test_a_joint_goes_exactly_where_it_is_set_and_its_links_with_it(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())
     engine.set_joint("robot", "slide", 0.25, -0.5)

@@ -52,6 +52,7 @@ class Body:
         self._client = client
         self._dynamics: dict[int, Dynamics] = {}
         self.centre, self.principal = self.dynamics(BASE).inertia_frame
+        self._parallel = self.principal == frames.UPRIGHT
         self.home: Frame = HERE
         self._weights: dict[int, tuple[float, Triple]] = {}
 
@@ -94,7 +95,7 @@ class Body:
     @property
     def centred(self) -> bool:
         """Whether the root link's frame is that of its inertia, so that PyBullet's figures are ours."""
-        return self.centre == STILL and self.principal == frames.UPRIGHT
+        return self.centre == STILL and self._parallel
 
     def of_centre(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the inertia, from that of the root link."""
@@ -104,5 +105,5 @@ class Body:
 
     def of_origin(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the root link, from that of the inertia."""
-        turned = frames.multiply(orientation, frames.inverse(self.principal))
+        turned = orientation if self._parallel else frames.multiply(orientation, frames.inverse(self.principal))
         return frames.subtract(position, frames.rotate(turned, self.centre)), turned

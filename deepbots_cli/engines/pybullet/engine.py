@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         Image,
         JointReader,
         Kinematics,
+        MotionReader,
         MotorWriter,
         Part,
         PoseReader,
@@ -236,6 +237,9 @@ class PyBulletEngine:
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
         return self._bound((body, link), partial(readers.velocity, self._client))
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        return self._bound((body, link), partial(readers.motion, self._client))
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)
