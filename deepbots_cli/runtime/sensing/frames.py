@@ -25,13 +25,13 @@ def mounted_pose(engine: Engine, robot: str, link: str, mount: Frame) -> PoseRea
 
 def mounted_velocity(engine: Engine, robot: str, link: str, mount: Frame) -> VelocityReader:
     """How the sensor moves and turns: v + w x r at the distance r from the link's origin."""
-    read, read_pose = engine.velocity(robot, link), engine.pose(robot, link)
     arm = mount[0]
     if arm == HERE[0]:
-        return read
+        return engine.velocity(robot, link)
+    read = engine.motion(robot, link)
 
     def of_mount() -> tuple[Triple, Triple]:
-        (linear, angular), (_, turned) = read(), read_pose()
+        (_, turned), (linear, angular) = read()
         return frames.add(linear, frames.cross(angular, frames.rotate(turned, arm))), angular
 
     return of_mount

@@ -6,19 +6,19 @@ from math import hypot
 from typing import Any
 
 from deepbots_cli import frames
-from deepbots_cli.frames import UPRIGHT, Frame, Quaternion, Triple
+from deepbots_cli.frames import HERE, UPRIGHT, Frame, Triple
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.sensing.device import Instrument
-from deepbots_cli.runtime.sensing.frames import mounted_pose, mounted_velocity
+from deepbots_cli.runtime.sensing.frames import mounted_pose
 
 
 def gyro(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
     """The angular velocity about the axes of the sensor, in rad/s."""
-    read, read_pose = engine.velocity(robot, link), engine.pose(robot, link)
-    back = frames.inverse(mount[1])
+    read, back = engine.motion(robot, link), frames.inverse(mount[1])
 
     def turning() -> Triple:
-        return frames.rotate(frames.inverse(read_pose()[1]), read()[1])
+        (_, turned), (_, angular) = read()
+        return frames.rotate(frames.inverse(turned), angular)
 
     return Instrument(turning if mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
 
@@ -46,35 +46,44 @@ class Accelerometer:
 
     def __init__(self, engine: Engine, robot: str, link: str, mount: Frame, substep: float) -> None:
         self._engine = engine
-        self._pose = mounted_pose(engine, robot, link, mount)
-        self._velocity = mounted_velocity(engine, robot, link, mount)
+        self._motion = engine.motion(robot, link)
+        self._arm = mount[0] if mount[0] != HERE[0] else None
+        self._back = frames.inverse(mount[1])
         self._substep = substep
         self.restart()
         engine.after_substep(self._look)
 
     def restart(self, _generator: Any = None) -> None:
         self._gravity = self._engine.gravity
-        self._before, self._turned = self._velocity()[0], self._pose()[1]
+        self._fall = frames.scaled(self._gravity, self._substep)
+        (_, self._turned), (self._before, angular) = self._motion()
+        if self._arm is not None:
+            self._before = frames.add(self._before, frames.cross(angular, frames.rotate(self._turned, self._arm)))
         self._sum: Triple = (0.0, 0.0, 0.0)
         self._steps = 0
 
     def _look(self) -> None:
-        velocity, turned = self._velocity()[0], self._pose()[1]
-        change = frames.subtract(velocity, self._before)
-        fall = frames.scaled(self._gravity, self._substep)
-        self._sum = frames.add(self._sum, frames.rotate(frames.inverse(_halfway(self._turned, turned)), frames.subtract(change, fall)))
+        """Add up the change of a step, along the axes of the link; plain arithmetic, as this runs in every engine step."""
+        (_, turned), (velocity, angular) = self._motion()
+        if self._arm is not None:
+            velocity = frames.add(velocity, frames.cross(angular, frames.rotate(turned, self._arm)))
+        (vx, vy, vz), (bx, by, bz), (fx, fy, fz) = velocity, self._before, self._fall
+        (ax, ay, az, aw), (x, y, z, w) = self._turned, turned
+        if ax * x + ay * y + az * z + aw * w < 0.0:
+            ax, ay, az, aw = -ax, -ay, -az, -aw
+        x, y, z, w = x + ax, y + ay, z + az, w + aw  # halfway between both, but for its length
+        scale = 2.0 / (x * x + y * y + z * z + w * w)
+        dx, dy, dz = vx - bx - fx, vy - by - fy, vz - bz - fz
+        tx, ty, tz = scale * (dy * z - dz * y), scale * (dz * x - dx * z), scale * (dx * y - dy * x)
+        sx, sy, sz = self._sum
+        self._sum = (sx + dx + w * tx - y * tz + z * ty, sy + dy + w * ty - z * tx + x * tz, sz + dz + w * tz - x * ty + y * tx)
         self._before, self._turned = velocity, turned
         self._steps += 1
 
     def read(self) -> Triple:
         if not self._steps:
-            return frames.rotate(frames.inverse(self._turned), frames.scaled(self._gravity, -1.0))
+            at_rest = frames.rotate(frames.inverse(self._turned), frames.scaled(self._gravity, -1.0))
+            return frames.rotate(self._back, at_rest)
         mean = frames.scaled(self._sum, 1.0 / (self._steps * self._substep))
         self._sum, self._steps = (0.0, 0.0, 0.0), 0
-        return mean
-
-
-def _halfway(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The attitude between two that are near each other."""
-    sign = 1.0 if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] >= 0.0 else -1.0
-    return frames.normalised((a[0] + sign * b[0], a[1] + sign * b[1], a[2] + sign * b[2], a[3] + sign * b[3]))
+        return frames.rotate(self._back, mean)
