@@ -82,8 +82,8 @@ class Accelerometer:
 
     def read(self) -> Triple:
         if not self._steps:
-            at_rest = frames.rotate(frames.inverse(self._turned), frames.scaled(self._gravity, -1.0))
-            return frames.rotate(self._back, at_rest)
-        mean = frames.scaled(self._sum, 1.0 / (self._steps * self._substep))
-        self._sum, self._steps = (0.0, 0.0, 0.0), 0
-        return frames.rotate(self._back, mean)
+            felt = frames.rotate(frames.inverse(self._turned), frames.scaled(self._gravity, -1.0))
+        else:
+            felt = frames.scaled(self._sum, 1.0 / (self._steps * self._substep))
+            self._sum, self._steps = (0.0, 0.0, 0.0), 0
+        return felt if self._back == UPRIGHT else frames.rotate(self._back, felt)
