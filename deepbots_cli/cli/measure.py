@@ -1,7 +1,7 @@
 """What a step of the environment costs beside the physics in it.
 
 The same episodes are gone through twice per pair, from the same seeds: by `env.step`, and by the engine's bare step in an
-environment that was reset alike. In each episode one random action is held; the bare side takes the first step like the other, so
+environment that was reset alike. In each episode one random action is held; the bare side takes the first steps like the other, so
 that its motors drive and both sides make the same motion, which is what contacts cost by. First steps and resets are not timed.
 Times are CPU times of the process, and the two sides take turns in being first.
 """
@@ -20,6 +20,9 @@ from deepbots_cli import api
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.runtime import Supervisor
+
+UNTIMED = 3
+"""First steps of an episode, so that commands which come late, too, have reached the motors."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Episode:
-    """One action, held for `steps` steps after the first."""
+    """One action, held for `steps` steps after the untimed ones."""
 
     seed: int
     action: Any
@@ -55,7 +58,7 @@ def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: 
     """Time about `steps` steps, `pairs` times on either side.
 
     Raises:
-        UsageError: Every episode ends in its first step, so nothing can be timed.
+        UsageError: An episode ends in its first steps, so nothing can be timed.
     """
     with closing(api.build(ir, engine=engine)) as environment, closing(api.build(ir, engine=engine)) as other:
         plan = _plan(environment, steps, seed)
@@ -75,7 +78,7 @@ def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: 
 
 
 def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Episode]:
-    """Episodes that together have `steps` steps after the first of each."""
+    """Episodes that together have `steps` steps after the untimed ones of each."""
     plan: list[_Episode] = []
     left = steps
     while left > 0:
@@ -83,22 +86,23 @@ def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Episode]:
         environment.reset(seed=number)
         action = environment.action_space.sample()
         length, ended = 0, False
-        while not ended and length <= left:
+        while not ended and length < left + UNTIMED:
             _, _, terminated, truncated, _ = environment.step(action)
             length, ended = length + 1, terminated or truncated
-        if length == 1:
-            raise UsageError("an episode ends in its first step, so there is nothing to time")
-        plan.append(_Episode(number, action, length - 1))
-        left -= length - 1
+        if length <= UNTIMED:
+            raise UsageError(f"an episode ends in its first {UNTIMED} steps, so there is nothing to time")
+        plan.append(_Episode(number, action, length - UNTIMED))
+        left -= length - UNTIMED
     return plan
 
 
 def _time(environment: Supervisor, plan: list[_Episode], call: Callable[[Any], object], argument_of: Callable[[_Episode], Any]) -> float:
-    """CPU seconds of `call` in all steps but the first of each episode."""
+    """CPU seconds of `call` in all steps but the untimed ones of each episode."""
     total = 0.0
     for episode in plan:
         environment.reset(seed=episode.seed)
-        environment.step(episode.action)
+        for _ in range(UNTIMED):
+            environment.step(episode.action)
         argument = argument_of(episode)
         start = time.process_time()
         for _ in repeat(None, episode.steps):

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.step_cost [--json] [--pairs 15] [--steps 4000]
 
 Both sides go through the same episodes, in the same kind of engine, with the same substeps, and make the same motion: each holds
-one action throughout, so that the bare side, which takes an untimed first step to set its motors, goes where the other goes. (In
+one action throughout, so that the bare side, which takes untimed first steps to set its motors, goes where the other goes. (In
 a world with contacts, a side that stands still or drives into a wall pays another price.) That both end in the same place is
 checked. The bare side calls what `Engine.step` is and nothing else. Resets and first steps are not timed; times are CPU times;
 the two sides take turns, and the median of the ratios of the pairs counts.
@@ -25,6 +25,7 @@ import gymnasium as gym
 from deepbots_cli import api
 from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.source import shipped
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 
 with hushed():  # PyBullet prints when it is imported and when it connects
@@ -34,9 +35,17 @@ with hushed():  # PyBullet prints when it is imported and when it connects
 RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
 
 
+TASKS = (
+    ("quadruped", 1.15, False, "quadruped, 10 substeps with springs in 12 joints"),
+    ("find_ball", 1.25, True, "find_ball, beside physics and its 8 rays"),
+)
+UNTIMED = 3
+"""First steps of an episode, so that commands which come late, too, have reached the motors."""
+
+
 @dataclass(frozen=True)
 class Episode:
-    """One held action, for so many steps after the first."""
+    """One held action, for so many steps after the untimed ones."""
 
     seed: int
     action: Any
@@ -79,11 +88,11 @@ def plan(environment: Supervisor, steps: int) -> list[Episode]:
         environment.reset(seed=seed)
         action = seed % int(space.n) if isinstance(space, gym.spaces.Discrete) else space.sample()
         count = 0
-        while count < left and not any(environment.step(action)[2:4]):
+        while count < left + UNTIMED and not any(environment.step(action)[2:4]):
             count += 1
-        if count:
-            episodes.append(Episode(seed, action, count))
-        left -= max(1, count)
+        if count > UNTIMED:
+            episodes.append(Episode(seed, action, count + 1 - UNTIMED if count < left + UNTIMED else left))
+        left -= max(1, count - UNTIMED)
     return episodes
 
 
@@ -92,7 +101,8 @@ def timed(environment: Any, episodes: list[Episode], step: Callable[[Any], objec
     total = 0.0
     for episode, argument in zip(episodes, arguments, strict=True):
         environment.reset(seed=episode.seed)
-        environment.step(episode.action)
+        for _ in range(UNTIMED):
+            environment.step(episode.action)
         held = repeat(argument, episode.steps)
         start = time.process_time()
         for given in held:
@@ -121,7 +131,8 @@ def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) ->
     """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every step."""
     for environment in (one, other):
         environment.reset(seed=episode.seed)
-        environment.step(episode.action)
+        for _ in range(UNTIMED):
+            environment.step(episode.action)
     for _ in range(episode.steps):
         one.step(episode.action)
         other.engine.step(other.scenario.world.substeps)
@@ -176,6 +187,9 @@ def main() -> None:
     ]
     rows = [against_physics("CartPole, struct", 1.10, "cartpole", ("messages.format=struct",), given.steps, given.pairs)]
     rows += [against_physics(what, bar, RAIL, sets, given.steps, given.pairs) for what, bar, sets in rail]
+    for name, bar, with_rays, what in TASKS:
+        if shipped.scenario_path(name):
+            rows.append(against_physics(what, bar, name, (), given.steps // 2, given.pairs, with_rays=with_rays))
     rows.append(csv_beside_struct(given.steps, given.pairs))
     rows += beside_layered(given.steps, given.pairs)
     show(rows, as_json=given.json)
