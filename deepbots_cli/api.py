@@ -14,7 +14,7 @@ and not the back end of the compiler either, which linting does without (15 ms o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,7 +39,7 @@ class Compiled:
 
     `inputs` maps a relative path for the copy of every file that was read to its bytes, the scenario
     first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
-    of those copies; `findings` is what `lint` says of it: warnings only.
+    of those copies; `findings` is what `lint` says of it: warnings only; `allow_code` whether its terms in Python may run.
     """
 
     ir: CompiledScenario
@@ -49,6 +49,7 @@ class Compiled:
     inputs: Mapping[str, bytes]
     resolved: str
     findings: tuple[Finding, ...]
+    allow_code: bool = False
 
 
 def locate(source: str | Path) -> tuple[Path, str]:
@@ -71,28 +72,29 @@ def locate(source: str | Path) -> tuple[Path, str]:
     raise UsageError(f"there is no file {source}, and no shipped scenario of that name{hint}; shipped are: {', '.join(names)}")
 
 
-def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> Checked:
+def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False) -> Checked:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
         source: A path, or the name of a shipped scenario.
         sets: Assignments `path=value`, as for `--set`.
         allow_paths: Folders outside the project that the scenario may read from.
+        allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
 
     Raises:
         UsageError: There is no such file.
     """
     path, name = locate(source)
-    return check(read(path, sets, display=name, allow_paths=allow_paths))
+    return check(replace(read(path, sets, display=name, allow_paths=allow_paths), allow_code=allow_code))
 
 
-def lint(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> list[Finding]:
+def lint(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False) -> list[Finding]:
     """All findings of a scenario, sorted; suppressed ones are left out.
 
     Raises:
         UsageError: There is no such file.
     """
-    return _review(load(source, sets=sets, allow_paths=allow_paths))
+    return _review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code))
 
 
 def _review(checked: Checked) -> list[Finding]:
@@ -107,7 +109,9 @@ def _review(checked: Checked) -> list[Finding]:
     return sorted([*ours, *unused], key=lambda finding: finding.sort_key)
 
 
-def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = ()) -> Compiled:
+def compile(
+    source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False
+) -> Compiled:
     """Compile a scenario: text to intermediate representation to generated Python.
 
     Raises:
@@ -118,13 +122,15 @@ def compile(source: str | Path | Checked, *, sets: Sequence[str] = (), allow_pat
     from deepbots_cli.compiler.emit import emit
     from deepbots_cli.compiler.lower import lower
 
-    checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths)
+    checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = _review(checked)
     if checked.task is None or any(finding.severity == "error" for finding in findings):
         raise ScenarioError(findings)
     ir = lower(checked.task)
     inputs = checked.inputs
-    return Compiled(ir, emit(ir), digest(ir), checked.document.path, inputs.contents(), inputs.resolved(), tuple(findings))
+    return Compiled(
+        ir, emit(ir), digest(ir), checked.document.path, inputs.contents(), inputs.resolved(), tuple(findings), checked.document.allow_code
+    )
 
 
 def make(
@@ -132,6 +138,7 @@ def make(
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[Path] = (),
+    allow_code: bool = False,
     engine: str = "pybullet",
     render_mode: str | None = None,
 ) -> Supervisor:
@@ -148,12 +155,17 @@ def make(
         EngineError: The engine cannot build this world.
     """
     if isinstance(source, (str, Path, Checked)):
-        source = compile(source, sets=sets, allow_paths=allow_paths)
-    return build(source.ir if isinstance(source, Compiled) else source, engine=engine, render_mode=render_mode)
+        source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    if isinstance(source, Compiled):
+        return build(source.ir, engine=engine, render_mode=render_mode, allow_code=allow_code or source.allow_code)
+    return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
 
 
-def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | None = None) -> Supervisor:
+def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | None = None, allow_code: bool = False) -> Supervisor:
     """The environment of a compiled scenario; see `make`."""
+    if ir.foreign and not allow_code:
+        names = ", ".join(map(str, ir.foreign))
+        raise UsageError(f"{ir.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
     try:
         from gymnasium.envs.registration import EnvSpec
 
@@ -169,6 +181,7 @@ def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | 
     name = class_name(ir.name)
     module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(ir)[:12]}>")
     environment = assemble(vars(module)[f"{name}Supervisor"], ir, partial(engines.create, engine), render_mode)
-    environment.rebuild = partial(build, ir, engine=engine, render_mode=render_mode)
-    environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=partial(build, ir), kwargs={"engine": engine, "render_mode": render_mode})
+    environment.rebuild = partial(build, ir, engine=engine, render_mode=render_mode, allow_code=allow_code)
+    made = partial(build, ir, allow_code=allow_code)
+    environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=made, kwargs={"engine": engine, "render_mode": render_mode})
     return environment

@@ -19,7 +19,8 @@ from deepbots_cli.lang.types import Components
 class Valued:
     """A named expression; `text` is what the user wrote, `owner` its place in the scenario, such as `reward.alive`.
 
-    `redraw` says how often its draws are repeated within an episode, None for not at all.
+    `redraw` says how often its draws are repeated within an episode, None for not at all. Of a `foreign` one, which is a
+    function of Python, the tree tells the type only.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Valued:
     typed: Typed
     owner: str
     redraw: Redraw | None = None
+    foreign: ir.Foreign | None = None
 
     @property
     def components(self) -> Components:

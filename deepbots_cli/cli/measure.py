@@ -18,7 +18,6 @@ from typing import Any
 
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.runtime import Supervisor
 
 UNTIMED = 3
@@ -54,13 +53,14 @@ class _Episode:
     steps: int
 
 
-def compare(ir: CompiledScenario, *, engine: str, steps: int, pairs: int, seed: int) -> Comparison:
+def compare(compiled: api.Compiled, *, engine: str, steps: int, pairs: int, seed: int) -> Comparison:
     """Time about `steps` steps, `pairs` times on either side.
 
     Raises:
         UsageError: An episode ends in its first steps, so nothing can be timed.
     """
-    with closing(api.build(ir, engine=engine)) as environment, closing(api.build(ir, engine=engine)) as other:
+    ir = compiled.ir
+    with closing(api.make(compiled, engine=engine)) as environment, closing(api.make(compiled, engine=engine)) as other:
         plan = _plan(environment, steps, seed)
         timed = sum(episode.steps for episode in plan)
 

@@ -32,6 +32,7 @@ AllowPaths = Annotated[
     list[Path] | None,
     typer.Option("--allow-path", metavar="DIR", help="A folder outside the project that may be read from; may be repeated."),
 ]
+AllowCode = Annotated[bool, typer.Option("--allow-code", help="Let terms that are functions of Python run; trust their packages.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of every random number.")]
 Engine = Annotated[

@@ -17,7 +17,7 @@ sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, be
 actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get
 copies.py       several of one robot under one policy
 channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
-scoring.py      signals, reward, endings; training.py how the policy is trained
+scoring.py      signals, reward, endings; foreign.py those in Python; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       how an episode begins: places.py where a body stands, room.py whether it can;
                 starts.py joints, poses.py their named positions

@@ -105,6 +105,9 @@ class Goals:
 def _check_rewards(terms: Iterable[Valued], namespace: Namespace) -> None:
     """A finding for each term that hindsight cannot recompute."""
     for term in terms:
+        if term.foreign is not None:
+            help = "write an expression of `achieved` and `desired`"
+            namespace.values.findings.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help=help)
         for odd in _beyond(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` rests on more than what is achieved and desired"

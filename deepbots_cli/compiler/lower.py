@@ -47,8 +47,8 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         _action(task),
         tuple(_named(value) for value in task.order),
         tuple(entry for observed in task.observation if not observed.value.typed.type.picture for entry in _observed(observed)),
-        tuple(ir.Term(term.name, _scalars(term)[0]) for term in task.reward),
-        tuple(ir.Ending(ending.value.name, ending.outcome, _scalars(ending.value)[0]) for ending in task.endings),
+        tuple(ir.Term(term.name, _scalars(term)[0], term.foreign) for term in task.reward),
+        tuple(ir.Ending(ending.value.name, ending.outcome, _scalars(ending.value)[0], ending.value.foreign) for ending in task.endings),
         task.truncation,
         ir.Reset(
             tuple(_place(placement, task) for placement in task.beginnings.placements),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.foreign import foreign
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Values
@@ -57,7 +58,8 @@ class Signals:
 
     def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
         if isinstance(given, PythonTerm):
-            return Symbol(name, None)
+            self.valued[name] = foreign(name, given, place, self._namespace, boolean=True)
+            return Symbol(name, self.valued[name].typed.type)
         text = self._values.text(place, given)
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
@@ -86,6 +88,7 @@ def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
     terms = []
     for name, given in spec.reward.items():
         if isinstance(given, PythonTerm):
+            terms.append(foreign(name, given, ("reward", name), namespace, boolean=False))
             continue
         text = namespace.values.text(("reward", name), given)
         typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD), boolean=False)

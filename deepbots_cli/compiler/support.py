@@ -33,8 +33,6 @@ def check_support(spec: Scenario, values: Values) -> None:
         for pattern, key in LATER:
             if key in part.model_fields_set and _fits(path, pattern):
                 _report(values, (*path, key), f"`{key}`")
-        if "python" in part.model_fields_set:
-            _report(values, (*path, "python"), "a Python term")
 
 
 def _report(values: Values, path: Path, what: str) -> None:

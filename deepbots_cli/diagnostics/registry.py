@@ -57,6 +57,8 @@ _CATALOGUE = (
     Rule("DB405", "possible-zero-division", "warning", "a divisor can be zero"),
     Rule("DB406", "domain-error", "warning", "an argument can leave the domain of its function"),
     Rule("DB407", "not-available-here", "error", "a name or function that cannot be used in this place"),
+    Rule("DB409", "foreign-code", "error", "a term that is a function of Python, which is not allowed unless you say so"),
+    Rule("DB410", "foreign-code-runs", "warning", "a term that is a function of Python, which you have allowed"),
     Rule("DB501", "unknown-unit", "error", "a unit that the language does not know"),
     Rule("DB502", "missing-unit", "error", "a number that needs a unit has none"),
     Rule("DB503", "dimension-mismatch", "error", "quantities of different dimension are combined"),

@@ -47,6 +47,7 @@ from deepbots_cli.ir.task import (
     Choices,
     Copies,
     Ending,
+    Foreign,
     Goal,
     Interval,
     Noise,
@@ -119,6 +120,7 @@ __all__ = [
     "Evaluation",
     "Faults",
     "Field",
+    "Foreign",
     "Formula",
     "Goal",
     "Ground",
@@ -208,6 +210,12 @@ class CompiledScenario:
     goal: Goal | None = None
     pictures: tuple[Pictured, ...] = ()
     version: int = IR_VERSION
+
+    @property
+    def foreign(self) -> tuple[Foreign, ...]:
+        """The functions of installed packages that its reward and its endings call."""
+        named = [term.foreign for term in self.reward] + [ending.foreign for ending in self.endings]
+        return tuple(function for function in named if function is not None)
 
     @property
     def seen(self) -> tuple[Observed | Pictured, ...]:

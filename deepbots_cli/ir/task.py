@@ -153,20 +153,33 @@ class Goal:
 
 
 @dataclass(frozen=True)
+class Foreign:
+    """A function of an installed package, which is called with the supervisor."""
+
+    module: str
+    function: str
+
+    def __str__(self) -> str:
+        return f"{self.module}:{self.function}"
+
+
+@dataclass(frozen=True)
 class Term:
-    """A named summand of the reward."""
+    """A named summand of the reward; where it is `foreign`, the value does not count."""
 
     name: str
     value: Scalar
+    foreign: Foreign | None = None
 
 
 @dataclass(frozen=True)
 class Ending:
-    """A condition that terminates the episode."""
+    """A condition that terminates the episode; where it is `foreign`, the condition here does not count."""
 
     name: str
     outcome: Outcome
     condition: Scalar
+    foreign: Foreign | None = None
 
 
 @dataclass(frozen=True)

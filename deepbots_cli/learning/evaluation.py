@@ -70,6 +70,7 @@ def evaluate(
     case: str | None = None,
     video_to: Path | None = None,
     copies: int = ROWS,
+    allow_code: bool = False,
     build: BuildWorld | None = None,
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
@@ -88,6 +89,7 @@ def evaluate(
         case: One of the scenario's cases to evaluate in, by name.
         video_to: Where to write the first episode as mp4.
         copies: Worlds at a time, 1 to 8.
+        allow_code: Whether terms in Python run.
         build: Makes a world of the scenario in place of the generated supervisor.
 
     Raises:
@@ -107,7 +109,7 @@ def evaluate(
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
     if video_to is not None:
         video.check(video_to)
-    make = build or default_build(known.record.engine)
+    make = build or default_build(known.record.engine, allow_code=allow_code)
     seeds = [derive(root, "evaluation", k) for k in range(count)]
     with ExitStack() as stack:
         worlds = []
@@ -129,11 +131,15 @@ def evaluate_cases(
     seed: int | None = None,
     model: ModelName = "best",
     scenario: Compiled | None = None,
+    allow_code: bool = False,
     build: BuildWorld | None = None,
 ) -> tuple[EvaluationResult, ...]:
     """Evaluate in every case of the scenario, in file order; arguments and errors as for `evaluate`."""
     cases = (Run.open(run).ir if scenario is None else scenario.ir).cases
-    return tuple(evaluate(run, episodes=episodes, seed=seed, model=model, scenario=scenario, case=case.name, build=build) for case in cases)
+    return tuple(
+        evaluate(run, episodes=episodes, seed=seed, model=model, scenario=scenario, case=case.name, allow_code=allow_code, build=build)
+        for case in cases
+    )
 
 
 def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:

@@ -111,7 +111,8 @@ def train(
     training = _training_of(compiled.ir, total_timesteps)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
-    _rehearse(compiled.ir, training, build or default_build(engine))
+    build = build or default_build(engine, allow_code=compiled.allow_code)
+    _rehearse(compiled.ir, training, build)
     path = new_directory(run, runs, compiled.ir.name, seed)
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
     record = Record(
@@ -149,6 +150,7 @@ def resume(
     total_timesteps: int | None = None,
     stop_when_solved: bool | None = None,
     progress: bool | Reporter = False,
+    allow_code: bool = False,
     build: BuildWorld | None = None,
 ) -> TrainingResult:
     """Go on with a run from its last checkpoint, in the same directory; logs are appended to.
@@ -162,6 +164,7 @@ def resume(
         total_timesteps: The new goal, counted from the very start; the run's own by default.
         stop_when_solved: As for `train`; the run's own by default. A run that was solved before goes on regardless.
         progress: As for `train`.
+        allow_code: Whether terms in Python run.
         build: As for `train`.
 
     Raises:
@@ -171,7 +174,9 @@ def resume(
     Run.open(run)  # a folder that is no run is told so, whoever is at work in it
     with sole_trainer(run):
         # Only now: a training that has just ended in there has changed the record.
-        return _go_on(Run.open(run), total_timesteps, stop_when_solved, reporter(progress), build)
+        known = Run.open(run)
+        build = build or default_build(known.record.engine, allow_code=allow_code)
+        return _go_on(known, total_timesteps, stop_when_solved, reporter(progress), build)
 
 
 def _go_on(
@@ -209,11 +214,11 @@ def _compiled(scenario: Compiled | str | Path) -> Compiled:
     return compile(scenario)
 
 
-def default_build(engine: str) -> BuildWorld:
-    """The generated supervisor on `engine`."""
+def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
+    """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
     from deepbots_cli.api import build  # brings the compiler, which a caller with a world of its own does not need
 
-    return partial(build, engine=engine)
+    return partial(build, engine=engine, allow_code=allow_code)
 
 
 def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:

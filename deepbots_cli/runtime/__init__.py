@@ -10,6 +10,7 @@ lines.py       painted lines: places beside and along them, light
 team.py        copies of a robot in one world, share.py what each sees of the engine
 streams.py     named random streams under one root seed
 album.py       the last pictures
+foreign.py     terms in Python
 hindsight.py   rewards for other goals, for hindsight replay
 spaces.py      action and observation spaces; view.py a camera that sees the whole scene
 load.py        generated text to a module whose tracebacks show its lines
@@ -18,6 +19,7 @@ Nothing here reads YAML or knows an engine beyond the port.
 """
 
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
+from deepbots_cli.runtime.foreign import foreign
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
 from deepbots_cli.runtime.messages import MALFORMED
@@ -39,6 +41,7 @@ __all__ = [
     "Thrust",
     "assemble",
     "clipped",
+    "foreign",
     "load_module",
     "quaternion",
     "unbounded",

@@ -26,7 +26,8 @@ class Document:
     """What was read: the merged tree, every file that it came from, and what is wrong with them.
 
     `root` is None where a finding at error level left nothing to go on with. `files` maps the absolute path of each
-    file to its text, the main file first; `roots` are the folders that the scenario may read from.
+    file to its text, the main file first; `roots` are the folders that the scenario may read from,
+    and `allow_code` says whether it may name functions of Python.
     """
 
     root: Mapping | None
@@ -35,6 +36,7 @@ class Document:
     findings: Findings
     roots: tuple[Path, ...]
     base: Path
+    allow_code: bool = False
 
     @property
     def sources(self) -> tuple[Source, ...]:

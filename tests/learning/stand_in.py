@@ -102,6 +102,7 @@ class CompiledStandIn:
     inputs: Mapping[str, bytes] = field(default_factory=lambda: {"stand_in.yaml": b"deepbots: 1\n", "../robots/cart.urdf": b"<robot/>\n"})
     resolved: str = "deepbots: 1\n"
     source: Path = Path("stand_in.yaml")
+    allow_code: bool = False
 
     @property
     def digest(self) -> str:

@@ -9,7 +9,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets
 from deepbots_cli.cli.tables import pairs as aligned
 from deepbots_cli.errors import MissingExtraError
 
@@ -23,6 +23,7 @@ def command(
     engine: Engine = "pybullet",
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Time a step of the environment against bare physics.
 
@@ -33,13 +34,13 @@ def command(
       deepbots bench cartpole
       deepbots bench cartpole --set messages.format=csv --pairs 15
     """
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     try:
         from deepbots_cli.cli import measure
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "timing a scenario") from error
-    result = measure.compare(compiled.ir, engine=engine, steps=steps, pairs=pairs, seed=seed)
+    result = measure.compare(compiled, engine=engine, steps=steps, pairs=pairs, seed=seed)
     if as_json:
         terminal.show_json(asdict(result))
         return

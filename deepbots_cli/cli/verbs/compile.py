@@ -9,7 +9,7 @@ import typer
 
 from deepbots_cli import api, canonical
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.errors import UsageError
 
 
@@ -20,6 +20,7 @@ def command(
     ir: Annotated[bool, typer.Option("--ir", help="Print the compiled scenario as canonical JSON instead.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Print the Python that a scenario is compiled to.
 
@@ -32,7 +33,7 @@ def command(
     """
     if ir and as_json:
         raise UsageError("--ir and --json exclude each other: the former is JSON already")
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
     terminal.mention(compiled.findings, scenario)

@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import copying, project, terminal
-from deepbots_cli.cli.options import AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Scenario, Sets
 
 
 def command(
@@ -19,6 +19,7 @@ def command(
     sets: Sets = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Write a scenario out as a small Python project of its own.
 
@@ -30,7 +31,7 @@ def command(
       cd my_cartpole && python run.py
     """
     project.check(folder)
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     written = copying.write(project.files(compiled), folder)
     if as_json:

@@ -11,13 +11,12 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import AllowPaths, Json, small_enough
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, small_enough
 from deepbots_cli.cli.tables import table
 from deepbots_cli.learning import report
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import EvaluationResult
-    from deepbots_cli.learning.run import ModelName
 
 
 def command(
@@ -44,6 +43,7 @@ def command(
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
 
@@ -61,11 +61,17 @@ def command(
     """
     compiled = None
     if scenario is not None:
-        compiled = api.compile(scenario, allow_paths=allow_paths or ())
+        compiled = api.compile(scenario, allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
-    model: ModelName = "last" if last else "best"
-    result = learning.evaluate(run, episodes=episodes, seed=seed, model=model, scenario=compiled, case=case, video_to=video)
-    cases = learning.evaluate_cases(run, episodes=episodes, seed=seed, model=model, scenario=compiled) if case is None else ()
+    chosen: dict[str, Any] = {
+        "episodes": episodes,
+        "seed": seed,
+        "model": "last" if last else "best",
+        "scenario": compiled,
+        "allow_code": allow_code,
+    }
+    result = learning.evaluate(run, case=case, video_to=video, **chosen)
+    cases = learning.evaluate_cases(run, **chosen) if case is None else ()
     if as_json:
         terminal.show_json(with_cases(result, cases))
     else:

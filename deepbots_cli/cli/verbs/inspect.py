@@ -11,7 +11,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import anatomy, robot_file, terminal
 from deepbots_cli.cli import picture as drawing
-from deepbots_cli.cli.options import AllowPaths, Json, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.errors import ScenarioError
 
@@ -32,6 +32,7 @@ def command(
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Show what a scenario means: spaces, messages, reward, timing. Or what a robot file holds: links, joints, what is odd.
 
@@ -48,7 +49,7 @@ def command(
     if robot_file.named(scenario):
         _inspect_robot(scenario, picture, as_json)
         return
-    checked = api.load(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    checked = api.load(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     root = checked.document.root
     if root is None:
         raise ScenarioError(list(checked.findings))

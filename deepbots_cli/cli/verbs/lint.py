@@ -14,7 +14,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import AllowPaths, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render, summary
 from deepbots_cli.errors import UsageError
@@ -42,6 +42,7 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     fail_on: Annotated[FailOn, typer.Option("--fail-on", help="What makes the exit code 1.")] = FailOn.error,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Say everything that is wrong with scenarios.
 
@@ -58,7 +59,9 @@ def command(
     names = list(dict.fromkeys(name for given in scenarios for name in _expanded(given)))
     for name in names:
         api.locate(name)
-    findings = [finding for name in names for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or ())]
+    findings = [
+        finding for name in names for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    ]
     _show(findings, names, Format.json if as_json else format)
     if _fails(findings, fail_on):
         raise typer.Exit(FAILED)

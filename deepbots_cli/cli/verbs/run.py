@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 
@@ -38,6 +38,7 @@ def command(
     engine: Engine = "pybullet",
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Run episodes without a trained policy, and show the reward terms.
 
@@ -52,10 +53,10 @@ def command(
     """
     if policy is not None and actions is not None:
         raise UsageError("--policy and --actions exclude each other")
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     ir = compiled.ir if case is None else compiled.ir.case(case).scenario
-    with closing(api.make(ir, engine=engine)) as environment:
+    with closing(api.make(ir, engine=engine, allow_code=allow_code)) as environment:
         from deepbots_cli.cli import replay  # needs the simulator, whose absence `make` has reported by now
 
         chosen = replay.scripted(ir, actions) if actions is not None else getattr(replay, policy or Policy.random)(environment)

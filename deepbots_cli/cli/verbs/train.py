@@ -12,7 +12,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.options import AllowPaths, Json, Sets, known_engine, small_enough
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets, known_engine, small_enough
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -37,6 +37,7 @@ def command(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
@@ -55,12 +56,16 @@ def command(
     told = not quiet
     if resume is not None:
         if scenario is not None or sets or seed is not None or run is not None or engine is not None or allow_paths:
-            raise UsageError("a resumed run keeps what it was made with; beside --resume go only --timesteps, --full, --quiet and --json")
-        result = learning.resume(resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told)
+            raise UsageError(
+                "a resumed run keeps what it was made with; beside --resume go only --timesteps, --full, --quiet, --allow-code and --json"
+            )
+        result = learning.resume(
+            resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told, allow_code=allow_code
+        )
     elif scenario is None:
         raise UsageError("there is nothing to train; name a scenario, such as: deepbots train cartpole")
     else:
-        compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or ())
+        compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
         result = learning.train(
             compiled,
@@ -72,10 +77,10 @@ def command(
             command=["deepbots", *sys.argv[1:]],
             engine=engine or "pybullet",
         )
-    _finish(result, quiet=quiet, as_json=as_json)
+    _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
 
 
-def _finish(result: TrainingResult, *, quiet: bool, as_json: bool) -> None:
+def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show how the training ended; unless it was interrupted, evaluate it and say how to go on."""
     if not as_json:
         terminal.say(report.training_text(result))
@@ -85,7 +90,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool) -> None:
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out starts ...")
-    evaluation, cases = learning.evaluate(result.run), learning.evaluate_cases(result.run)
+    evaluation, cases = learning.evaluate(result.run, allow_code=allow_code), learning.evaluate_cases(result.run, allow_code=allow_code)
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return

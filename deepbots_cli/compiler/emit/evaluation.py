@@ -34,13 +34,31 @@ def print_evaluation(space: Workspace, printer: Printer) -> None:
     print_masks(space, printer)
 
 
+def bind_foreign(space: Workspace) -> list[str]:
+    """Statements that import the functions of Python which the scenario names."""
+    items = [("reward term", term.name, term.foreign, False) for term in space.scenario.reward]
+    items += [("ending", ending.name, ending.foreign, True) for ending in space.scenario.endings]
+    lines = []
+    for what, name, function, truth in items:
+        if function is not None:
+            place = ", ".join(map(quoted, (what, name, function.module, function.function)))
+            lines.append(f"{called(space, what, name)} = foreign({place}, {truth})")
+    return lines
+
+
+def called(space: Workspace, what: str, name: str) -> str:
+    """The attribute that holds the function of an ending or a reward term."""
+    return f"self.{space.names(f'function of {what}', name)}"
+
+
 def _print_endings(space: Workspace, printer: Printer) -> None:
     """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
     endings = space.scenario.endings
     if not endings:
         return
     for ending in _after_what_they_use(endings):
-        printer.assign(space.local(ending.name), ending.condition)
+        code = printer.value(ending.condition) if ending.foreign is None else f"{called(space, 'ending', ending.name)}(self)"
+        printer.line(f"{space.local(ending.name)} = {code}")
     failures = [ending for ending in endings if ending.outcome == "failure"]
     successes = [ending for ending in endings if ending.outcome == "success"]
     printer.line(f"if {' or '.join(space.local(ending.name) for ending in endings)}:")
@@ -77,7 +95,8 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
     if space.repeats:
         names = [space.names(f"{term.name} term") for term in terms]
     for name, term in zip(names, terms, strict=True):
-        printer.assign(name, term.value)
+        code = printer.value(term.value) if term.foreign is None else f"{called(space, 'reward term', term.name)}(self)"
+        printer.line(f"{name} = {code}")
     # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
     for index, part in enumerate(parts):

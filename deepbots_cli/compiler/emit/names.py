@@ -18,6 +18,7 @@ RUNTIME = (
     "Supervisor",
     "Thrust",
     "clipped",
+    "foreign",
     "quaternion",
     "unbounded",
 )

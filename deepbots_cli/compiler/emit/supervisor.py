@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.action import choice_tables
+from deepbots_cli.compiler.emit.evaluation import bind_foreign
 from deepbots_cli.compiler.emit.goal import compute_reward
 from deepbots_cli.compiler.emit.masks import allowed
 from deepbots_cli.compiler.emit.names import class_name
@@ -37,6 +38,7 @@ def _bind(space: Workspace) -> list[str]:
         lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
     for pictured in space.scenario.pictures:
         lines.append(f"{album(space, pictured)} = self.albums[{quoted(pictured.key)}].frames")
+    lines += bind_foreign(space)
     if space.scenario.goal is not None:
         lines.append(f'self.pack_goal = Struct("{2 * len(space.scenario.goal.low)}f").pack_into')
-    return block("def bind(self, engine: Any) -> None:", lines)
+    return block("def bind(self, engine: Any) -> None:", lines or ["pass"])

@@ -28,6 +28,7 @@ from deepbots_cli.compiler.emit.text import action_variables
 from deepbots_cli.ir import Choices, CompiledScenario
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
+_PYTHON = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 
 def check_printable(scenario: CompiledScenario) -> None:
@@ -43,6 +44,9 @@ def check_printable(scenario: CompiledScenario) -> None:
     variables = [variable for part in scenario.action for variable in action_variables(part)]
     if len(set(variables)) < len(variables):
         raise CanonicalError("two variables of the action share a name")
+    for foreign in scenario.foreign:
+        if not _PYTHON.fullmatch(str(foreign)):
+            raise CanonicalError(f"{str(foreign)[:40]!r} is no function of a package")
     require_known_nodes(scenario)
     require_figures(scenario)
     require_routes(scenario)
