@@ -12,7 +12,7 @@ from deepbots_cli.lang.scalar import Const, Draw, Scalar
 from deepbots_cli.port import View
 
 _FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the front right, above
-_FLAT = 0.35  # how much higher the eye stands over what is flat
+_FLAT = 0.9  # how much higher the eye stands over what is flat
 _MARGIN = 1.12
 _LEAST = 0.05  # m; half the side of the smallest scene
 
@@ -54,7 +54,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
     if world.terrain is not None:
         match world.terrain.relief:
             case Pit(height=height, radius=radius):
-                yield (-1.4 * radius, -1.4 * radius, 0.0), (1.4 * radius, 1.4 * radius, height / 4)
+                yield (-1.1 * radius, -1.1 * radius, 0.0), (1.1 * radius, 1.1 * radius, height / 4)
             case Picture(size=(x, y), height=height):
                 yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, height)
             case relief:
