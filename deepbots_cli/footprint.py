@@ -81,11 +81,6 @@ class Patch(NamedTuple):
             yield self.x + self.cos * i - self.sin * j, self.y + self.sin * i + self.cos * j
 
 
-def clear(a: Patch, b: Patch, least: float) -> bool:
-    """Whether two patches are apart by at least `least`; with 0 they may touch."""
-    return hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius >= least or gap(a, b) >= least
-
-
 def gap(a: Patch, b: Patch) -> float:
     """The distance between two patches; negative where they overlap."""
     if a.half is None or b.half is None:
@@ -195,10 +190,10 @@ def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> 
     """The height of the origin of a body that rests on flat ground, tilted so; a robot rests on the lowest of all that touches."""
     tilted = (frames.HERE[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
-        return -_bounds(body, tilted)[0][2]
+        return 0.0 - _bounds(body, tilted)[0][2]
     where = link_frames(body)
     touching = [(where[link.name], part) for link in body.links for part in link.collisions if not isinstance(part.shape, Mesh)]
-    return -min(
+    return 0.0 - min(
         (_bounds(part.shape, frames.inside(tilted, frames.inside(link, frames.frame(part.origin))))[0][2] for link, part in touching),
         default=0.0,
     )

@@ -171,11 +171,10 @@ class Beginnings:
 
 @dataclass(frozen=True, eq=False)
 class TaskGroup:
-    """Copies of a body: as many as there can be, as there are at least, and as there are in an episode."""
+    """Copies of a body: as many as there can be, and as there are in an episode."""
 
     name: str
     capacity: int
-    least: int
     count: Valued
 
     @property

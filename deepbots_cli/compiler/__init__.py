@@ -19,7 +19,7 @@ copies.py       several of one robot under one policy
 channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
 scoring.py      signals, reward, endings; foreign.py those in Python; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
-resets.py       how an episode begins: places.py where a body stands, room.py whether it can;
+resets.py       how an episode begins: layouts.py, groups.py; places.py where a body stands, room.py whether it can;
                 starts.py joints, poses.py their named positions
 disturbances.py pushes while an episode runs
 inputs.py       the files that it was made from, as a run keeps copies of them
@@ -40,6 +40,7 @@ from deepbots_cli.compiler.controllers import Controller
 from deepbots_cli.compiler.copies import copies
 from deepbots_cli.compiler.disturbances import disturbances
 from deepbots_cli.compiler.goals import Goals
+from deepbots_cli.compiler.groups import group
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
@@ -173,7 +174,10 @@ class _Pass:
         for name, thing in spec.objects.items():
             namespace.define(name, Origin.OBJECT, ("objects", name))
             if "count" in thing.model_fields_set:
-                self.values.lose(name)  # a group of things, which `support` has refused
+                found = group(name, thing, namespace)
+                namespace.groups |= {name: found} if found else {}
+                if found is None:
+                    self.values.lose(name)
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         self.lines = lines(spec, namespace)
@@ -192,6 +196,9 @@ class _Pass:
         for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
             namespace.settle(name)
         world = WorldBuilder(spec, namespace).build(scenes, self.lines)
+        begins, walls = beginnings(spec, namespace, world)
+        world = replace(world, objects=(*world.objects, *walls))
+        action = actions.parts()
         limits = truncation(spec, namespace)
         action, rewards = actions.parts(), reward_terms(spec, namespace)
         agent = ir.Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
@@ -211,7 +218,7 @@ class _Pass:
             rewards,
             signals.endings(),
             limits,
-            beginnings(spec, namespace, world),
+            begins,
             joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
             self._settle(world.timestep),
             solved(spec, values),
@@ -223,6 +230,7 @@ class _Pass:
             agent,
             route(spec, "to_robot", namespace),
             route(spec, "from_robot", namespace),
+            groups=tuple(namespace.groups.values()),
             forbidden=actions.forbidden(),
             disturbances=disturbances(spec, namespace),
             goal=goals.goal(rewards),

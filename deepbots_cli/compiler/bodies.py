@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from deepbots_cli import ir
 from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.files import mesh
@@ -17,6 +19,8 @@ from deepbots_cli.urdf.inertia import volume
 from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 
 _WATER = 1000.0  # kg/m^3, the default density of objects
+_GREY: ir.Colour = (*COLOURS["grey"], 1.0)
+_OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
 class Bodies:
@@ -28,25 +32,61 @@ class Bodies:
         self._scope = ParameterScope(namespace, Context.FIXED)
         self._drawn = ParameterScope(namespace, Context.FIELD)
 
-    def body(self, name: str, thing: spec.Placed) -> ir.ObjectBody | None:
-        """The object; None after a finding about its shape."""
+    def bodies(self, name: str, thing: spec.Placed) -> list[ir.ObjectBody]:
+        """The object, or every copy of a group; none after a finding about its shape."""
         path: Path = ("objects", name)
+        group = self._namespace.groups.get(name)
+        if isinstance(thing, spec.VariedObject):
+            variants = tuple(self._variant(kind, given, thing, (*path, "one_of", kind)) for kind, given in thing.one_of.items())
+            if None in variants:
+                return []
+            forms = tuple(variant for variant in variants if variant is not None)
+            return [self._body(copy, thing, forms[0].shape, path, forms) for copy in (group.copies if group else (name,))]
         shape = self.shape(thing, path)
         if shape is None:
-            return None
+            return []
+        bodies = [self._body(copy, thing, shape, path) for copy in (group.copies if group else (name,))]
+        return [replace(body, pooled=True) for body in bodies] if group else bodies
+
+    def _body(self, name: str, thing: spec.Placed, shape: Shape, path: Path, variants: tuple[ir.Variant, ...] = ()) -> ir.ObjectBody:
         made_of, of = thing if isinstance(thing, spec.Material) else spec.Material(), (name, "")
-        mass = self._mass((*path, "mass"), made_of, shape, of)
         return ir.ObjectBody(
             name,
             shape,
-            mass=mass,
-            colour=colour(self._namespace, (*path, "colour"), made_of.colour, of) or (*COLOURS["grey"], 1.0),
+            mass=variants[0].mass if variants else self._mass((*path, "mass"), made_of, shape, of),
+            colour=(None if variants else colour(self._namespace, (*path, "colour"), made_of.colour, of)) or _GREY,
             fixed=bool(made_of.fixed),
             solid=made_of.solid is not False,
-            friction=self._number((*path, "friction"), made_of.friction, 1.0, "lateral_friction", of),
+            friction=1.0 if variants else self._number((*path, "friction"), made_of.friction, 1.0, "lateral_friction", of),
             spinning_friction=self._number((*path, "spinning_friction"), made_of.spinning_friction, 0.0, "spinning_friction", of),
             rolling_friction=self._number((*path, "rolling_friction"), made_of.rolling_friction, 0.0, "rolling_friction", of),
             restitution=self._number((*path, "restitution"), made_of.restitution, 0.0, "restitution", of),
+            pooled=bool(variants),
+            variants=variants,
+        )
+
+    def _variant(self, kind: str, given: spec.Shaped, thing: spec.VariedObject, path: Path) -> ir.Variant | None:
+        """A form that a body may take: what it does not say of itself, the object says for all; its figures are fixed."""
+        for key in _OF_ALL:
+            if getattr(given, key) is not None:
+                help = f"give `{key}` for all variants, beside `one_of`"
+                self._values.findings.add(
+                    "DB108", self._values.key_span((*path, key)), f"`{key}` of one variant is not supported yet", help=help
+                )
+        shape = self.shape(given, path)
+        if shape is None:
+            return None
+        homes = {key: path if getattr(given, key) is not None else path[:2] for key in ("mass", "friction", "colour")}
+        mass, friction, paint = (given.mass or thing.mass, given.friction or thing.friction, given.colour or thing.colour)
+        weight = self._values.figure((*homes["mass"], "mass"), mass, MASS, self._drawn)
+        grip = self._values.figure((*homes["friction"], "friction"), friction, NUMBER, self._drawn)
+        return ir.Variant(
+            kind,
+            shape,
+            mass=_WATER * (volume(shape) or 0.0) if weight is None else weight,
+            colour=colour(self._namespace, (*homes["colour"], "colour"), paint) or _GREY,
+            friction=1.0 if grip is None else grip,
+            fixed=bool(thing.fixed if given.fixed is None else given.fixed),
         )
 
     def shape(self, thing: object, path: Path) -> Shape | None:

@@ -156,6 +156,8 @@ class Namespace:
         definition, robot = self.definitions.get(head), self.robots.get(head)
         if robot is not None:
             return robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
+        if head in self.groups and not rest:
+            return Subject(head, Kind.OBJECTS, self.groups[head].copies)
         if definition is not None and definition.origin in _WHOLE and not rest:
             length = self.lengths.get(head)
             return Subject(head, _WHOLE[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import atan2
 
@@ -35,7 +36,23 @@ class Places:
         self._scope = ParameterScope(namespace, Context.RESET)
         self._fixed = ParameterScope(namespace, Context.FIXED)
 
-    def placement(self, body: str, pose: Pose, path: Path) -> Placement:
+    def placements(self, given: Mapping[str, Pose], path: Path, *, used: bool = True) -> list[Placement]:
+        """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are used."""
+        found = []
+        for body, pose in given.items():
+            if self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
+                found.append(self.placement(body, pose, (*path, body), used=used))
+            else:
+                known = self._namespace.named(Origin.ROBOT, Origin.OBJECT)
+                self._values.unknown(self._values.key_span((*path, body)), "robot or object", body, known)
+        return found
+
+    def at_home(self, body: str) -> Placement:
+        """At the body's own `pose`."""
+        section, known = ("robots", self._spec.robots) if body in self._spec.robots else ("objects", self._spec.objects)
+        return self.placement(body, known[body].pose, (section, body, "pose"))
+
+    def placement(self, body: str, pose: Pose, path: Path, *, used: bool = True) -> Placement:
         """The placement of a known body; what had findings is left out of it."""
         place = Placement(body, self.coordinates(pose, path), owner=owner_of(path))
         if not isinstance(pose, PlacementSpec):
@@ -54,9 +71,9 @@ class Places:
         elif pose.grid is not None:
             span = self._values.key_span((*path, "grid"))
             self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
-        if isinstance(place.spot, ir.Region):
+        if isinstance(place.spot, ir.Region) and used:
             check_room(place, place.spot, self._world, self._namespace, path)
-        self._check_copies(place, path)
+        self._check_copies(place, path, used=used)
         return self.resting(place)
 
     def coordinates(self, pose: Pose, path: Path) -> dict[str, Coordinate]:
@@ -137,19 +154,25 @@ class Places:
             return ir.Region((-half_x, -half_y), (half_x, half_y), mesh)
         return None
 
-    def _check_copies(self, place: Placement, path: Path) -> None:
+    def _check_copies(self, place: Placement, path: Path, *, used: bool) -> None:
         """Keys that only groups know; copies of a group that would stand within each other."""
         group = self._namespace.groups.get(place.body)
-        for key, given in (("at_most", place.at_most), ("spacing", any(place.spacing) or None)):
-            if group is None and given is not None and not self._values.is_lost(place.body):
+        if group is not None:
+            if used:
+                self._check_spread(place, min(group.capacity, group.capacity if place.at_most is None else place.at_most), path)
+            return
+        for key, given in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
+            if given and not self._values.is_lost(place.body):
                 headline = f"`{key}` of `{place.body}`, of which there is one"
                 help = "it is for groups: bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
-        if group is None or place.spot is not None or any(place.spacing) or min(group.capacity, place.at_most or group.capacity) < 2:
-            return
+
+    def _check_spread(self, place: Placement, most: int, path: Path) -> None:
+        """DB105 where up to `most` copies stand at the same coordinates."""
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        if all(coordinate.typed is not None and constant(coordinate.typed) is not None for coordinate in known):
-            headline = f"up to {min(group.capacity, place.at_most or group.capacity)} copies of `{place.body}` at one spot"
+        is_fixed = all(coordinate.typed is not None and constant(coordinate.typed) is not None for coordinate in known)
+        if most > 1 and is_fixed and place.spot is None and not any(place.spacing):
+            headline = f"up to {most} copies of `{place.body}` at one spot"
             help = "draw their spots with `region`, put them in a row with `spacing`, or place `at_most: 1`"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
 

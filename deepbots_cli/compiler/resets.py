@@ -2,51 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.layouts import Layouts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.places import Places
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.typed import Invocation, Typed, children
 from deepbots_cli.lang.types import Context
-from deepbots_cli.schema.pose import Pose
 from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.task import Beginnings, Placement, Valued
+from deepbots_cli.task import Beginnings, Placement, TaskLayout, Valued
 
 _UNMOVED = ("contact", "collided", "joint_torque")  # nothing has acted or touched before the first step
 
 
-def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> Beginnings:
-    """Bodies in the order of the file; one that is placed nowhere stands at its own `pose`."""
+def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> tuple[Beginnings, tuple[ir.ObjectBody, ...]]:
+    """How bodies are arranged, and the walls that only maps put up.
+
+    Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
+    copy is there.
+    """
     places = Places(spec, namespace, world)
-    found = _placements(spec.reset.place, ("reset", "place"), places, namespace)
-    placed = {placement.body for placement in found}
-    return Beginnings((*found, *_at_home(spec, placed, places)), require=_requirement(spec, namespace), attempts=spec.reset.attempts)
+    layouts = Layouts(spec, namespace, places, world)
+    common = places.placements(spec.reset.place, ("reset", "place"))
+    found = layouts.used()
+    placed = {placement.body for layout in found for placement in layout.placements} | {placement.body for placement in common}
+    common += [places.at_home(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
+    completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
+    _require_places(spec, namespace)
+    beginning = Beginnings(tuple(common), completed, _requirement(spec, namespace), spec.reset.attempts)
+    return beginning, tuple(layouts.walls)
 
 
-def _placements(given: Mapping[str, Pose], path: Path, places: Places, namespace: Namespace) -> list[Placement]:
-    """The placements of one layout, or of `reset.place`."""
-    found = []
-    for body, pose in given.items():
-        if namespace.origin(body) not in (Origin.ROBOT, Origin.OBJECT):
-            known = namespace.named(Origin.ROBOT, Origin.OBJECT)
-            namespace.values.unknown(namespace.values.key_span((*path, body)), "robot or object", body, known)
-        else:
-            found.append(places.placement(body, pose, (*path, body)))
-    return found
+def _left_out(layout: TaskLayout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
+    """Bodies at home that other layouts place."""
+    here = {placement.body for placement in layout.placements}
+    known = {*namespace.named(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
+    return [places.at_home(body) for body in namespace.definitions if body in placed - here and body in known]
 
 
-def _at_home(spec: Scenario, placed: set[str], places: Places) -> list[Placement]:
-    """What no layout places."""
-    bodies = (("objects", spec.objects), ("robots", spec.robots))
-    return [
-        places.placement(name, body.pose, (section, name, "pose"))
-        for section, named in bodies
-        for name, body in named.items()
-        if name not in placed
-    ]
+def _require_places(spec: Scenario, namespace: Namespace) -> None:
+    """DB102 for a group that no layout places: its copies would never be there."""
+    layouts = spec.reset.layouts.values()
+    mentioned = {
+        *spec.reset.place,
+        *(name for layout in layouts for name in (layout if isinstance(layout, dict) else layout.legend.values())),
+    }
+    for name, group in namespace.groups.items():
+        if name not in mentioned and namespace.origin(name) is Origin.OBJECT:
+            help = f"say where they stand under `reset.place`, such as `{name}: {{region: arena}}`"
+            namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
 
 
 def _requirement(spec: Scenario, namespace: Namespace) -> Valued | None:

@@ -17,13 +17,16 @@ def check_room(place: Placement, region: ir.Region, world: ir.WorldModel, namesp
     if not kinds:
         return
     least = min(kinds, key=lambda kind: kind.narrowest)
-    needed = 2 * (least.narrowest + place.clearance)
+    is_fixed = any(thing.name in (place.body, *(group.copies if group else ())) and thing.fixed for thing in world.objects)
+    needed = 2 * least.narrowest + (0.0 if is_fixed else 2 * place.clearance)
     width, depth = (region.high[axis] - region.low[axis] for axis in (0, 1))
     arena = world.arena
     span = values.key_span((*path, "region"))
     copies = 1 if group is None else min(group.capacity, group.capacity if place.at_most is None else place.at_most)
     if arena is not None and needed > min(arena.size):
-        headline = f"`{place.body}` needs {needed:.3g} m with its clearance, and the arena is {min(arena.size):.3g} m wide"
+        headline = (
+            f"`{place.body}` needs {needed:.3g} m{'' if is_fixed else ' with its clearance'}, and the arena is {min(arena.size):.3g} m wide"
+        )
         values.findings.add("DB105", span, headline, help="give a larger arena, or less clearance")
     elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
         headline = f"a grid of {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"

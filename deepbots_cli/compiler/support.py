@@ -15,12 +15,7 @@ from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 
 # A key of the parts found at a path (a `*` stands for any name) that is not delivered yet.
-LATER: tuple[tuple[tuple[str, ...], str], ...] = (
-    (("objects", "*"), "count"),
-    (("objects", "*"), "one_of"),
-    (("reset",), "layout"),
-    (("reset",), "layouts"),
-)
+LATER: tuple[tuple[tuple[str, ...], str], ...] = ()
 
 
 def check_support(spec: Scenario, values: Values) -> None:

@@ -43,7 +43,7 @@ class WorldBuilder:
                 "DB505", self._values.span(path), "gravity that pulls upwards", help="z points up: write `0 0 -9.81 m/s^2`"
             )
         bodies = Bodies(self._namespace)
-        objects = [body for name, thing in self._spec.objects.items() if (body := bodies.body(name, thing)) is not None]
+        objects = [body for name, thing in self._spec.objects.items() for body in bodies.bodies(name, thing)]
         return ir.WorldModel(
             timestep or 0.032,
             spec.substeps,

@@ -32,7 +32,7 @@ class Place:
 
     x, y, z in m; roll, pitch, yaw in rad; velocities in m/s and rad/s in the world frame, or nothing for rest. What
     `rests` has its z counted from where it would lie on the ground. With a `spot`, x and y are drawn from there, by the
-    stream of that name: clear of the arena's walls and of what has a place already, `clearance` m at least. Of a group,
+    stream of that name: within the arena's walls and clear of what has a place already, `clearance` m at least. Of a group,
     `at_most` so many copies are placed, and each stands `spacing` (m along x and y) from the one before.
     """
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from deepbots_cli.lang import agree, syntax
 from deepbots_cli.lang.dimensions import NUMBER, Dimension
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Function, Param, Shape
-from deepbots_cli.lang.intervals import TRUTH, Interval
+from deepbots_cli.lang.intervals import INF, TRUTH, Interval, exact, hull
 from deepbots_cli.lang.names import NOT_YET, subject_of, unknown
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Typed, Vector
@@ -38,6 +38,10 @@ _FAMILY_HELP = {
     Family.MESSAGE: "only the supervisor receives what robots send; keep it as a signal, or send it under `receive`",
     Family.WORLD: "a robot knows only its sensors and messages; send it the value under `receive`",
 }
+
+
+# What the reductions of numbers come to where no copy of a group is there; 0 for the others.
+_OF_NONE = {"min": exact(INF), "max": exact(-INF)}
 
 
 class Bound(NamedTuple):
@@ -142,12 +146,16 @@ def _typed(
     intervals: list[Interval] = [subject.interval for subject in subjects] + [value.type.interval for value in values]
     first = values[0].type.components if values else None
     boolean = function.boolean or truths
+    count = len(first) if first else 1
+    reach = TRUTH if boolean else function.interval(intervals, count)
+    if components[0] is None and values and values[0].type.copies:
+        reach = hull([reach, _OF_NONE.get(function.name, exact(0.0))])
     _warn(function, values, report)
     result = Type(
         NUMBER if boolean else function.result(shared),
         components[0],
         boolean,
-        TRUTH if boolean else function.interval(intervals, len(first) if first else 1),
+        reach,
         _stage(function, values),
     )
     if function.shape is Shape.GATHER:
@@ -193,6 +201,10 @@ def _components(
         return (function.shape,)
     if function.shape is Shape.GATHER:
         return _gathered(node, values, report)
+    if function.name == "mean" and values[0].type.copies:
+        help = "there may be none of them: take `min`, `max`, `sum`, `norm`, `any` or `all`"
+        report("DB404", node.start, node.end, "a mean over the copies of a group", help)
+        return None
     if function.shape is Shape.ONE or (function.shape is Shape.FOLD and len(values) == 1):
         if values[0].type.components is None:
             report(

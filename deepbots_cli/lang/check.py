@@ -92,6 +92,10 @@ def _whole(tree: syntax.Node, checker: _Checker, report: Report) -> Typed | None
         report("DB401", tree.start, tree.end, "a range where a single value is needed")
         return None
     value = checker.visit(tree)
+    if value is not None and value.type.copies:
+        help = "there may be any number of them: take `min`, `max`, `sum`, `norm`, `any` or `all` of it"
+        report("DB404", tree.start, tree.end, "a value for each copy of a group", help)
+        return None
     if value is not None and size(value) > MAX_SIZE:
         report(
             "DB005",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from deepbots_cli.lang import geometry
 from deepbots_cli.lang.fold import op
 from deepbots_cli.lang.functions import Family
@@ -84,6 +86,9 @@ class _Lowering:
             return (Const(value.type.interval.low),)
         if len(value.args) == 1 and value.type.components is None and value.args[0].type.components is not None:
             parts = self.scalars(value.args[0])
+            if value.args[0].type.copies:
+                copies = value.args[0].type.components or ()
+                parts = tuple(_if_present(value.function, copy, part) for copy, part in zip(copies, parts, strict=True))
             if value.function == "mean":
                 return (op("div", op("add", *parts), Const(float(len(parts)))),)
             return (op(_REDUCTIONS[value.function], *parts),)
@@ -104,6 +109,19 @@ class _Lowering:
     def _place(self, value: Invocation, index: int) -> str:
         components = value.type.components
         return f"{self._owner}#{value.occurrence}" + (f".{components[index]}" if components else "")
+
+
+# What stands in a reduction for a copy that is absent, so that it changes nothing.
+_ABSENT = {"min": math.inf, "max": -math.inf, "sum": 0.0, "norm": 0.0}
+
+
+def _if_present(reduction: str, copy: str, part: Scalar) -> Scalar:
+    present = World("present", (copy,))
+    if reduction == "any":
+        return op("and", present, part)
+    if reduction == "all":
+        return op("or", op("not", present), part)
+    return op("where", present, part, Const(_ABSENT[reduction]))
 
 
 def _reference(value: Reference) -> Scalars:

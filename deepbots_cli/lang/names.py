@@ -65,7 +65,7 @@ def subject_of(node: syntax.Node, kinds: frozenset[Kind], function: str, scope: 
     if subject is not None and subject.kind is Kind.BROKEN:
         return None
     if subject is not None and subject.kind in kinds:
-        if subject.kind in (Kind.OBJECTS, Kind.ROBOTS):
+        if subject.kind is Kind.ROBOTS:
             headline = f"`{node.dotted}` is {subject.kind.words}, over which `{function}` is not supported yet"
             report("DB108", node.start, node.end, headline, NOT_YET)
         return subject

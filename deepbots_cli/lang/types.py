@@ -48,6 +48,11 @@ class Type(NamedTuple):
         return "a picture" if self.picture else "a truth value" if self.boolean else self.dimension.words
 
     @property
+    def copies(self) -> bool:
+        """Whether there is a component for each copy of a group, of which some may be absent."""
+        return self.components is not None and any("#" in name for name in self.components)
+
+    @property
     def shape_words(self) -> str:
         return "a single value" if self.components is None else f"a vector of {shown(self.components)}"
 

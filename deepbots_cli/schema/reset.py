@@ -42,7 +42,7 @@ class Placement(Pose):
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = Field(
         default=None, description="Draws a free spot: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."
     )
-    clearance: Length = Field(default=0, description="Least gap to the walls of the arena and to all other bodies, m.")
+    clearance: Length = Field(default=0, description="Least gap to all other bodies, m, and of what can move to the walls of the arena.")
     grid: Thickness | None = Field(default=None, description="Draws the spot from a grid with this mesh, m.")
     line: Annotated[str, Reference("line")] | None = Field(
         default=None, description="Stands at the beginning of this painted line, along it."

@@ -25,6 +25,8 @@ SOURCES = [
     "cartpole",
     *(str(DATA / f"{name}.yaml") for name in ("drawn", "pair", "placed")),
     *(str(DATA.parents[1] / "channel" / f"{name}.yaml") for name in ("radio", "team")),
+    str(DATA.parents[1] / "channel" / "radio.yaml"),
+    str(DATA.parents[1] / "placement" / "few.yaml"),
     str(DATA.parents[1] / "world" / "hills.yaml"),
 ]
 MARK = "intruder"

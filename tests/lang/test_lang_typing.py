@@ -98,7 +98,6 @@ def test_dimension_and_components_follow_from_the_parts(bench, text, dimension, 
         ("abs(1 .. 2)", "DB401", "1 .. 2"),
         ("2 speed", "DB401", "2 speed"),
         ("1 .. 2 m", "DB401", "1 .. 2 m"),
-        ("distance(cart, obstacle) < 1 m", "DB108", "obstacle"),
     ],
 )
 def test_a_fault_is_one_finding_at_its_place(bench, text, code, piece):

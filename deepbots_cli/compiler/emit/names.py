@@ -28,7 +28,7 @@ _TAKEN = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "stamp", "reward", "terminated", "truncated", "ended", "Any", "Iterator", "Struct"}
     | {*RUNTIME, "wrap", "copysign"}
-    | {"bodies", "body", "layout", "spot"}
+    | {"bodies", "body", "layout", "spot", "spots"}
 )
 
 

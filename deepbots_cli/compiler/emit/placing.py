@@ -39,7 +39,8 @@ def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
             table = tuple_code([tuple_code([repr(x), repr(y)]) for x, y in spots])
             xyz = tuple_code(["spot[0]", "spot[1]", printer.value(place.xyz[2])])
             return [
-                f"for body, spot in bodies.cells({quoted(place.body)}, {count}, {table}, {quoted(place.stream)}):",
+                f"spots = {table}",
+                f"for body, spot in bodies.cells({quoted(place.body)}, {count}, spots, {quoted(place.stream)}):",
                 f"    bodies.stand(body, {xyz}, {_triple(place.rpy, printer)}{_options(place, printer)})",
             ]
         case _:

@@ -28,7 +28,7 @@ def begin(space: Workspace) -> list[str]:
     for observed in scenario.observation:
         if observed.noise is not None and not isinstance(observed.noise.deviation, Const):
             printer.assign(deviation(space, observed), observed.noise.deviation)
-    if is_arranged(reset):
+    if is_arranged(scenario):
         for index, variation in enumerate(reset.variations):
             for number, value in enumerate(variation.values):
                 printer.assign(_varied(space, index, number), value)
@@ -47,12 +47,15 @@ def begin(space: Workspace) -> list[str]:
         printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Driving(scenario, robot).has_any]
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
     method = block("def _begin(self) -> None:", printer.lines)
-    return [*method, *_arrange(space)] if is_arranged(reset) else method
+    return [*method, *_arrange(space)] if is_arranged(scenario) else method
 
 
-def is_arranged(reset: Reset) -> bool:
+def is_arranged(scenario: CompiledScenario) -> bool:
     """Whether the places of an episode have to be found."""
-    return bool(reset.groups or reset.layouts) or reset.require is not None or any(is_sought(place) for place in reset.places)
+    reset = scenario.reset
+    drawn = reset.groups or reset.layouts or reset.require is not None
+    pooled = any(thing.pooled for thing in scenario.world.objects)
+    return bool(drawn) or pooled or scenario.world.terrain is not None or any(is_sought(place) for place in reset.places)
 
 
 def _arrange(space: Workspace) -> list[str]:
@@ -73,6 +76,8 @@ def _arrange(space: Workspace) -> list[str]:
         printer.lines += lines
     printer.lines += [f"{space.present(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
     printer.line("self.engine.reset()")
+    if any(thing.variants for thing in space.scenario.world.objects):
+        printer.line("bodies.choose()")
     for index, variation in enumerate(reset.variations):
         printer.line(setting(variation, [_varied(space, index, number) for number in range(len(variation.values))]))
     printer.lines += _releasing(space.scenario)

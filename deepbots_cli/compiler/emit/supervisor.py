@@ -32,7 +32,7 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
 
 def _bind(space: Workspace) -> list[str]:
     lines = [*space.reads.bind_lines(), *bind_pushes(space)]
-    if is_arranged(space.scenario.reset):
+    if is_arranged(space.scenario):
         lines.append("self.bodies = Arrangement(self.scenario, engine)")
     if space.scenario.observation:
         lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')

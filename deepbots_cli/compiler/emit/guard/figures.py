@@ -71,7 +71,7 @@ def require_copies(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"copies of {copies.robot[:40]!r}, which is not the one robot")
     if not 1 <= copies.count <= MOST_BODIES - len(world.objects) or not all(abs(step) < 1e6 for step in copies.spacing):
         raise CanonicalError(f"{copies.count} copies")
-    if is_arranged(scenario.reset):
+    if is_arranged(scenario):
         raise CanonicalError("copies that look for their places")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
@@ -41,8 +42,9 @@ def require_places(scenario: CompiledScenario) -> None:
 
 
 def _require_copies(scenario: CompiledScenario, groups: Mapping[str, int]) -> None:
-    """Whether a copy is present is asked only of those that there are."""
-    for node in nodes(scenario):
+    """Whether a copy is present is asked only of those that there are; cases and stages have copies of their own."""
+    own = tuple(getattr(scenario, field.name) for field in fields(scenario) if field.name not in ("cases", "curriculum"))
+    for node in nodes(own):
         if isinstance(node, World) and node.function == "present":
             group, _, number = node.subjects[0].partition("#")
             if int(number) > groups.get(group, 0):

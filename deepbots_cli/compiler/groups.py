@@ -1,0 +1,36 @@
+"""Groups: objects of which an episode has several copies, or as many as it draws."""
+
+from __future__ import annotations
+
+import math
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.lang.dimensions import NUMBER
+from deepbots_cli.lang.types import Context, Stage
+from deepbots_cli.schema.objects import Placed
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import TaskGroup, Valued
+
+
+def group(name: str, thing: Placed, namespace: Namespace) -> TaskGroup | None:
+    """The group that an object with a `count` is; None after a finding.
+
+    There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
+    """
+    values = namespace.values
+    path: Path = ("objects", name, "count")
+    text = values.text(path, thing.count)
+    typed = values.quantity(text, "`count`", ParameterScope(namespace, Context.FIELD), NUMBER, None, Stage.EPISODE)
+    if typed is None:
+        return None
+    reach = typed.type.interval
+    if not math.isfinite(reach.high):
+        values.findings.add("DB105", text.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
+        return None
+    if reach.high > ir.MOST_BODIES:
+        help = "an engine would take minutes to build it"
+        values.findings.add("DB005", text.span, f"{reach.high:_.0f} copies, more than {ir.MOST_BODIES}", help=help)
+        return None
+    return TaskGroup(name, max(1, int(reach.high)), Valued("count", text.span, text.text, typed, ".".join(map(str, path))))
