@@ -198,7 +198,6 @@ class _Pass:
         world = WorldBuilder(spec, namespace).build(scenes, self.lines)
         begins, walls = beginnings(spec, namespace, world)
         world = replace(world, objects=(*world.objects, *walls))
-        action = actions.parts()
         limits = truncation(spec, namespace)
         action, rewards = actions.parts(), reward_terms(spec, namespace)
         agent = ir.Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))

@@ -64,12 +64,7 @@ class Param(NamedTuple):
 
 
 # In the language, and understood here, but not yet run by this version.
-UNSUPPORTED = frozenset(
-    {
-        "path_distance",
-        "reachable",
-    }
-)
+UNSUPPORTED: frozenset[str] = frozenset()
 
 DimensionRule = Callable[[Dimension], Dimension]
 IntervalRule = Callable[[Sequence[Interval], int], Interval]

@@ -3,7 +3,7 @@
 supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
 actuation/     actuators that are more than a motor of the engine, and pushes
-placement/     where bodies stand when an episode begins
+placement/     where bodies stand when an episode begins; ways/ shortest ways around what is solid
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
@@ -27,6 +27,7 @@ from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.runtime.team import assemble
+from deepbots_cli.runtime.ways import Ways
 from deepbots_cli.urdf.rotation import quaternion
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "RobotController",
     "Supervisor",
     "Thrust",
+    "Ways",
     "assemble",
     "clipped",
     "foreign",

@@ -16,6 +16,7 @@ RUNTIME = (
     "Push",
     "RobotController",
     "Supervisor",
+    "Ways",
     "Thrust",
     "clipped",
     "foreign",

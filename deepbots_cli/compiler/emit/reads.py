@@ -23,6 +23,8 @@ _TOLD = {
     "gap": "engine.gap({0}, {1})",
     "contact": "engine.contact({0}, ({1},))",
     "collided": "engine.contact({0}, ground=False)",
+    "path_distance": "self.ways.distance({0}, {1})",
+    "reachable": "self.ways.reachable({0}, {1})",
 }
 """Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the world."""
 UNREAD = (*ARRIVALS, "present")
@@ -70,6 +72,11 @@ class Reads:
         followed = zip(self._followers, lines, strict=True)
         readers += [f"{follower} = Follower(self.scenario.world.line({line}))" for follower, line in followed]
         return [*readers, *(f"self.read_{self._local(subject, 'sight')} = {_sight(subject)}" for subject in self._needed["sight"])]
+
+    @property
+    def charts(self) -> bool:
+        """Whether ways around obstacles are asked for."""
+        return bool(self._needed["path_distance"] or self._needed["reachable"])
 
     def start_lines(self) -> list[str]:
         """Statements that begin an episode."""

@@ -41,6 +41,7 @@ def begin(space: Workspace) -> list[str]:
         for place in reset.places:
             printer.line(_placing(place, printer))
         _print_joints(reset, printer)
+        printer.lines += _forgetting(space)
     print_first_pushes(space, printer)
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
@@ -83,6 +84,7 @@ def _arrange(space: Workspace) -> list[str]:
     printer.lines += _releasing(space.scenario)
     printer.line("bodies.put()")
     _print_joints(reset, printer)
+    printer.lines += _forgetting(space)
     if reset.require is None:
         printer.line("return True")
     else:
@@ -94,6 +96,11 @@ def _arrange(space: Workspace) -> list[str]:
 def _releasing(scenario: CompiledScenario) -> list[str]:
     """Statements after which no actuator remembers the episode before."""
     return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Driving(scenario, robot).has_devices]
+
+
+def _forgetting(space: Workspace) -> list[str]:
+    """Statements after which no chart shows the episode before."""
+    return ["self.ways.reset()"] if space.reads.charts else []
 
 
 def _printer(space: Workspace) -> Printer:

@@ -31,9 +31,11 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
 
 
 def _bind(space: Workspace) -> list[str]:
-    lines = [*space.reads.bind_lines(), *bind_pushes(space)]
-    if is_arranged(space.scenario):
-        lines.append("self.bodies = Arrangement(self.scenario, engine)")
+    arranged = is_arranged(space.scenario)
+    lines = ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
+    if space.reads.charts:
+        lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
+    lines += [*space.reads.bind_lines(), *bind_pushes(space)]
     if space.scenario.observation:
         lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
     for pictured in space.scenario.pictures:

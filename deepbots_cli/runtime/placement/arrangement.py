@@ -7,7 +7,7 @@ microseconds; the engine sees only an arrangement that was found.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import inf
 
 from deepbots_cli.errors import EvaluationError
@@ -47,6 +47,11 @@ class Arrangement:
         self._rank: dict[str, float] = {}
         self.present: dict[str, int] = dict.fromkeys(self._capacity, 0)
         self._streams = Streams(0)
+
+    @property
+    def placed(self) -> Iterable[str]:
+        """The bodies that take part in the episode."""
+        return self._poses.keys()
 
     def arrange(self, attempt: Callable[[], bool], attempts: int, streams: Streams) -> None:
         """Call `attempt` until it says that the start is as required.

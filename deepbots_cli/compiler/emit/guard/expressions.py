@@ -25,7 +25,7 @@ _ARGUMENTS: dict[str, tuple[int, float]] = {
     "accumulate": (4, 4),
 }
 _COPY = re.compile(r"[a-z_][a-z0-9_]*#[1-9][0-9]{0,3}", re.ASCII)
-_OF_TWO = ("beside", "along", "visible", "gap", "contact")
+_OF_TWO = ("beside", "along", "visible", "gap", "contact", "path_distance", "reachable")
 _FACTS: dict[str, tuple[str | None, ...]] = {
     **dict.fromkeys(("position", "velocity", "angular_velocity"), ("x", "y", "z")),
     "orientation": ("x", "y", "z", "w"),
