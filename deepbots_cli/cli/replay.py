@@ -22,7 +22,8 @@ def random(environment: Supervisor) -> Policy:
 
 def zero(environment: Supervisor) -> Policy:
     """The middle of every range, and the first of every choice."""
-    action = environment.action_space.sample() * 0
+    drawn = environment.action_space.sample()
+    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
     return lambda: action
 
 
@@ -64,9 +65,12 @@ def _action(scenario: CompiledScenario, text: str) -> Any:
     if len(words) != len(parts):
         raise UsageError(f"the action '{text}' has {len(words)} parts, the scenario's has {len(parts)}; separate them by colons")
     values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
-    if isinstance(scenario.action[0], Interval):
-        return np.array(values, np.float32)
-    return int(values[0]) if len(values) == 1 else np.array(values, np.int64)
+    ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, Interval)]
+    choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
+    if not choices:
+        return np.array(ranges, np.float32)
+    chosen = choices[0] if len(choices) == 1 else np.array(choices, np.int64)
+    return {"choices": chosen, "ranges": np.array(ranges, np.float32)} if ranges else chosen
 
 
 def _slots(part: Choices | Interval) -> Sequence[Choices | Interval]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deepbots_cli.cli import replay
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
 
@@ -75,3 +76,10 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(small: Small, action: 
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(action)
     assert environment.step_count == 0
+
+
+def test_an_action_of_both_can_be_scripted_and_left_alone(small: Small) -> None:
+    environment = small(REWARD, MIXED)
+    environment.reset(seed=0)
+    assert environment.step(replay.scripted(environment.scenario, "0.5:high:-1")())[1] == 0.5 + 30 + 0
+    assert environment.step(replay.zero(environment)())[1] == 0 + 10 + 200
