@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from itertools import groupby
 from math import sqrt
 from typing import Any
 
@@ -15,26 +12,19 @@ from deepbots_cli.ir import Route, Setting
 from deepbots_cli.lang.scalar import Const
 from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.streams import Streams
-
-MESSAGES = 100_000
-TICK = 0.01
-
-
-def radio(*, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any) -> Radio:
-    made = Radio(name, Route(Setting(Const(latency)), Setting(Const(loss)), **others), TICK, zeros="zeros")
-    made.begin(Streams(seed))
-    return made
-
-
-def arrivals(link: Radio, latencies: Sequence[float]) -> list[list[Any]]:
-    """What is taken in each tick, when message k is sent in tick k with the k-th latency (in ticks), and until all is quiet."""
-    taken = []
-    for number, latency in enumerate(latencies):
-        link.latency = latency * TICK
-        link.send(number)
-        taken.append(link.receive())
-    return taken + [link.receive() for _ in range(int(max(latencies)) + 2)]
-
+from tests.channel.radio_trials import (
+    BURSTS,
+    SINGLE,
+    TICK,
+    arrivals,
+    delay_p,
+    drawn_latencies,
+    geometric_p,
+    lost_in,
+    radio,
+    runs_of,
+    spread,
+)
 
 # Latency
 
@@ -54,14 +44,9 @@ def test_late_is_not_lost() -> None:
 
 
 def test_delays_of_many_messages_have_the_distribution_that_they_are_drawn_from() -> None:
-    """Uniform latencies over 0 to 8 ticks: each number of ticks from 1 to 8 alike, by a chi-square test."""
-    link = radio(order="arrival")
-    drawn = Streams(3)["cart.to_robot.latency#0"].uniform(0.0, 8.0, MESSAGES)
-    taken = arrivals(link, drawn.tolist())
-    delays = Counter(tick - message for tick, messages in enumerate(taken) for message in messages)
-    assert set(delays) == set(range(1, 9))
-    expected = MESSAGES / 8
-    assert sum((count - expected) ** 2 / expected for count in delays.values()) < 24.3  # 0.1 % of chi-square, 7 degrees of freedom
+    """Uniform latencies over 0 to 8 ticks: each number of ticks from 1 to 8 alike."""
+    taken = arrivals(radio(order="arrival"), drawn_latencies())
+    assert delay_p([tick - message for tick, messages in enumerate(taken) for message in messages]) > 1e-3
 
 
 # Order
@@ -100,48 +85,21 @@ def test_what_is_gone_by_is_the_message_that_came_last(order: Any, latest: int, 
 # Loss
 
 
-def lost_in(link: Radio, count: int = MESSAGES) -> list[bool]:
-    lost = []
-    for number in range(count):
-        link.send(number)
-        link.receive()
-        lost.append(not link.fresh)
-    return lost
-
-
-def runs_of(lost: list[bool]) -> list[int]:
-    return [len(list(members)) for value, members in groupby(lost) if value]
-
-
-@pytest.mark.parametrize(("share", "seed"), [(0.05, 1), (0.3, 2), (0.9, 3)])
+@pytest.mark.parametrize(("share", "seed"), SINGLE)
 def test_without_bursts_each_message_is_lost_or_not_by_itself(share: float, seed: int) -> None:
-    """The share within 4 standard deviations; runs geometric, with the mean 1 / (1 - share), by a chi-square test."""
+    """The share within 4 standard deviations; runs geometric, with the mean 1 / (1 - share)."""
     lost = lost_in(radio(loss=share, seed=seed))
-    assert abs(np.mean(lost) - share) < 4 * sqrt(share * (1 - share) / MESSAGES)
-    assert_geometric(runs_of(lost), share)
+    assert abs(np.mean(lost) - share) < 4 * spread(share)
+    assert geometric_p(runs_of(lost), share) > 1e-3
 
 
-@pytest.mark.parametrize(("share", "burst", "seed"), [(0.05, 3.0, 1), (0.2, 10.0, 2), (0.5, 1.5, 3), (0.3, 1.0, 4)])
+@pytest.mark.parametrize(("share", "burst", "seed"), BURSTS)
 def test_losses_in_bursts_have_the_share_and_the_mean_length_that_are_asked_for(share: float, burst: float, seed: int) -> None:
     lost = lost_in(radio(loss=share, burst=burst, seed=seed))
-    stay, fall = 1 - 1 / burst, share / (burst * (1 - share))
-    memory = stay - fall  # the correlation of one message with the next, which widens the spread of the share
-    assert abs(np.mean(lost) - share) < 4 * sqrt(share * (1 - share) / MESSAGES * (1 + memory) / (1 - memory))
-    assert_geometric(runs_of(lost), stay)
-
-
-def assert_geometric(runs: list[int], stay: float) -> None:
-    """Runs of length k have the share (1 - stay) stay^(k-1); classes with an expectation of at least 10, the rest together."""
-    assert abs(np.mean(runs) - 1 / (1 - stay)) < 4 * sqrt(stay) / (1 - stay) / sqrt(len(runs)) + 1e-12
-    count, classes, statistic, left = Counter(runs), 0, 0.0, float(len(runs))
-    length = 1
-    while (expected := len(runs) * (1 - stay) * stay ** (length - 1)) >= 10 and left - expected >= 10:
-        statistic += (count[length] - expected) ** 2 / expected
-        left -= expected
-        length, classes = length + 1, classes + 1
-    rest = sum(number for run, number in count.items() if run >= length)
-    statistic += (rest - left) ** 2 / left if left > 0 else rest
-    assert statistic < classes + 4 * sqrt(2 * classes) + 4
+    assert abs(np.mean(lost) - share) < 4 * spread(share, burst)
+    runs, stay = runs_of(lost), 1 - 1 / burst
+    assert abs(np.mean(runs) - burst) < 4 * sqrt(stay) * burst / sqrt(len(runs)) + 1e-12
+    assert geometric_p(runs, stay) > 1e-3
 
 
 def test_all_or_nothing_is_lost_at_the_ends() -> None:
