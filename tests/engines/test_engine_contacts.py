@@ -58,6 +58,21 @@ def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(build):
     assert not touched()
 
 
+def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along(build):
+    """Once the crate is known to stand on the ground, the ball that falls on it is still looked for."""
+    crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 3.0)
+    world = replace(things(crate, ball("ball", (0, 0, 0.4))), timestep=0.05, substeps=50)
+    engine = build("pybullet", world)
+    on_ground, hit = engine.contact(("crate", None), [("ground", None)]), engine.contact(("crate", None), ground=False)
+    told = []
+    for _ in range(6):
+        engine.step(50)
+        told.append((on_ground(), hit()))
+    falls = sqrt(2 * 0.25 / 9.81)  # s
+    assert [hits for _, hits in told].index(True) == int(falls / 0.05)
+    assert all(stands for stands, _ in told[1:])
+
+
 def test_links_of_a_robot_tell_their_contacts_apart(worlds, build):
     engine = build("pybullet", worlds.arena())
     wheels = [engine.contact(("robot", f"wheel_{i}"), [("ground", None)]) for i in range(4)]

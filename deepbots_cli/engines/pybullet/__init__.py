@@ -7,6 +7,7 @@ loadable.py  robots without what PyBullet's loader would misread, invent or cras
 body.py      a robot or an object: links and joints by name, frames of links and of inertia
 pool.py      bodies by name: pooled ones, in one of several forms
 readers.py   joints, poses and velocities
+moments.py   readings that are kept while the world stands still
 motors.py    motors, and springs with dampers on joints
 pushes.py    forces on links
 contacts.py  what touches what, how hard, and distances between surfaces

@@ -20,6 +20,7 @@ from deepbots_cli.engines.pybullet.figures import Colour, Figures
 from deepbots_cli.engines.pybullet.floor import Floor
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet.moments import Moments
 from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.substeps import Substeps
 from deepbots_cli.errors import EngineError
@@ -65,7 +66,8 @@ class PyBulletEngine:
 
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.connected(world)
-        self._substeps = Substeps()
+        self._moments = Moments()
+        self._substeps = Substeps(self._moments)
         self._release = weakref.finalize(self, _release, self._client, self._substeps)
         self.step = self._substeps.stepper(self._client)
         self._timestep = world.timestep / world.substeps
@@ -102,6 +104,7 @@ class PyBulletEngine:
         p.stepSimulation(self._client)
         for body in (*self._still, *self._moving):
             self._restart(body, body.home, body.brakes)
+        self._moments.go_on()
 
     def _restart(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
         """Put the centre of a body there, all of it at rest, with brakes of so many N m or N on its joints."""
@@ -120,10 +123,12 @@ class PyBulletEngine:
         p.resetBasePositionAndOrientation(placed.number, *pose, self._client)
         of_centre = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
         p.resetBaseVelocity(placed.number, of_centre, angular_velocity, self._client)
+        self._moments.go_on()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         number, (index,) = self._joints(robot, (joint,))
         p.resetJointState(number, index, position, velocity, self._client)
+        self._moments.go_on()
 
     def choose(self, body: str, variant: str) -> None:
         self._pool(body).choose(variant)
@@ -202,7 +207,7 @@ class PyBulletEngine:
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
         if self._rays is None:
-            self._rays = Rays(self._client, [body for pool in self._pools.values() for body in pool])
+            self._rays = Rays(self._client, [body for pool in self._pools.values() for body in pool], self._moments)
         return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
@@ -226,20 +231,20 @@ class PyBulletEngine:
                     raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
-        return partial(p.getJointStates, *self._joints(robot, joints), self._client)
+        return readers.joints(self._client, *self._joints(robot, joints), self._moments)
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         body, indices = self._joints(robot, joints)
-        return motors.torques(partial(p.getJointStates, body, indices, self._client), body, indices, self._springs)
+        return motors.torques(self.joint_states(robot, joints), body, indices, self._springs)
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        return self._bound((body, link), partial(readers.pose, self._client))
+        return self._bound((body, link), lambda owner, index: readers.pose(self._client, owner, index, self._moments))
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
-        return self._bound((body, link), partial(readers.velocity, self._client))
+        return self._bound((body, link), lambda owner, index: readers.velocity(self._client, owner, index, self._moments))
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        return self._bound((body, link), partial(readers.motion, self._client))
+        return self._bound((body, link), lambda owner, index: readers.motion(self._client, owner, index, self._moments))
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)

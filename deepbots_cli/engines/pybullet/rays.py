@@ -17,6 +17,7 @@ from deepbots_cli.urdf.model import Capsule, Cylinder, Sphere
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
+    from deepbots_cli.engines.pybullet.moments import Moments
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.port import PoseReader, RayReader
 
@@ -29,14 +30,15 @@ Round = Sphere | Cylinder | Capsule
 class Rays:
     """Casts rays in one client. The body that casts is in a collision group of its own, which its rays pass through."""
 
-    def __init__(self, client: int, bodies: Sequence[Body]) -> None:
+    def __init__(self, client: int, bodies: Sequence[Body], moments: Moments) -> None:
         self._client = client
+        self._moments = moments
         self._groups: dict[int, int] = {}
         self._rounded = {
             (body.number, index): rounded
             for body in bodies
             for index in body.links.values()
-            if (rounded := _rounded(client, body, index)) is not None
+            if (rounded := _rounded(client, body, index, moments)) is not None
         }
 
     def reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
@@ -52,7 +54,7 @@ class Rays:
             physicsClientId=self._client,
         )
         refresh = None if index == BASE else partial(p.getLinkState, body.number, index, 0, 1, self._client)
-        pose, rounded = readers.pose(self._client, body, index), self._rounded
+        pose, rounded = readers.pose(self._client, body, index, self._moments), self._rounded
 
         def read() -> list[float]:
             if refresh is not None:
@@ -129,7 +131,7 @@ def _first(a: float, b: float, c: float) -> float:
     return (-b - sqrt(discriminant)) / a if a > 0.0 and discriminant >= 0.0 else inf
 
 
-def _rounded(client: int, body: Body, index: int) -> Surface | None:
+def _rounded(client: int, body: Body, index: int, moments: Moments) -> Surface | None:
     """The surface of a link that collides with one round shape and nothing else."""
     link = body.link(index)
     if len(link.collisions) != 1:
@@ -137,4 +139,4 @@ def _rounded(client: int, body: Body, index: int) -> Surface | None:
     geometry = link.collisions[0]
     if not isinstance(geometry.shape, Round):
         return None
-    return Surface(geometry.shape, readers.pose(client, body, index), frames.frame(geometry.origin))
+    return Surface(geometry.shape, readers.pose(client, body, index, moments), frames.frame(geometry.origin))

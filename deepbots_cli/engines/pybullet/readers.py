@@ -1,4 +1,4 @@
-"""Readers of poses and velocities, in frames of links rather than of their inertia."""
+"""Readers of joints, poses and velocities, in frames of links rather than of their inertia."""
 
 from __future__ import annotations
 
@@ -13,43 +13,64 @@ from deepbots_cli.port import STILL
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
-    from deepbots_cli.frames import Triple
-    from deepbots_cli.port import Motion, MotionReader, PoseReader, VelocityReader
+    from deepbots_cli.engines.pybullet.moments import Moments
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.port import JointReader, Motion, MotionReader, PoseReader, VelocityReader
+
+FEW = 3  # joints, which are read for less than it takes to ask whether they were
 
 
-def pose(client: int, owner: Body, index: int) -> PoseReader:
+def joints(client: int, number: int, indices: tuple[int, ...], moments: Moments) -> JointReader:
+    read: JointReader = partial(p.getJointStates, number, indices, client)
+    return read if len(indices) <= FEW else moments.kept(("joints", number, indices), read)
+
+
+def pose(client: int, owner: Body, index: int, moments: Moments) -> PoseReader:
     number = owner.number
     if index != BASE:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
-        return lambda: read_link()[4:6]  # type: ignore[return-value]
-    read: PoseReader = partial(p.getBasePositionAndOrientation, number, client)
-    return read if owner.centred else lambda: owner.of_origin(*read())
+        return moments.kept(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
+    if owner.centred:
+        return partial(p.getBasePositionAndOrientation, number, client)
+    placed = _placed(client, owner, moments)
+    return lambda: placed()[1]
 
 
-def velocity(client: int, owner: Body, index: int) -> VelocityReader:
+def velocity(client: int, owner: Body, index: int, moments: Moments) -> VelocityReader:
     if index == BASE and owner.centre == STILL:
         read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
         return read
-    read_motion = motion(client, owner, index)
+    read_motion = motion(client, owner, index, moments)
     return lambda: read_motion()[1]
 
 
-def motion(client: int, owner: Body, index: int) -> MotionReader:
+def motion(client: int, owner: Body, index: int, moments: Moments) -> MotionReader:
     number = owner.number
     if index != BASE:
-        return _link_motion(partial(p.getLinkState, number, index, 1, 1, client))
-    read_pose = partial(p.getBasePositionAndOrientation, number, client)
+        return moments.kept(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
     read_velocity = partial(p.getBaseVelocity, number, client)
     if owner.centred:
+        read_pose = partial(p.getBasePositionAndOrientation, number, client)
         return lambda: (read_pose(), read_velocity())
+    placed = _placed(client, owner, moments)
 
     def of_origin() -> Motion:
-        centre, turned = read_pose()
+        centre, pose = placed()
         linear, angular = read_velocity()
-        pose = owner.of_origin(centre, turned)
         return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], centre))), angular)
 
-    return of_origin
+    return moments.kept(("motion", number, index), of_origin)
+
+
+def _placed(client: int, owner: Body, moments: Moments) -> Callable[[], tuple[Triple, Frame]]:
+    """Where the centre of mass of a root link is, and the pose of the link."""
+    read = partial(p.getBasePositionAndOrientation, owner.number, client)
+
+    def placed() -> tuple[Triple, Frame]:
+        centre, turned = read()
+        return centre, owner.of_origin(centre, turned)
+
+    return moments.kept(("placed", owner.number), placed)
 
 
 def _link_motion(read: Callable[[], tuple[Any, ...]]) -> MotionReader:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet.moments import Moments
 
 Act = Callable[[], object]
 
@@ -15,7 +16,8 @@ class Substeps:
     Drives come after acts, so that they see the targets that those have just set; looks see what watches saw.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, moments: Moments) -> None:
+        self._moments = moments
         self._begins: list[Act] = []
         self._acts: list[Act] = []
         self._drives: list[Act] = []
@@ -47,6 +49,7 @@ class Substeps:
         """Call nothing else any more."""
         self._acts, self._drives = [act], []
         self._begins.clear()
+        self._moments.go_on()
         self._arrange()
 
     def _arrange(self) -> None:
@@ -55,7 +58,7 @@ class Substeps:
 
     def stepper(self, client: int) -> Callable[[int], None]:
         """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step."""
-        advance, before, after, begins = p.stepSimulation, self._before, self._after, self._begins
+        advance, before, after, begins, now = p.stepSimulation, self._before, self._after, self._begins, self._moments.now
 
         def step(substeps: int) -> None:
             if before or after:
@@ -65,10 +68,12 @@ class Substeps:
                     for act in before:
                         act()
                     advance(client)
+                    now[0] += 1
                     for look in after:
                         look()
             else:
                 for _ in range(substeps):
                     advance(client)
+                now[0] += 1
 
         return step
