@@ -22,7 +22,13 @@ def overview(scenario: CompiledScenario, width: int = 480, height: int = 320) ->
     places = {place.body: place for place in scenario.reset.places}
     for layout in scenario.reset.layouts:
         places = {place.body: place for place in layout.places} | places
-    return around([*_surroundings(scenario.world), *_bodies(scenario.world, places)], width, height)
+    around_all = [*_surroundings(scenario.world), *_bodies(scenario.world, places)]
+    arena = scenario.world.arena
+    if arena is None:
+        return around(around_all, width, height)
+    x, y = (side / 2 + arena.wall_thickness for side in arena.size)  # what looks for a place stays within the walls
+    inside = [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in around_all]
+    return around(inside, width, height)
 
 
 def around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:

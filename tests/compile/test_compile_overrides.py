@@ -6,6 +6,8 @@ import math
 
 import pytest
 
+from deepbots_cli import api
+
 CART = "    sensors:"
 
 
@@ -150,3 +152,15 @@ def test_a_mark_is_seen_and_not_solid(workshop, cartpole) -> None:
 def test_settling_takes_whole_timesteps(workshop, cartpole) -> None:
     assert workshop.codes(cartpole(("reset:", "reset:\n  settle: 50 ms"))) == ["DB308"]
     assert workshop.codes(cartpole(("reset:", "reset:\n  settle: 0.32 s"))) == []
+
+
+def test_a_longer_pole_is_a_few_lines_upon_the_shipped_scenario() -> None:
+    plain, long = api.compile("cartpole"), api.compile("cartpole_long")
+    pole = long.ir.world.robots[0].model.link("pole")
+    old = plain.ir.world.robots[0].model.link("pole")
+    assert pole.inertial is not None
+    assert old.inertial is not None
+    assert pole.inertial.mass == pytest.approx(1.5 * old.inertial.mass)
+    assert pole.inertial.ixx == pytest.approx(1.5**3 * old.inertial.ixx, rel=2e-3)
+    assert long.ir.world.robots[0].model.joint("tip_mount").origin.xyz == (0.0, 0.0, 1.5)
+    assert long.digest != plain.digest

@@ -120,8 +120,9 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 def test_no_observation_is_constant(environment: Supervisor) -> None:
     seen = np.array([numbers(observation) for one in rollouts(environment) for observation, *_ in one])
     scenario = environment.scenario
-    names = [scenario.observation[index].full_name for index, _ in viewed(scenario.observation, scenario.agent.stack)]
-    assert {name for name, spread in zip(names, np.ptp(seen, axis=0), strict=True) if spread == 0.0} == set()
+    entries = [scenario.observation[index] for index, _ in viewed(scenario.observation, scenario.agent.stack)]
+    still = {entry.full_name for entry, spread in zip(entries, np.ptp(seen, axis=0), strict=True) if spread == 0.0 and not entry.truth}
+    assert still == set()  # a bumper may well touch nothing in so short a time
 
 
 def test_episodes_begin_differently(environment: Supervisor) -> None:

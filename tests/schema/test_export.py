@@ -12,7 +12,7 @@ from deepbots_cli.source import load, to_data
 from deepbots_cli.source.parse import parse
 
 ROOT = Path(__file__).parents[2]
-SAMPLES = sorted([*ROOT.glob("tests/data/samples/*.yaml"), *ROOT.glob("scenarios/*.yaml")])
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The samples of the language, and what the compiler may rely on in the models."""
+"""The shipped scenarios, and what the compiler may rely on in the models."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ from deepbots_cli.schema.plain import read_schedule
 from deepbots_cli.source import descend, load
 
 ROOT = Path(__file__).parents[2]
-SAMPLES = sorted([*ROOT.glob("tests/data/samples/*.yaml"), *ROOT.glob("scenarios/*.yaml")], key=lambda path: path.stem)
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
 BY_NAME = {path.stem: path for path in SAMPLES}
 
 
