@@ -23,7 +23,8 @@ from deepbots_cli.lang.functions import ALLOWED, Family, Function
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.types import Context, Kind
 from deepbots_cli.lang.units import UNITS
-from deepbots_cli.schema.fields import Expression, Leaf, Quantity
+from deepbots_cli.schema.examples import example_of
+from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
@@ -31,6 +32,27 @@ from deepbots_cli.schema.task import PythonTerm
 FOLDER = Path(__file__).parent / "reference"
 _NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"
 _LATER = "*Not run yet.*"
+
+_UNITS = {
+    "length": "m",
+    "time": "s",
+    "angle": "rad",
+    "mass": "kg",
+    "number": "1",
+    "speed": "m/s",
+    "angular speed": "rad/s",
+    "acceleration": "m/s^2",
+    "angular acceleration or acceleration": "rad/s^2 or m/s^2",
+    "force": "N",
+    "torque": "N*m",
+    "torque or force": "N*m or N",
+    "stiffness": "N*m/rad or N/m",
+    "damping": "N*m*s/rad or N*s/m",
+    "angle or length": "rad or m",
+    "angular speed or speed": "rad/s or m/s",
+    "reading": "of the sensor",
+    "any": "of the value",
+}
 
 Route = tuple[str, ...]
 
@@ -64,8 +86,9 @@ class _Keys:
             "",
             "`NAME` stands for a name of your choice. *Settled* says how late a figure may be: *fixed* figures are constants, *episode*"
             " figures may be drawn anew at every reset, *step* figures are computed in every tick.",
-            f"{_LATER} marks what the language knows and this version refuses with [DB108](rules.md). How values are written, and where"
-            " draws already run, is said in [the language](../language.md).",
+            "A figure is kept in SI units, of which 1 is a plain number; how values are written is said in [the language](../language.md)."
+            " Tests lay each example upon a scenario that has a place for it, and run that."
+            f"{f' {_LATER} marks what is refused with [DB108](rules.md).' if support.LATER else ''}",
         ]
         return "\n".join([*head, *self._section("scenario", Scenario, ())]) + "\n"
 
@@ -86,14 +109,22 @@ class _Keys:
         owners: dict[_Key, list[str]] = {}
         for name, model in models.items():
             for key in fields(model):
-                owners.setdefault(_Key(model, key), []).append(name)
+                owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
         rows = [(key, "" if len(names) == len(models) else f"{_listed(names)}: ") for key, names in owners.items()]
         missing = [name for name in spec.names if name not in run]
         doc = f"`{spec.key}` is one of {_listed(models)}." + (f" Not run yet: {_listed(missing)}." if missing else "")
         yield from self._table(title, doc, sorted(rows, key=lambda row: row[1] != ""), route)
 
     def _table(self, title: str, doc: str, rows: list[tuple[_Key, str]], route: Route) -> Iterator[str]:
-        yield from ["", f"## {title}", "", doc, "", "| key | value | default | settled | meaning |", "|---|---|---|---|---|"]
+        yield from [
+            "",
+            f"## {title}",
+            "",
+            doc,
+            "",
+            "| key | value | unit | default | settled | example | meaning |",
+            "|---|---|---|---|---|---|---|",
+        ]
         later = _KEYS_LATER.get(route, ())
         for key, owners in rows:
             yield f"{key.cells} {owners}{key.meaning}{f' {_LATER}' if key.name in later else ''} |"
@@ -120,13 +151,16 @@ class _Keys:
 class _Key:
     """One key of a part; equal to another that reads the same."""
 
-    def __init__(self, part: type[Part], name: str) -> None:
+    def __init__(self, part: type[Part], name: str, kind: str = "") -> None:
         info = part.model_fields[name]
         self.name = name
         self.spec = fields(part)[name]
         self.meaning = _cell(str(info.description))
         default = "**required**" if info.is_required() else _default(info.default)
-        self.cells = f"| `{name}` | {_value(self.spec)} | {default} | {_settled(self.spec)} |"
+        example = found.text if (found := example_of(part, name)) else kind
+        self.cells = (
+            f"| `{name}` | {_value(self.spec)} | {_measured_in(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
+        )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Key) and (self.cells, self.meaning) == (other.cells, other.meaning)
@@ -139,10 +173,9 @@ def _value(spec: Spec) -> str:
     match spec:
         case Quantity(words=words, relative=relative):
             more = [f"`{word}`" for word in words] + ["`2 %`"] * relative
-            return " or ".join([f"{spec.noun}, as `{spec.example}`", *more])
+            return " or ".join([spec.noun, *more])
         case Leaf():
-            example = f", as `{spec.example}`" if spec.example and not isinstance(spec, Expression) else ""
-            return _cell(f"{spec.noun}{example}")
+            return _cell(spec.noun)
         case Listed(item=item):
             return f"list: {_value(item)}"
         case Mapped(value=value):
@@ -153,6 +186,19 @@ def _value(spec: Spec) -> str:
             return f"mapping, told by `{key}`"
         case _:
             return "mapping"
+
+
+def _measured_in(spec: Spec) -> str:
+    """The units in which a figure is kept, of the measures that it may be of."""
+    match spec:
+        case Quantity(dimension=measure) | Range(dimension=measure) | Column(dimension=measure):
+            return _UNITS[measure]
+        case Mapped(value=inner) | Listed(item=inner):
+            return _measured_in(inner)
+        case Alternatives(options=options):
+            return next((unit for unit in map(_measured_in, options) if unit), "")
+        case _:
+            return ""
 
 
 def _settled(spec: Spec) -> str:

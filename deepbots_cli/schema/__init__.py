@@ -11,6 +11,7 @@ part.py             the base of the models, and how parts, lists and mappings ne
 walk.py             walking a scenario: every value with its path and kind
 validate.py         nodes to a Scenario; complaints of the models become findings
 explain.py          their wording
+examples.py         an example of every key, from examples.yaml
 export.py           the JSON Schema for editors: `python -m deepbots_cli.schema.export`
 """
 

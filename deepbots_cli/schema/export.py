@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 
+from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import JsonSchema, Leaf
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import VERSION, Scenario
@@ -126,7 +127,8 @@ class _Writer:
         schema = self.schema(spec) | {"description": info.description}
         if isinstance(info.default, (str, int, float)) and info.default != "":
             schema["default"] = info.default
-        return schema
+        example = example_of(part, name)
+        return schema | ({"examples": [example.data]} if example else {})
 
     def _demands(self, part: type[Part]) -> Iterator[JsonSchema]:
         required = [name for name, info in part.model_fields.items() if info.is_required()]

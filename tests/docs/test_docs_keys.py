@@ -1,0 +1,194 @@
+"""Every key of the language has an example in the reference, which lints clean and runs in a scenario that has a place for it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from functools import cache
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+import pytest
+
+from deepbots_cli import api, rules
+from deepbots_cli.compiler import Checked, check
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.schema import Scenario, hyperparameters
+from deepbots_cli.schema.examples import example_of, table
+from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.schema.training import Training, training_with
+from deepbots_cli.schema.walk import parts
+from deepbots_cli.source import Document, load, loads
+from deepbots_cli.source.merge import merge, without
+from deepbots_cli.source.merge import replace as replaced
+from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, descend, to_data
+
+ROOT = FilePath(__file__).parents[2]
+FOLDERS = ("tests/data/hosts", "tests/data/scenarios", "tests/channel", "tests/placement", "scenarios")
+HOSTS = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.yaml"))]
+LEARNERS = ("choices.yaml", "ranges.yaml", "goals.yaml", "../../../scenarios/cartpole.yaml")
+FOREIGN = frozenset({"python"})  # refused unless foreign code is allowed
+
+
+class Key(NamedTuple):
+    """A key of the language, and the part that declares it."""
+
+    owner: type[Part]
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.owner.__name__}.{self.name}"
+
+
+class Place(NamedTuple):
+    """A part in a scenario that stands there with these keys."""
+
+    document: Document
+    path: Path
+    part: type[Part]
+    keys: frozenset[str]
+
+
+def models(spec: Spec, kind: str = "") -> Iterator[tuple[type[Part], str]]:
+    """Every part below a spec, and the key that tells its kind."""
+    match spec:
+        case Mapped(value=inner) | Listed(item=inner):
+            yield from models(inner)
+        case Alternatives(options=options):
+            for option in options:
+                yield from models(option)
+        case Kinds(key=key, marked=marked):
+            for name in spec.names:
+                yield from models(spec.model(name), key)
+            for _, part in marked:
+                yield from models(part)
+        case type():
+            yield spec, kind
+            for inner in fields(spec).values():
+                yield from models(inner)
+
+
+def declared(part: type[Part], name: str) -> type[Part]:
+    return [base for base in part.__mro__ if issubclass(base, Part) and name in base.model_fields][-1]
+
+
+PARTS = list(dict.fromkeys(models(Scenario)))
+KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in fields(part) if name != kind}, key=str)
+KEYS = [key for key in KEYS if not issubclass(key.owner, Training) or key.owner is Training]
+
+
+@cache
+def places() -> tuple[Place, ...]:
+    found = []
+    for host in HOSTS:
+        document = load(host)
+        assert document.root is not None
+        for path, part, data in parts(Scenario, to_data(document.root)):
+            found.append(Place(document, path, part, frozenset(data)))
+    return tuple(found)
+
+
+def fitting(key: Key) -> list[Place]:
+    """Where the example of a key may be tried: where the key stands already, then where nothing excludes it, then anywhere."""
+    found = [place for place in places() if issubclass(place.part, key.owner) and key.name in fields(place.part)]
+    return sorted(found, key=lambda place: (key.name not in place.keys, bool(excluded(place, key)), place.part is not key.owner))
+
+
+def excluded(place: Place, key: Key) -> set[str]:
+    """The keys that cannot stand beside this one."""
+    groups = [set(keys.names) for keys in place.part.needs if keys.most == 1 and key.name in keys.names]
+    return set().union(*groups) & place.keys - {key.name}
+
+
+def with_example(place: Place, key: Key) -> Checked:
+    """The scenario with the example in this place, merged as a file that extends it would."""
+    assert place.document.root is not None
+    root: Node = without(place.document.root, [(*place.path, other) for other in excluded(place, key)])
+    here, _, _ = descend(root, place.path)
+    assert isinstance(here, Mapping)
+    example = example_of(place.part, key.name)
+    assert example is not None
+    entry = example.entry
+    old = here.get(key.name)
+    value = merge(old, entry.value, key.name) if isinstance(old, Mapping) and isinstance(entry.value, Mapping) else entry.value
+    changed = replaced(root, (*place.path, key.name), Entry(entry.key, value))
+    assert isinstance(changed, Mapping)
+    return check(replace(place.document, root=changed, findings=Findings(), base=place.document.path.parent))
+
+
+def findings_of(checked: Checked) -> list[str]:
+    """What lint says; that nothing uses a definition is said of examples that define something, and is no fault of theirs."""
+    found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *rules.run(checked)]]
+    return [finding for finding in found if not finding.startswith("DB205")]
+
+
+@cache
+def known_findings(host: FilePath) -> frozenset[str]:
+    """What lint says of the scenario itself: warnings about robot files of packages."""
+    return frozenset(findings_of(check(load(host))))
+
+
+@cache
+def tried(key: Key) -> tuple[Checked | None, str]:
+    """The first scenario in which the example lints clean; None, with what is said of it elsewhere."""
+    said = []
+    for place in fitting(key)[:50]:
+        checked = with_example(place, key)
+        found = set(findings_of(checked)) - known_findings(place.document.path)
+        if not found:
+            return checked, ""
+        said.append(f"{place.document.path.name} {'.'.join(map(str, place.path))}: {sorted(found)}")
+    return None, "\n".join(said) or "no scenario has a place for it"
+
+
+@pytest.mark.parametrize("part", dict.fromkeys(part for part, _ in PARTS), ids=lambda part: part.__name__)
+def test_every_key_has_an_example(part: type[Part]):
+    kinds = {kind for model, kind in PARTS if model is part}
+    assert [name for name in fields(part) if example_of(part, name) is None and name not in kinds] == []
+
+
+def test_every_example_is_of_a_key():
+    known = {base.__name__: set(base.model_fields) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Part)}
+    known["Training"] |= {name for part, _ in PARTS if part.__name__.endswith("Training") for name in fields(part)}
+    assert [f"{part}.{key}" for part, keys in table().items() for key in keys if key not in known.get(part, set())] == []
+
+
+@pytest.mark.parametrize(
+    "part",
+    dict.fromkeys(part for part, _ in PARTS if part.__module__.endswith(("sensors", "actuators", "objects", "world"))),
+    ids=lambda part: part.__name__,
+)
+def test_every_part_stands_in_a_scenario_that_runs(part: type[Part]):
+    assert any(place.part is part for place in places())
+
+
+@pytest.mark.parametrize("key", KEYS, ids=str)
+def test_an_example_lints_clean_in_its_place(key: Key):
+    if key.name not in FOREIGN:
+        checked, said = tried(key)
+        assert checked is not None, said
+
+
+@pytest.mark.parametrize("algorithm", hyperparameters.ALGORITHMS)
+def test_the_examples_of_an_algorithm_lint_clean_together(algorithm: str):
+    own = {key: found.data for key in hyperparameters.ALGORITHMS[algorithm] if (found := example_of(training_with(algorithm), key))}
+    text = json.dumps({"deepbots": 1, "train": {"algorithm": algorithm, "total_timesteps": 100_000} | own})
+    said = [findings_of(check(loads(f"{text[:-1]}, extends: {host}}}", base=ROOT / "tests" / "data" / "hosts"))) for host in LEARNERS]
+    assert [] in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", KEYS, ids=str)
+def test_a_scenario_with_the_example_runs(key: Key):
+    checked, _ = tried(key)
+    if checked is None:
+        pytest.skip("what is wrong with it is said elsewhere")
+    with closing(api.build(api.compile(checked).ir)) as environment:
+        environment.action_space.seed(1)
+        environment.reset(seed=1)
+        for _ in range(20):
+            ended = environment.step(environment.action_space.sample())[2:4]
+            if any(ended):
+                environment.reset()
