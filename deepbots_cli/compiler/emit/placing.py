@@ -28,7 +28,8 @@ def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
     count = printer.value(group.count) if group else "1"
     body, pad = ("body", "    ") if group else (quoted(place.body), "")
     at_most = "" if place.at_most is None else f", {place.at_most}"
-    head = [f"for body in bodies.copies({quoted(place.body)}, {count}{at_most}):"] if group else []
+    # A call in the head of a loop could not be cut into lines.
+    head = [f"copies = bodies.copies({quoted(place.body)}, {count}{at_most})", "for body in copies:"] if group else []
     match place.spot:
         case Region(low, high, mesh):
             pose = f"lambda: ({_triple(place.xyz, printer)}, {_triple(place.rpy, printer)})"
@@ -40,7 +41,8 @@ def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
             xyz = tuple_code(["spot[0]", "spot[1]", printer.value(place.xyz[2])])
             return [
                 f"spots = {table}",
-                f"for body, spot in bodies.cells({quoted(place.body)}, {count}, spots, {quoted(place.stream)}):",
+                f"cells = bodies.cells({quoted(place.body)}, {count}, spots, {quoted(place.stream)})",
+                "for body, spot in cells:",
                 f"    bodies.stand(body, {xyz}, {_triple(place.rpy, printer)}{_options(place, printer)})",
             ]
         case _:
