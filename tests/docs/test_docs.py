@@ -131,6 +131,20 @@ def test_links_lead_somewhere(page: Path):
         assert not fragment or fragment in anchors(there), target
 
 
+def linked(page: Path) -> set[Path]:
+    targets = re.findall(r"\]\(([^)\s#]+)", page.read_text(encoding="utf-8"))
+    return {(page.parent / target).resolve() for target in targets if target.endswith(".md") and "://" not in target}
+
+
+def test_every_page_is_reached_from_the_readme():
+    reached, waiting = set(), {ROOT / "README.md"}
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        waiting |= linked(page) - reached
+    assert sorted(set(PAGES) - reached) == []
+
+
 def anchors(page: Path) -> set[str]:
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
