@@ -196,7 +196,8 @@ class JointStart:
 class Varied:
     """A figure that every episode draws anew: an `ir.Variation` in the making.
 
-    A vector has `components`; a single figure with `spread` is drawn anew for each of these.
+    A vector has `components`; a single figure with `spread` is drawn anew for each of these, and then cut off at
+    the limit in `most`, where there is one.
     """
 
     what: str
@@ -204,6 +205,7 @@ class Varied:
     value: Valued
     components: Components | None = None
     spread: Components | None = None
+    most: tuple[float | None, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from deepbots_cli import ir
 from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.namespace import Namespace
@@ -33,14 +35,15 @@ class Figures:
         return ir.Response(1.0 if strength is None else strength, delay or 0.0, lag or 0.0)
 
     def max_torque(self, given: object, joints: tuple[Joint, ...]) -> Limits:
-        """The largest torque or force of each joint: the scenario's, else that of the robot file."""
+        """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
         own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_of(joints[0])
         found = self.each("max_torque", given, effort, tuple(joint.name for joint in joints))
         if found is None:
             return own
         drawn = self._namespace.variations[known:]
         self._compare("max_torque", drawn[0].value.typed.type.interval.high if drawn else found, effort, own)
-        return (found,) * len(own)
+        self._namespace.variations[known:] = [replace(varied, most=own) for varied in drawn]
+        return _tighter(own, found)
 
     def max_velocity(self, given: object, joints: tuple[Joint, ...]) -> Limits:
         """The same for velocities, which are not drawn."""
@@ -52,7 +55,7 @@ class Figures:
         if found is None:
             return own
         self._compare("max_velocity", found, rate, own)
-        return (found,) * len(own)
+        return _tighter(own, found)
 
     def number(self, key: str, given: object, dimension: Dimension) -> float | None:
         """A fixed figure; None where none is given, and after a finding."""
@@ -68,9 +71,13 @@ class Figures:
         return figure(self._namespace, (*self.place, key), given, dimension, self.scope, f"actuator_{key}", self._of)
 
     def _compare(self, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
-        """DB304 for a limit beyond those of the robot file."""
-        over = [least for least in own if least is not None and limit > least * (1 + 1e-9)]
-        if over:
-            headline = f"a limit of {limit:g} {dimension}, where the robot file allows {min(over):g}"
-            help = f"lower it, or raise `{key}` under `joints` if the motor can do more"
+        """DB304 for a limit that the robot file undercuts for every joint."""
+        known = [most for most in own if most is not None]
+        if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
+            headline = f"a limit of {limit:g} {dimension}, where the robot file allows {max(known):g}"
+            help = f"that of the robot file holds: lower this one, or raise `{key}` under `joints` if the motor can do more"
             self._values.findings.add("DB304", self._values.span((*self.place, key)), headline, help=help)
+
+
+def _tighter(own: Limits, found: float) -> Limits:
+    return tuple(found if most is None else min(found, most) for most in own)

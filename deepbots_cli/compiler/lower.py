@@ -251,7 +251,11 @@ def _vector(value: Valued | None) -> tuple[Scalar, Scalar, Scalar]:
 def _variation(varied: Varied) -> ir.Variation:
     values = _scalars(varied.value, varied.spread)
     count = len(varied.components or varied.spread or ("",))
-    return ir.Variation(varied.what, varied.of, values * count if len(values) == 1 else values)
+    values = values * count if len(values) == 1 else values
+    if varied.most:
+        pairs = zip(values, varied.most, strict=True)
+        values = tuple(value if most is None else op("min", value, Const(most)) for value, most in pairs)
+    return ir.Variation(varied.what, varied.of, values)
 
 
 def _place(placement: Placement, task: Task) -> ir.Place:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.ir import Motor
 from deepbots_cli.runtime import Supervisor
 
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
@@ -182,3 +183,19 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
     )
     found = speeds(twins, 20)
     assert 0.8 < found[-1] < 1.0
+
+
+@pytest.mark.parametrize("given", ["20 N", "uniform(20 .. 30 N)"])
+def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(given: str):
+    world = api.make(str(RAIL), sets=[f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS], engine="exact")
+    own = api.make(str(RAIL), sets=list(ENDLESS), engine="exact")
+    assert speeds(world, 3) == speeds(own, 3)
+    world.close()
+    own.close()
+
+
+def test_a_limit_over_several_joints_tightens_those_that_allow_more():
+    legs = api.compile("quadruped").ir.robots[0].actuators[0]
+    files = {joint.name: joint.limit.effort for joint in api.compile("quadruped").ir.world.robots[0].model.moving_joints}
+    assert isinstance(legs, Motor)
+    assert {files[name]: most for name, most in zip(legs.joints, legs.max_torque, strict=True)} == {20.0: 20.0, 55.0: 33.5}
