@@ -62,8 +62,8 @@ PHYSICS_HEAD = """
 Each experiment is a scenario, from its text to what the policy sees, on PyBullet (`tests/physics`). Errors above one percent
 have these reasons. A tyre of 2 cm grips anywhere across its width, so that in an arc the middle of the axle may be faster or
 slower by 1 cm times the turning rate, which is 3.7 % here. A drum sinks into the ground by what the solver leaves of an overlap, and
-rolls on less than its radius; smaller physics steps mend that. A bounce leaves somewhat more speed than stated, see
-[engines](engines.md).
+rolls on less than its radius. A bounce begins after the surfaces met, and leaves a little more speed than stated. Smaller physics
+steps mend both.
 
 | what | bar | error | met |
 |---|---|---|---|
