@@ -28,8 +28,10 @@ Make = Callable[..., Supervisor]
 EXACT_FORMATS = ("struct", "json", "msgpack", "csv", "none")
 
 
-def rollouts(environment: Supervisor, episodes: int = 6, steps: int = 120) -> list[list[Any]]:
-    return [list(episode(environment, seed, steps)) for seed in range(episodes)]
+@pytest.fixture(scope="session")
+def rollouts(environment: Supervisor) -> list[list[Any]]:
+    """Transitions of six random episodes, long enough that most come to their end."""
+    return [list(episode(environment, seed, 250)) for seed in range(6)]
 
 
 def parts(observation: Any) -> list[Any]:
@@ -77,7 +79,7 @@ def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
     """One process for all cases, since a start costs half a second."""
     asked = json.dumps([[case.source, case.sets, case.engine] for case in cases])
     program = [sys.executable, str(Path(__file__).with_name("rollout.py"))]
-    answer = subprocess.run(program, input=asked, capture_output=True, text=True, check=True, timeout=120)
+    answer = subprocess.run(program, input=asked, capture_output=True, text=True, check=True, timeout=600)
     for case, elsewhere in zip(cases, json.loads(answer.stdout), strict=True):
         here = case.make()
         assert [digest(here, seed) for seed in (0, 9)] == elsewhere, str(case)
@@ -101,8 +103,8 @@ def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> No
 # Observations
 
 
-def test_observations_stay_in_their_space(environment: Supervisor) -> None:
-    for observation, *_ in (transition for one in rollouts(environment) for transition in one):
+def test_observations_stay_in_their_space(environment: Supervisor, rollouts: list[list[Any]]) -> None:
+    for observation, *_ in (transition for one in rollouts for transition in one):
         assert all(part.dtype in (np.float32, np.uint8) for part in parts(observation))
         assert environment.observation_space.contains(observation)
 
@@ -117,8 +119,8 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
         np.testing.assert_array_equal(kept[index], copies[index])
 
 
-def test_no_observation_is_constant(environment: Supervisor) -> None:
-    seen = np.array([numbers(observation) for one in rollouts(environment) for observation, *_ in one])
+def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:
+    seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
     scenario = environment.scenario
     entries = [scenario.observation[index] for index, _ in viewed(scenario.observation, scenario.agent.stack)]
     still = {entry.full_name for entry, spread in zip(entries, np.ptp(seen, axis=0), strict=True) if spread == 0.0 and not entry.truth}
@@ -139,9 +141,9 @@ def test_episodes_begin_differently(environment: Supervisor) -> None:
 # Steps
 
 
-def test_an_episode_ends_for_one_reason(environment: Supervisor) -> None:
+def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[list[Any]]) -> None:
     known = {ending.name for ending in environment.scenario.endings} | {"max_steps", "max_time"}
-    for _, reward, terminated, truncated, info in (transition for one in rollouts(environment, steps=400) for transition in one):
+    for _, reward, terminated, truncated, info in (transition for one in rollouts for transition in one):
         assert type(reward) is float
         assert type(terminated) is bool
         assert type(truncated) is bool
@@ -152,8 +154,8 @@ def test_an_episode_ends_for_one_reason(environment: Supervisor) -> None:
         assert list(info["reward_terms"]) == [term.name for term in environment.scenario.reward]
 
 
-def test_the_reward_is_the_sum_of_its_terms(environment: Supervisor) -> None:
-    for _, reward, _, _, info in rollouts(environment, episodes=1)[0]:
+def test_the_reward_is_the_sum_of_its_terms(rollouts: list[list[Any]]) -> None:
+    for _, reward, _, _, info in (transition for one in rollouts for transition in one):
         assert reward == pytest.approx(sum(info["reward_terms"].values()), abs=1e-12)
 
 
