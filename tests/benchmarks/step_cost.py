@@ -5,8 +5,9 @@
 Both sides go through the same episodes, in the same kind of engine, with the same substeps, and make the same motion: each holds
 one action throughout, so that the bare side, which takes untimed first steps to set its motors, goes where the other goes. (In
 a world with contacts, a side that stands still or drives into a wall pays another price.) That both end in the same place is
-checked. The bare side calls what `Engine.step` is and nothing else. Resets and first steps are not timed; times are CPU times;
-the two sides take turns, and the median of the ratios of the pairs counts.
+checked. The bare side calls what `Engine.step` is, which renews the torques of springs and pushes what is to be pushed in every
+substep as anybody's would have to, but watches no contacts: who wants to know of those pays for it. Resets and first steps are
+not timed; times are CPU times; the two sides take turns, and the median of the ratios of the pairs counts.
 """
 
 from __future__ import annotations
@@ -127,6 +128,14 @@ def bare(environment: Supervisor, episodes: list[Episode], reads: tuple[Callable
     return lambda: timed(environment, episodes, advance_and_read if reads else advance, [substeps] * len(episodes))
 
 
+def blind(environment: Supervisor) -> None:
+    """Let its engine look at nothing after a substep; that changes no motion."""
+    hooks = environment.engine._substeps
+    for looking in (hooks._begins, hooks._watches, hooks._looks):
+        looking.clear()
+    hooks._arrange()
+
+
 def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) -> None:
     """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every step."""
     for environment in (one, other):
@@ -150,6 +159,7 @@ def whereabouts(environment: Supervisor) -> list[Any]:
 def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int, *, with_rays: bool = False) -> Row:
     with opened(source, *sets) as environment, rays_bound() as rays, opened(source, *sets) as other:
         episodes = plan(environment, steps)
+        blind(other)
         require_same_motion(environment, other, episodes[0])
         found = pairs(whole(environment, episodes), bare(other, episodes, tuple(rays) if with_rays else ()), count)
     step, physics = (median(side) for side in zip(*found, strict=True))

@@ -113,6 +113,15 @@ def test_noise_of_one_tick_says_nothing_of_the_next_or_of_another_component() ->
     assert max(abs(between), abs(later)) < 4 / np.sqrt(20_000)
 
 
+def test_a_deviation_that_changes_within_an_episode_scales_the_same_draws() -> None:
+    """Whatever other faults there are beside the noise, and wherever in a block of draws the change falls."""
+    plain, biased = device(Faults(noise=(1.0,)), lambda: [0.0]), device(Faults(noise=(1.0,), bias=(4.0,)), lambda: [0.0])
+    for deviation in (0.25, 8.0, 0.0, 2.0):
+        for sensor in (plain, biased):
+            sensor.vary("noise", (deviation,))
+        assert [4.0 + noise for noise in run(plain, 50)[1:]] == pytest.approx(run(biased, 50)[1:], abs=1e-12)
+
+
 def test_the_same_seed_gives_the_same_noise_whatever_came_before() -> None:
     sensor = device(Faults(noise=(1.0,)), lambda: [0.0])
     first = run(sensor, 300)
