@@ -11,6 +11,7 @@ from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import ContinuousAction, DiscreteAction
@@ -53,6 +54,12 @@ class Actions:
                 typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
                 if typed is not None and option in part.choices:
                     found.append(Forbidden(name, option, Valued(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
+            always = {entry.option for entry in found if entry.action == name and constant(entry.condition.typed) == (True,)}
+            if always == set(part.choices):
+                span = self._values.key_span(("action", name, "forbid"))
+                self._values.findings.add(
+                    "DB105", span, f"every option of `{name}` is always forbidden", help="leave one that may be chosen"
+                )
         return tuple(found)
 
     def _own_action(self, context: Context) -> Symbol:

@@ -9,6 +9,7 @@ from deepbots_cli.compiler.layouts import Layouts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.places import Places
 from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.typed import Invocation, Typed, children
 from deepbots_cli.lang.types import Context
 from deepbots_cli.schema.scenario import Scenario
@@ -69,6 +70,8 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Valued | None:
             span = text.part(call.start, call.start + len(call.function))
             help = "before the first step nothing has touched; ask for `gap(...) > 1 cm`"
             values.findings.add("DB407", span, f"`{call.function}` in a requirement on the start", help=help)
+    if constant(typed) == (False,):
+        values.findings.add("DB105", text.span, "a requirement that no start meets", help="let it depend on where things are")
     return Valued("require", text.span, text.text, typed, "reset.require")
 
 

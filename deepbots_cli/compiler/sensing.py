@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from deepbots_cli import ir
@@ -38,6 +39,7 @@ class Sensing:
             self.symbols[name] = Symbol(name, None)
             if spec.type in SENSOR_KINDS:  # `support` has said so of the others
                 self._add(name, spec, SENSOR_KINDS[spec.type])
+        self._check_size()
 
     def finished(self, tick: float) -> tuple[ir.Sensor, ...]:
         """The sensors in a world whose timestep is `tick` s, which their periods are multiples of."""
@@ -46,6 +48,15 @@ class Sensing:
             replace(sensor, faults=period(sensor.faults, self._values, (*self.path, name), specs[name].period, tick))
             for name, sensor in self._sensors.items()
         )
+
+    def _check_size(self) -> None:
+        """DB005 for more than a robot can send in every tick."""
+        rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
+        values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
+        for count, most, what in ((rays, ir.MOST_SENSED_RAYS, "rays"), (values, ir.MOST_SEEN_BYTES, "bytes of pictures")):
+            if count > most:
+                headline = f"`{self._scene.name}` senses {count:_} {what}, more than {most:_}"
+                self._values.findings.add("DB005", self._values.key_span(self.path), headline, help="every one is read in every timestep")
 
     def _add(self, name: str, spec: Sensor, kind: SensorKind) -> None:
         place = (*self.path, name)

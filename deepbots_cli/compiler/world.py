@@ -32,7 +32,6 @@ class WorldBuilder:
 
     def build(self, robots: list[RobotScene], painted: tuple[ir.Line, ...]) -> ir.WorldModel:
         spec = self._spec.world
-        self._check_bodies()
         timestep = self._values.number(("world", "timestep"), spec.timestep, TIME, self._scope)
         if timestep is not None:
             self._check_timestep(timestep)
@@ -44,6 +43,8 @@ class WorldBuilder:
             )
         bodies = Bodies(self._namespace)
         objects = [body for name, thing in self._spec.objects.items() for body in bodies.bodies(name, thing)]
+        pieces = walls(self._spec, self._namespace)
+        self._check_bodies(len(robots), len(objects), len(pieces))
         return ir.WorldModel(
             timestep or 0.032,
             spec.substeps,
@@ -51,7 +52,7 @@ class WorldBuilder:
             self._ground() if spec.terrain is None else None,
             self._arena(),
             tuple(ir.RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
-            (*walls(self._spec, self._namespace), *objects),
+            (*pieces, *objects),
             terrain=terrain(spec.terrain, self._namespace) if spec.terrain is not None else None,
             lines=painted,
             light=self._number(("world", "light"), spec.light, 1.0, "light", ()),
@@ -65,12 +66,13 @@ class WorldBuilder:
             colour(self._namespace, (*path, "colour"), spec.colour, body),
         )
 
-    def _check_bodies(self) -> None:
-        counts = {"robots": len(self._spec.robots), "objects": len(self._spec.objects)}
+    def _check_bodies(self, robots: int, objects: int, pieces: int) -> None:
+        """DB005 for more bodies than a world may have, copies among them."""
+        counts: dict[Path, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
         if sum(counts.values()) > ir.MOST_BODIES:
             more = max(counts, key=lambda section: counts[section])
-            headline = f"the world has {sum(counts.values()):_} robots and objects, more than {ir.MOST_BODIES}"
-            self._values.findings.add("DB005", self._values.key_span((more,)), headline, help="an engine would take minutes to build it")
+            headline = f"the world has {sum(counts.values()):_} robots, objects and pieces of walls, more than {ir.MOST_BODIES}"
+            self._values.findings.add("DB005", self._values.key_span(more), headline, help="an engine would take minutes to build it")
 
     def _check_timestep(self, timestep: float) -> None:
         code = None if _SHORT <= timestep <= _LONG else "DB505" if _SHORTEST <= timestep <= _LONGEST else "DB105"

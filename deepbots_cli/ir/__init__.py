@@ -39,7 +39,19 @@ from deepbots_cli.ir.robots import (
     Robot,
     Timing,
 )
-from deepbots_cli.ir.sensing import FINEST, MOST_PIXELS, MOST_RAYS, Beams, Channels, Combined, Faults, Lookup, Optics, Sensor
+from deepbots_cli.ir.sensing import (
+    FINEST,
+    MOST_PIXELS,
+    MOST_RAYS,
+    MOST_SENSED_RAYS,
+    Beams,
+    Channels,
+    Combined,
+    Faults,
+    Lookup,
+    Optics,
+    Sensor,
+)
 from deepbots_cli.ir.task import (
     MOST_SEEN,
     MOST_SEEN_BYTES,
@@ -96,6 +108,7 @@ __all__ = [
     "MOST_RAYS",
     "MOST_SEEN",
     "MOST_SEEN_BYTES",
+    "MOST_SENSED_RAYS",
     "MOST_SETTLING_STEPS",
     "MOST_SUBSTEPS",
     "NOTHING",

@@ -8,6 +8,7 @@ from typing import Literal
 from deepbots_cli.urdf.model import Pose
 
 MOST_RAYS = 4096
+MOST_SENSED_RAYS = 4 * MOST_RAYS  # of all sensors of a robot
 MOST_PIXELS = 1024
 """Per side of a picture."""
 FINEST = 1e-12

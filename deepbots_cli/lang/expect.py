@@ -34,6 +34,8 @@ _PLAUSIBLE = {
     FORCE: 1e8,
     TORQUE: 1e8,
 }
+_BEYOND = 10  # times what is plausible: an engine's sums lose their digits
+_LARGEST = 1e30  # of what is none of these
 
 
 def expect(
@@ -62,8 +64,7 @@ def expect(
         value = fitted
     if not (_has_shape(value, components, what, report) and _has_stage(value, stage, what, report)):
         return None
-    _warn(value, what, report)
-    return value
+    return value if _has_size(value, stage, what, report) else None
 
 
 def expect_range(
@@ -117,11 +118,18 @@ def _has_stage(value: Typed, stage: Stage, what: str, report: Report) -> bool:
     return False
 
 
-def _warn(value: Typed, what: str, report: Report) -> None:
-    if value.type.dimension == ANGLE:
-        agree.warn_of_degrees(value, report)
-    interval = value.type.interval
-    most = _PLAUSIBLE.get(value.type.dimension)
+def _has_size(value: Typed, stage: Stage, what: str, report: Report) -> bool:
+    """Warn of what is implausible; a figure that is settled before the episode must also be one to compute with."""
+    interval, dimension = value.type.interval, value.type.dimension
     largest = max(abs(interval.low), abs(interval.high))
+    most = _PLAUSIBLE.get(dimension)
+    limit = _LARGEST if most is None else _BEYOND * most
+    if interval.finite and largest > limit and stage is not Stage.STEP and not value.type.boolean:
+        unit = "" if dimension == NUMBER else f" {dimension}"
+        report("DB105", value.start, value.end, f"{what} of {largest:g}{unit}", f"give at most {limit:g}{unit}")
+        return False
+    if dimension == ANGLE:
+        agree.warn_of_degrees(value, report)
     if most is not None and interval.finite and largest > most and not value.type.boolean:
-        report("DB505", value.start, value.end, f"{what} of {largest:g} {value.type.dimension}", "check the unit")
+        report("DB505", value.start, value.end, f"{what} of {largest:g} {dimension}", "check the unit")
+    return True

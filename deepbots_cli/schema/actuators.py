@@ -8,7 +8,7 @@ from pydantic import Field
 
 from deepbots_cli.schema.fields import Pattern, Quantity, Range, Scalar
 from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part
-from deepbots_cli.schema.quantity import DrawnDuration, DrawnFactor, JointName, JointNames, Length, LinkName, LinkNames, Prose
+from deepbots_cli.schema.quantity import DrawnDelay, DrawnFactor, JointName, JointNames, Length, LinkName, LinkNames, Prose
 
 MaxTorque = Annotated[Scalar, Quantity("torque or force", stage="episode", minimum=0)]
 Stiffness = Annotated[Scalar, Quantity("stiffness", stage="episode", minimum=0)]
@@ -23,8 +23,8 @@ class Actuator(Part):
 
     type: Prose = Field(description="The kind of actuator.")
     strength: DrawnFactor = Field(default=1, description="Factor on the torque, force or thrust that it exerts; below 1 it is worn.")
-    delay: DrawnDuration = Field(default="0 ms", description="Time from a command to its effect.")
-    lag: DrawnDuration = Field(default="0 ms", description="Time constant with which it follows a command.")
+    delay: DrawnDelay = Field(default="0 ms", description="Time from a command to its effect.")
+    lag: DrawnDelay = Field(default="0 ms", description="Time constant with which it follows a command.")
 
 
 class Motor(Actuator):

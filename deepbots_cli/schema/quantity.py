@@ -12,19 +12,20 @@ from deepbots_cli.schema.names import Name
 from deepbots_cli.schema.plain import Colour, Count, Switch, Text
 
 Length = Annotated[Scalar, Quantity("length", minimum=0)]
-Thickness = Annotated[Scalar, Quantity("length", minimum=0, exclusive=True)]
+Thickness = Annotated[Scalar, Quantity("length", minimum=1e-4)]
 Duration = Annotated[Scalar, Quantity("time", minimum=0)]
 Period = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)]
 Factor = Annotated[Scalar, Quantity("number", minimum=0)]
 Share = Annotated[Scalar, Quantity("number", minimum=0, maximum=1)]
-Extent = Annotated[Scalar, Quantity("length", components=3, minimum=0, exclusive=True)]
-Area = Annotated[Scalar, Quantity("length", components=2, minimum=0, exclusive=True)]
+Extent = Annotated[Scalar, Quantity("length", components=3, minimum=1e-4)]
+Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
 Point = Annotated[Scalar, Quantity("length", components=2)]
 
 DrawnFactor = Annotated[Scalar, Quantity("number", stage="episode", minimum=0)]
 DrawnShare = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, maximum=1)]
 DrawnMass = Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)]
 DrawnDuration = Annotated[Scalar, Quantity("time", stage="episode", minimum=0)]
+DrawnDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60)]
 DrawnCoordinate = Annotated[Scalar, Quantity("length", stage="episode")]
 DrawnAngle = Annotated[Scalar, Quantity("angle", stage="episode", words=("any",))]
 DrawnCount = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, whole=True)]

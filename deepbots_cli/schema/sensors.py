@@ -10,7 +10,7 @@ from deepbots_cli.schema.fields import Column, Quantity, Range, Reference, Scala
 from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part, Size
 from deepbots_cli.schema.plain import Count, Word
 from deepbots_cli.schema.pose import Mount
-from deepbots_cli.schema.quantity import DrawnDuration, JointName, JointNames, LinkName, LinkNames, LocalName, Period, Prose
+from deepbots_cli.schema.quantity import DrawnDelay, JointName, JointNames, LinkName, LinkNames, LocalName, Period, Prose
 
 
 class Sensor(Part):
@@ -18,7 +18,7 @@ class Sensor(Part):
 
     type: Prose = Field(description="The kind of sensor.")
     period: Period | None = Field(default=None, description="Time between two readings, a multiple of the timestep; by default one tick.")
-    latency: DrawnDuration = Field(default="0 ms", description="Age of a reading when the robot gets it.")
+    latency: DrawnDelay = Field(default="0 ms", description="Age of a reading when the robot gets it.")
     noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = Field(
         default=0, description="Standard deviation of each reading: in the unit of the sensor, or as `2 %` of the value."
     )

@@ -9,11 +9,25 @@ from itertools import pairwise
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
-from deepbots_cli.ir import FINEST, MOST_PIXELS, MOST_RAYS, Beams, CompiledScenario, Faults, Lookup, Optics, Robot, Sensor, Variation
+from deepbots_cli.ir import (
+    FINEST,
+    MOST_PIXELS,
+    MOST_RAYS,
+    MOST_SENSED_RAYS,
+    Beams,
+    CompiledScenario,
+    Faults,
+    Lookup,
+    Optics,
+    Robot,
+    Sensor,
+    Variation,
+)
 from deepbots_cli.lang.scalar import World
 from deepbots_cli.urdf.model import Pose
 
 _MOST_TICKS = 1e5
+_LATEST = 60.0  # s
 _LARGEST = 1e30
 _FARTHEST = 1e6  # m
 _NONE = Beams((), 0.0)
@@ -26,6 +40,8 @@ def require_sensors(scenario: CompiledScenario) -> None:
         for sensor in robot.sensors:
             if not _is_sound(sensor, scenario.world.timestep):
                 raise CanonicalError(f"'{robot.name[:40]}.{sensor.name[:40]}' is no sensor that can be built")
+        if sum(len(sensor.beams.rays) for sensor in robot.sensors if sensor.beams) > MOST_SENSED_RAYS:
+            raise CanonicalError(f"'{robot.name[:40]}' senses more than {MOST_SENSED_RAYS} rays")
     robots = {robot.name: robot for robot in scenario.robots}
     for node in nodes(scenario):
         if isinstance(node, World) and node.function == "visible" and not _sees(robots, *node.subjects):
@@ -81,7 +97,7 @@ def _are_faults(faults: Faults, count: int, timestep: float) -> bool:
     figures = [getattr(faults, name) for name in (*_FAULTS, "low", "high", "quantise")]
     return (
         1 <= faults.period <= _MOST_TICKS
-        and 0.0 <= faults.latency / timestep <= _MOST_TICKS
+        and 0.0 <= faults.latency <= _LATEST
         and len(faults.low) == len(faults.high)
         and all(len(values) in (0, count) for values in figures)
         and all(abs(value) <= _LARGEST for values in figures for value in values)
