@@ -22,7 +22,7 @@ class Row:
 
     @property
     def met(self) -> bool:
-        return self.measured >= self.bar if self.at_least else self.measured <= self.bar
+        return bool(self.measured >= self.bar if self.at_least else self.measured <= self.bar)  # numpy has truth values of its own
 
 
 def options(description: str | None, **counts: int) -> argparse.Namespace:

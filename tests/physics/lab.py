@@ -59,7 +59,7 @@ def flow(entries: dict[str, str]) -> str:
 
 def off(measured: float, expected: float, scale: float | None = None) -> float:
     """By how many percent of `scale`, or else of what is expected, a figure is off."""
-    return 100 * abs(measured - expected) / abs(expected if scale is None else scale)
+    return float(100 * abs(measured - expected) / abs(expected if scale is None else scale))
 
 
 @contextmanager
