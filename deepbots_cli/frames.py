@@ -72,6 +72,11 @@ def rotate(q: Quaternion, v: Triple) -> Triple:
     return (v[0] + w * tx + y * tz - z * ty, v[1] + w * ty + z * tx - x * tz, v[2] + w * tz + x * ty - y * tx)
 
 
+def rotate_back(q: Quaternion, v: Triple) -> Triple:
+    """`v` turned by the inverse of a unit quaternion."""
+    return rotate((-q[0], -q[1], -q[2], q[3]), v)
+
+
 HERE: Frame = ((0.0, 0.0, 0.0), UPRIGHT)
 
 

@@ -6,6 +6,7 @@ tick, however many numbers are taken from it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from deepbots_cli.compiler.emit.names import Names
@@ -27,6 +28,7 @@ _TOLD = {
     "reachable": "self.ways.reachable({0}, {1})",
 }
 """Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the world."""
+MANY = 12  # numbers; from here on it is shorter and faster to unpack a quaternion once
 UNREAD = (*ARRIVALS, "present")
 """What is known without a reader."""
 _PART = {"position": 0, "orientation": 1, "velocity": 0, "angular_velocity": 1, "joint_position": 0, "joint_velocity": 1}
@@ -44,8 +46,12 @@ class Reads:
         self._names = names
         self._needed: dict[str, dict[str, list[str]]] = {what: {} for what in (*_METHODS, *_TOLD, "line", "sight")}
         """The subjects of each kind of reader, with the joints that it is asked for."""
-        for leaf in _facts(expressions):
+        leaves = list(_facts(expressions))
+        for leaf in leaves:
             self._note(leaf)
+        turns = Counter(leaf.subjects[0] for leaf in leaves if leaf.function == "orientation")
+        self._unpacked = {subject for subject, count in turns.items() if count >= MANY}
+        """Whose quaternions become four variables, since they are used so often."""
 
     def _note(self, leaf: World) -> None:
         subject, what = _reader(leaf)
@@ -91,7 +97,14 @@ class Reads:
         needed = {_reader(leaf) for leaf in _facts(expressions)}
         needed |= {(subject.partition(" ")[0], "pose") for subject, what in needed if what == "line"}
         ordered = [(subject, what) for what, table in self._needed.items() for subject in table if (subject, what) in needed]
-        return [f"{self._local(*reader)} = self.read_{self._local(*reader)}({self._argument(*reader)})" for reader in ordered]
+        return [line for reader in ordered for line in self._call(*reader)]
+
+    def _call(self, subject: str, what: str) -> list[str]:
+        local = self._local(subject, what)
+        call = f"{local} = self.read_{local}({self._argument(subject, what)})"
+        if what != "pose" or subject not in self._unpacked:
+            return [call]
+        return [call, f"{', '.join(self._turned(subject, component) for component in _XYZ)} = {local}[1]"]
 
     def _argument(self, subject: str, what: str) -> str:
         """What a reader is given in every tick: a follower the position of the body, the others nothing."""
@@ -101,6 +114,8 @@ class Reads:
         """The code of one number, after its reader was called."""
         subject, what = _reader(leaf)
         local = self._local(subject, what)
+        if leaf.function == "orientation" and subject in self._unpacked:
+            return self._turned(subject, leaf.component or "x")
         if what in ("pose", "velocity"):
             return f"{local}[{_PART[leaf.function]}][{_XYZ[leaf.component or 'x']}]"
         if what == "sight" or what in _TOLD:
@@ -109,6 +124,9 @@ class Reads:
             return f"{local}[{_PART[leaf.function]}]"
         index = self._needed[what][subject].index(leaf.subjects[0].split(".", 1)[1])
         return f"{local}[{index}]" if what == "torques" else f"{local}[{index}][{_PART[leaf.function]}]"
+
+    def _turned(self, subject: str, component: str) -> str:
+        return self._names(f"{subject} turned", component)
 
     def _local(self, subject: str, what: str) -> str:
         return self._names(f"{subject} {what}")  # the blank keeps it apart from every name of the scenario

@@ -52,6 +52,7 @@ class Body:
         self._client = client
         self._dynamics: dict[int, Dynamics] = {}
         self.centre, self.principal = self.dynamics(BASE).inertia_frame
+        self._back = frames.inverse(self.principal)
         self._parallel = self.principal == frames.UPRIGHT
         self.home: Frame = HERE
         self._weights: dict[int, tuple[float, Triple]] = {}
@@ -105,5 +106,5 @@ class Body:
 
     def of_origin(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the root link, from that of the inertia."""
-        turned = orientation if self._parallel else frames.multiply(orientation, frames.inverse(self.principal))
+        turned = orientation if self._parallel else frames.multiply(orientation, self._back)
         return frames.subtract(position, frames.rotate(turned, self.centre)), turned

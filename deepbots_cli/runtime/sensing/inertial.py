@@ -18,7 +18,7 @@ def gyro(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
 
     def turning() -> Triple:
         (_, turned), (_, angular) = read()
-        return frames.rotate(frames.inverse(turned), angular)
+        return frames.rotate_back(turned, angular)
 
     return Instrument(turning if mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
 
@@ -33,7 +33,7 @@ def inclinometer(engine: Engine, robot: str, link: str, mount: Frame) -> Instrum
         strength = hypot(*engine.gravity)
         down = frames.scaled(engine.gravity, 1.0 / strength) if strength else (0.0, 0.0, 0.0)
 
-    return Instrument(lambda: frames.rotate(frames.inverse(read()[1]), down), restart)
+    return Instrument(lambda: frames.rotate_back(read()[1], down), restart)
 
 
 class Accelerometer:
@@ -82,7 +82,7 @@ class Accelerometer:
 
     def read(self) -> Triple:
         if not self._steps:
-            felt = frames.rotate(frames.inverse(self._turned), frames.scaled(self._gravity, -1.0))
+            felt = frames.rotate_back(self._turned, frames.scaled(self._gravity, -1.0))
         else:
             felt = frames.scaled(self._sum, 1.0 / (self._steps * self._substep))
             self._sum, self._steps = (0.0, 0.0, 0.0), 0
