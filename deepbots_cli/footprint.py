@@ -122,16 +122,30 @@ def of_shape(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
 
 def of_robot(model: RobotModel) -> Footprint:
     """The disc around all that touches, or is seen where nothing touches; a point for a robot without shapes."""
+    discs = _all_discs(model)
+    if not discs:
+        return Footprint((0.0, 0.0), 0.0)
+    low_x, high_x = min(x - r for x, _, r in discs), max(x + r for x, _, r in discs)
+    low_y, high_y = min(y - r for _, y, r in discs), max(y + r for _, y, r in discs)
+    middle = ((low_x + high_x) / 2, (low_y + high_y) / 2)
+    return Footprint(middle, max(hypot(x - middle[0], y - middle[1]) + r for x, y, r in discs))
+
+
+def half_width(model: RobotModel) -> float:
+    """How far the origin of a robot must keep from a wall that it drives along: forwards, or sideways if it is longer that way."""
+    discs = _all_discs(model)
+    return min(max((abs(disc[axis]) + disc[2] for disc in discs), default=0.0) for axis in (0, 1))
+
+
+def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
+    """Those of all shapes that touch, or are seen where none touches, in the frame of the root link."""
     where = link_frames(model)
     for solid in (True, False):
         placed = [(link.name, shape) for link in model.links for shape in (link.collisions if solid else link.visuals)]
         discs = [disc for link, part in placed for disc in _discs(part.shape, frames.inside(where[link], frames.frame(part.origin)))]
         if discs:
-            low_x, high_x = min(x - r for x, _, r in discs), max(x + r for x, _, r in discs)
-            low_y, high_y = min(y - r for _, y, r in discs), max(y + r for _, y, r in discs)
-            middle = ((low_x + high_x) / 2, (low_y + high_y) / 2)
-            return Footprint(middle, max(hypot(x - middle[0], y - middle[1]) + r for x, y, r in discs))
-    return Footprint((0.0, 0.0), 0.0)
+            return discs
+    return []
 
 
 def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:

@@ -22,6 +22,7 @@ class Forms:
         self.things: dict[str, ObjectBody] = {thing.name: thing for thing in world.objects}
         self.chosen: dict[str, Variant] = {}
         self._robots = {name: footprint.of_robot(model) for name, model in self.models.items()}
+        self._widths = {name: footprint.half_width(model) for name, model in self.models.items()}
         shapes = [thing.shape for thing in world.objects]
         shapes += [variant.shape for thing in world.objects for variant in thing.variants]
         self._upright = {shape: footprint.of_shape(shape) for shape in shapes}
@@ -48,6 +49,10 @@ class Forms:
             return known
         shape = self.shape(body)
         return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.of_shape(shape, rpy[0], rpy[1])
+
+    def half_width(self, body: str) -> float:
+        """Of the narrowest passage that it fits through, m."""
+        return self._widths[body] if body in self._widths else self.footprint(body).narrowest
 
     def resting(self, body: str, rpy: Triple) -> float:
         """The height (m) of its origin where it rests on flat ground."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import asin, atan2, hypot
+from math import asin, atan2
 
 from deepbots_cli.footprint import Patch, Spot
 from deepbots_cli.frames import Quaternion, Triple
@@ -18,7 +18,10 @@ _LEVEL = 1e-6  # m; what rises no higher is no obstacle
 
 
 class Ways:
-    """Ways of robots and objects around the solid objects of a world, robots apart."""
+    """Ways of robots and objects around the solid objects of a world, robots apart.
+
+    What goes is a disc as wide as the narrower side of its body: it turns as it must.
+    """
 
     def __init__(self, scenario: CompiledScenario, engine: Engine, bodies: Arrangement | None = None) -> None:
         """`bodies` knows which copies take part, where there are any."""
@@ -120,8 +123,7 @@ class Way:
         self._watched = [(read, *pose[0][:2]) for thing, read, pose in standing if not ways.forms.is_fixed(thing.name)]
         if not ways.is_fixed(self._other):
             self._watched.append((self._there, goal[0], goal[1]))
-        covered = ways.forms.footprint(self._one[0])
-        radius = covered.radius + hypot(*covered.middle)  # about the origin, whose way it is
+        radius = ways.forms.half_width(self._one[0])
         x, y, _ = self._here()[0]
         area = ways.area(patches, ((x, y), goal[:2]), radius)
         self.chart = Chart(area, radius, patches, goal[:2], ways.radius(self._other))
