@@ -12,17 +12,27 @@ from statistics import median
 
 @dataclass(frozen=True)
 class Row:
-    """One figure against its bar. `met` says whether it is on the right side of it."""
+    """One figure against its bar. `met` says whether it is on the right side of it; None where no bar is set."""
 
     what: str
     measured: float
     unit: str
-    bar: float
+    bar: float | None = None
     at_least: bool = False
 
     @property
-    def met(self) -> bool:
+    def met(self) -> bool | None:
+        if self.bar is None:
+            return None
         return bool(self.measured >= self.bar if self.at_least else self.measured <= self.bar)  # numpy has truth values of its own
+
+    @property
+    def bar_words(self) -> str:
+        return "" if self.bar is None else f"{'at least' if self.at_least else 'at most'} {self.bar:g} {self.unit}"
+
+    @property
+    def verdict(self) -> str:
+        return {None: "", True: "yes", False: "NO"}[self.met]
 
 
 def options(description: str | None, **counts: int) -> argparse.Namespace:
@@ -37,13 +47,13 @@ def options(description: str | None, **counts: int) -> argparse.Namespace:
 def show(rows: Iterable[Row], *, as_json: bool) -> None:
     rows = list(rows)
     if as_json:
-        print(json.dumps([{**asdict(row), "met": row.met} for row in rows], indent=2))
+        shown = [{**asdict(row), "met": row.met, "bar_words": row.bar_words, "verdict": row.verdict} for row in rows]
+        print(json.dumps(shown, indent=2))
         return
     width = max(len(row.what) for row in rows)
     print(f"{'what':<{width}}  {'bar':>16}  {'measured':>16}  met")
     for row in rows:
-        bar = f"{'at least' if row.at_least else 'at most'} {row.bar:g} {row.unit}"
-        print(f"{row.what:<{width}}  {bar:>16}  {row.measured:>11.3f} {row.unit:<4}  {'yes' if row.met else 'NO'}")
+        print(f"{row.what:<{width}}  {row.bar_words:>16}  {row.measured:>11.3f} {row.unit:<4}  {row.verdict}")
 
 
 def pairs(first: Callable[[], float], second: Callable[[], float], count: int) -> list[tuple[float, float]]:
