@@ -79,9 +79,8 @@ def _located(namespace: Namespace, path: Path, reference: str) -> FilePath | Non
     values, document = namespace.values, namespace.document
     span = values.span(path)
     if reference.startswith("package://"):
-        home = meshes.package_folder(reference.removeprefix("package://").partition("/")[0])
-        found = meshes.locate(reference, document.directory_of(span))
-        if home is not None and isinstance(found, FilePath) and found.is_file() and found.is_relative_to(home.resolve()):
+        found = meshes.in_package(reference)
+        if found is not None:
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
         return None

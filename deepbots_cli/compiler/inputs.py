@@ -31,7 +31,8 @@ class Inputs:
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
         meshes = [Path(mesh) for robot in self.robots.values() for mesh in robot.file.meshes]
-        return copy_names([*self._texts, *meshes, *self.files.values()], (shipped.data_dir(), *self.document.roots))
+        packages = [robot.path.parent for robot in self.robots.values()]  # one from a package has its meshes below it
+        return copy_names([*self._texts, *meshes, *self.files.values()], (shipped.data_dir(), *self.document.roots, *packages))
 
     @property
     def _texts(self) -> dict[Path, str]:

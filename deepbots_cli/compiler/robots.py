@@ -79,8 +79,8 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
 def _locate(reference: str, path: NodePath, document: Document, values: Values) -> Path | None:
     span = values.span(path)
     if reference.startswith("package://"):
-        found = mesh.locate(reference, document.directory_of(span))
-        if isinstance(found, Path) and found.is_file() and mesh.package_folder(reference.removeprefix("package://").partition("/")[0]):
+        found = mesh.in_package(reference)
+        if found is not None:
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
         return None

@@ -66,6 +66,19 @@ def package_folder(name: str) -> Path | None:
     return Path(spec.submodule_search_locations[0])
 
 
+def in_package(reference: str) -> Path | None:
+    """The file of an installed package that `package://X/rest` names; None where there is none, or it lies outside of X."""
+    package, _, inside = reference.removeprefix("package://").partition("/")
+    home = package_folder(package)
+    if home is None:
+        return None
+    try:
+        found = Path(os.path.realpath(home / inside))
+        return found if found.is_relative_to(os.path.realpath(home)) and found.is_file() else None
+    except (OSError, ValueError):  # a name that is too long, or holds a NUL
+        return None
+
+
 def beside(folder: Path) -> ResolveMesh:
     """Allows the folder of the robot file and what lies below it, and the installed package that a `package://` names."""
 
