@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.colours import colour
@@ -76,17 +77,18 @@ class Bodies:
         shape = self.shape(given, path)
         if shape is None:
             return None
-        homes = {key: path if getattr(given, key) is not None else path[:2] for key in ("mass", "friction", "colour")}
-        mass, friction, paint = (given.mass or thing.mass, given.friction or thing.friction, given.colour or thing.colour)
-        weight = self._values.figure((*homes["mass"], "mass"), mass, MASS, self._drawn)
-        grip = self._values.figure((*homes["friction"], "friction"), friction, NUMBER, self._drawn)
+        (mass_at, mass), (friction_at, friction), (colour_at, paint), (_, fixed) = (
+            _said(key, given, thing, path) for key in ("mass", "friction", "colour", "fixed")
+        )
+        weight = self._values.figure(mass_at, mass, MASS, self._drawn)
+        grip = self._values.figure(friction_at, friction, NUMBER, self._drawn)
         return ir.Variant(
             kind,
             shape,
-            mass=_WATER * (volume(shape) or 0.0) if weight is None else weight,
-            colour=colour(self._namespace, (*homes["colour"], "colour"), paint) or _GREY,
+            mass=self._usual_mass(shape, path, still=bool(fixed) or thing.solid is False) if mass is None else weight or 0.0,
+            colour=colour(self._namespace, colour_at, paint) or _GREY,
             friction=1.0 if grip is None else grip,
-            fixed=bool(thing.fixed if given.fixed is None else given.fixed),
+            fixed=bool(fixed),
         )
 
     def shape(self, thing: object, path: Path) -> Shape | None:
@@ -104,15 +106,19 @@ class Bodies:
         return mesh(self._namespace, path, thing.file, thing.scale) if isinstance(thing, spec.Mesh) else None
 
     def _mass(self, path: Path, made_of: spec.Material, shape: Shape, of: tuple[str, str]) -> float:
-        """In kg; that of water where none is given."""
+        """In kg."""
         still = bool(made_of.fixed) or made_of.solid is False
         if made_of.mass is not None:
             if still:  # there is nothing that a drawn mass would change
                 return self._values.figure(path, made_of.mass, MASS, self._drawn) or 0.0
             return figure(self._namespace, path, made_of.mass, MASS, self._drawn, "mass", of) or 0.0
+        return self._usual_mass(shape, path[:-1], still=still)
+
+    def _usual_mass(self, shape: Shape, path: Path, *, still: bool) -> float:
+        """That of as much water, in kg; a mesh that can move has to say its own."""
         if isinstance(shape, Mesh) and not still:
             help = "give its `mass`, or write `fixed: true`"
-            self._values.findings.add("DB102", self._values.key_span(path[:-1]), "a mesh that can move has no `mass`", help=help)
+            self._values.findings.add("DB102", self._values.key_span(path), "a mesh that can move has no `mass`", help=help)
         return _WATER * (volume(shape) or 0.0)
 
     def _number(self, path: Path, given: object, default: float, what: str, of: tuple[str, str]) -> float:
@@ -121,3 +127,9 @@ class Bodies:
 
     def _length(self, path: Path, given: object) -> float | None:
         return self._values.number(path, given, LENGTH, self._scope)
+
+
+def _said(key: str, given: spec.Shaped, thing: spec.VariedObject, path: Path) -> tuple[Path, Any]:
+    """What a variant at `path` or, for all variants, the object says under `key`, and where."""
+    own = getattr(given, key)
+    return ((*path, key), own) if own is not None else ((*path[:2], key), getattr(thing, key))

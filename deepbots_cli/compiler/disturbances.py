@@ -81,10 +81,6 @@ class _Reader:
         place: Path = (*self._place, key)
         text, scope = self._values.text(place, given), ParameterScope(self._namespace, Context.FIELD)
         typed = self._values.quantity(text, f"`{key}`", scope, dimension, components, Stage.STEP)
-        if typed and components and typed.type.components is None:
-            help = "write `vector(x, y, z)`, or draw three: `uniform(-1 -1 0 .. 1 1 0 N)`"
-            self._values.findings.add("DB404", text.span, f"`{key}` is a single value, not a vector", help=help)
-            return None
         return Valued(key, text.span, text.text, typed, f"disturbances.{self._name}.{key}") if typed else None
 
     def _check_overlap(self, every: Valued, lasts: Valued) -> None:

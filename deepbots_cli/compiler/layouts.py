@@ -24,7 +24,6 @@ from deepbots_cli.urdf.model import Box
 
 _NOTHING = "."
 _WALL = "wall"
-_WALL_COLOUR = (0.55, 0.60, 0.68, 1.0)  # that of the arena's
 _MOST_CELLS = 250_000
 
 
@@ -59,8 +58,9 @@ class Layouts:
         given = self._spec.reset.layout
         assert isinstance(given, dict)  # as the caller found
         path: Path = ("reset", "layout")
-        shares = {name: self._values.number((*path, name), share, NUMBER, self._fixed) or 0.0 for name, share in given.items()}
-        if not self._values.findings.errors and abs(sum(shares.values()) - 1.0) > 1e-6:
+        read = {name: self._values.number((*path, name), share, NUMBER, self._fixed) for name, share in given.items()}
+        shares = {name: share for name, share in read.items() if share is not None}
+        if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"shares of {100 * sum(shares.values()):g} % together"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help="let them add up to 100 %")
         return shares
@@ -138,7 +138,7 @@ class Layouts:
 
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena
-        height, colour = (arena.wall_height, arena.colour or _WALL_COLOUR) if arena else (0.1, _WALL_COLOUR)
+        height, colour = (arena.wall_height, arena.colour or ir.WALL_COLOUR) if arena else (0.1, ir.WALL_COLOUR)
         number = Constant(Type(NUMBER, interval=exact(float(count))), 0, 0, (float(count),))
         span = self._values.key_span(("reset", "layouts"))
         group = TaskGroup(name, count, Valued("count", span, "", number, name))

@@ -15,7 +15,12 @@ from deepbots_cli.lang.types import Context
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.task import Beginnings, Placement, TaskLayout, Valued
 
-_UNMOVED = ("contact", "collided", "joint_torque")  # nothing has acted or touched before the first step
+# Before the first step nothing has touched or acted, and no picture was taken.
+_UNMOVED = {
+    **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `gap(...) > 1 cm`"),
+    "joint_torque": "before the first step no motor has acted; take it out",
+    "visible": "a start is found before the first picture is taken; ask where the body stands, as in `abs(bearing(...)) < 30 deg`",
+}
 
 
 def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> tuple[Beginnings, tuple[ir.ObjectBody, ...]]:
@@ -68,8 +73,8 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Valued | None:
     for call in _calls(typed):
         if call.function in _UNMOVED:
             span = text.part(call.start, call.start + len(call.function))
-            help = "before the first step nothing has touched; ask for `gap(...) > 1 cm`"
-            values.findings.add("DB407", span, f"`{call.function}` in a requirement on the start", help=help)
+            headline = f"`{call.function}` in a requirement on the start"
+            values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
     if constant(typed) == (False,):
         values.findings.add("DB105", text.span, "a requirement that no start meets", help="let it depend on where things are")
     return Valued("require", text.span, text.text, typed, "reset.require")

@@ -11,7 +11,7 @@ from deepbots_cli.urdf.model import Mesh
 
 
 def check_room(place: Placement, region: ir.Region, world: ir.WorldModel, namespace: Namespace, path: Path) -> None:
-    """DB105 where the region is too small: for one body with its clearance, for the grid, or for all copies together."""
+    """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
     values, group = namespace.values, namespace.groups.get(place.body)
     kinds = _footprints(place.body, world, group.copies[0] if group else place.body)
     if not kinds:
@@ -28,6 +28,11 @@ def check_room(place: Placement, region: ir.Region, world: ir.WorldModel, namesp
             f"`{place.body}` needs {needed:.3g} m{'' if is_fixed else ' with its clearance'}, and the arena is {min(arena.size):.3g} m wide"
         )
         values.findings.add("DB105", span, headline, help="give a larger arena, or less clearance")
+    elif arena is not None and any(
+        region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
+    ):
+        headline = f"no spot of the region is far enough within the walls of the arena for `{place.body}`"
+        values.findings.add("DB105", span, headline, help="let it reach into the arena, which lies about the origin")
     elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
         headline = f"a grid of {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
         values.findings.add("DB105", values.key_span((*path, "grid")), headline, help="give a larger region, or a smaller mesh")

@@ -19,8 +19,6 @@ from deepbots_cli.schema.world import Wall as WallSpec
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.urdf.model import Box, Pose
 
-WALL_COLOUR = (0.55, 0.60, 0.68, 1.0)
-
 
 def lines(spec: Scenario, namespace: Namespace) -> tuple[ir.Line, ...]:
     """The painted lines; their lengths are noted in the namespace."""
@@ -80,7 +78,7 @@ def _wall(name: str, spec: WallSpec, namespace: Namespace, scope: ParameterScope
     friction = figure(namespace, (*path, "friction"), spec.friction, NUMBER, drawn, "walls_friction", names)
     if points is None or height is None or thickness is None or friction is None:
         return ()
-    paint = colour(namespace, (*path, "colour"), spec.colour) or WALL_COLOUR
+    paint = colour(namespace, (*path, "colour"), spec.colour) or ir.WALL_COLOUR
     boxes = []
     for piece, one, other in zip(names, points, ends, strict=False):
         heading = math.atan2(other[1] - one[1], other[0] - one[0])

@@ -150,7 +150,16 @@ class Values:
         if typed is None:
             return None
         value = expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage)
-        return value if value and self._is_within(value, text, what) else None
+        return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
+
+    def _is_vector(self, value: Typed, text: Text, what: str) -> bool:
+        """Whether what has a direction has all its components; a size or a factor, which is fixed, may be one for all axes."""
+        kind = text.kind
+        if not isinstance(kind, Quantity) or not kind.components or kind.stage == "fixed" or value.type.components is not None:
+            return True
+        help = f"write `vector(x, y, z)`, or draw three: `uniform(-1 -1 0 .. 1 1 0 {value.type.dimension})`"
+        self.findings.add("DB404", text.span, f"{what} is a single value, not a vector", help=help)
+        return False
 
     def _is_within(self, value: Typed, text: Text, what: str) -> bool:
         """Whether the value keeps the bounds of its field; the schema has looked at bare numbers only."""

@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.lang.dimensions import Dimension
+from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.typed import Typed
 from deepbots_cli.lang.types import Components, Scope, Stage
+from deepbots_cli.schema.fields import Quantity
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Valued, Varied
 
@@ -20,7 +24,7 @@ def figure(
     """The SI value of a figure that an episode may vary; None where none is given, and after a finding.
 
     `what` is its entry in the table of variations (`emit.variations`), `of` whose it is. A drawn figure
-    is noted there, and its middle returned.
+    is noted there, and the middle of its interval returned.
     """
     found = figures(namespace, path, given, dimension, scope, what, of)
     return found[0] if found else None
@@ -48,7 +52,7 @@ def figures(
     values = namespace.values
     text, called = values.text(path, given), f"`{path[-1]}`"
     typed = values.quantity(text, called, scope, dimension, components or spread, Stage.EPISODE)
-    if typed is None:
+    if typed is None or not _is_bounded(typed, text, called, values):
         return None
     count = len(components or spread or ("",))
     forget(namespace, what, of)
@@ -57,5 +61,23 @@ def figures(
         return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
     owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
     namespace.variations.append(Varied(what, of, Valued(str(path[-1]), text.span, text.text, typed, owner), components, spread))
-    reach = typed.type.interval
-    return ((reach.low + reach.high) / 2 if math.isfinite(reach.low) and math.isfinite(reach.high) else 0.0,) * count
+    return (_middle(typed.type.interval),) * count
+
+
+def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:
+    """Whether what is drawn keeps the bounds that its field has: a normal draw has none, and would break them now and then."""
+    reach, kind = typed.type.interval, text.kind
+    if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
+        return True
+    end = "least" if kind.minimum is not None and reach.low == -math.inf else "greatest"
+    if end == "greatest" and (kind.maximum is None or reach.high < math.inf):
+        return True
+    help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
+    values.findings.add("DB105", text.span, f"{called} is drawn without a {end} value", help=help)
+    return False
+
+
+def _middle(reach: Interval) -> float:
+    """Of an interval without one, the end that it has."""
+    ends = [end for end in (reach.low, reach.high) if math.isfinite(end)]
+    return sum(ends) / len(ends) if ends else 0.0

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from deepbots_cli.ir import ARENA_WALLS, Arena, ObjectBody
+from deepbots_cli.ir import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
 from deepbots_cli.urdf import inertia
 from deepbots_cli.urdf.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
-
-WALL_COLOUR = (0.55, 0.60, 0.68, 1.0)
 
 
 def moves(body: ObjectBody) -> bool:

@@ -21,6 +21,8 @@ ARENA_WALLS = ("front wall", "back wall", "left wall", "right wall")
 Point = tuple[float, float]
 Colour = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
+WALL_COLOUR: Colour = (0.55, 0.60, 0.68, 1.0)
+"""Of walls, unless they are given one."""
 
 
 @dataclass(frozen=True)

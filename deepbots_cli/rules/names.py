@@ -63,6 +63,8 @@ def _judged(task: Task) -> Iterator[Valued]:
     """What the supervisor computes in every tick."""
     yield from task.order
     yield from task.reward
+    if task.goal is not None:
+        yield from (task.goal.achieved, task.goal.desired)
     yield from (ending.value for ending in task.endings)
     for robot in task.robots:
         yield from robot.receive
