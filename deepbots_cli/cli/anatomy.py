@@ -30,6 +30,9 @@ from deepbots_cli.urdf.model import Joint
 Sections = Dictionary[str, Row | list[Row]]
 
 
+_FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
+
+
 def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
     """All tables of a compiled scenario, whose text is the tree `root`; empty ones are left out."""
     tables: dict[str, Row | list[Row]] = {
@@ -38,18 +41,20 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
         "joints": [_joint(robot.name, joint) for robot in scenario.world.robots for joint in robot.model.joints],
         "objects": [_object(scenario, index) for index in range(len(scenario.world.objects))],
         "parameters": _parameters(scenario, root),
-        "sensors": _sensors(scenario),
+        "sensors": _sensors(scenario, root),
         "actuators": _actuators(scenario),
         "messages": _messages(scenario),
         "message_fields": _fields(scenario),
         "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
         "action": [_action(part) for part in scenario.action],
         "signals": _signals(scenario, root),
+        "goal": {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range")} if scenario.goal else {},
         "observation": _observation(scenario),
         "timing": timing(scenario),
         "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.reward],
         "endings": _endings(scenario, root),
         "reset": _reset(scenario, root),
+        "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
         "training": _training(scenario),
     }
     return {name: rows for name, rows in tables.items() if rows}
@@ -172,9 +177,16 @@ def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:
     return [{"parameter": name, "is": wording(root, "parameters", name), "set": often.get(name, "once")} for name in names]
 
 
-def _sensors(scenario: CompiledScenario) -> list[Row]:
+def _sensors(scenario: CompiledScenario, root: Node) -> list[Row]:
     return [
-        {"robot": robot.name, "sensor": sensor.name, "type": sensor.kind, "of": list(sensor.subjects), "unit": sensor.unit}
+        {
+            "robot": robot.name,
+            "sensor": sensor.name,
+            "type": sensor.kind,
+            "of": list(sensor.subjects),
+            "unit": sensor.unit,
+            **{fault: wording(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, fault) for fault in _FAULTS},
+        }
         for robot in scenario.robots
         for sensor in robot.sensors
     ]
@@ -276,8 +288,14 @@ def _action(part: Choices | Interval) -> Row:
 
 
 def _signals(scenario: CompiledScenario, root: Node) -> list[Row]:
+    observed = {entry.full_name.partition(".")[0] for entry in scenario.observation}
     return [
-        {"signal": entry.name, "components": list(entry.components), "is": text, "policy_may_see_it": bool(granted)}
+        {
+            "signal": entry.name,
+            "components": list(entry.components),
+            "is": text,
+            "policy_may_see_it": bool(granted) or entry.name in observed,
+        }
         for entry in scenario.signals
         for granted in (wording(root, "augment", entry.name),)
         for text in (granted or wording(root, "signals", entry.name),)

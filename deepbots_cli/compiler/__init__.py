@@ -266,7 +266,7 @@ class _Pass:
         """Seconds, in whole ticks."""
         path, scope = ("reset", "settle"), ParameterScope(self.namespace, Context.FIXED)
         settle = self.values.number(path, self.spec.reset.settle, TIME, scope) or 0.0
-        if abs(settle - round(settle / tick) * tick) > 1e-9 * settle:
+        if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not self.values.is_lost("world.timestep"):
             headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
             self.values.findings.add("DB308", self.values.span(path), headline, help="the world moves on in whole timesteps")
         steps = settle / tick * self.spec.world.substeps

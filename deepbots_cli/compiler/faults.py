@@ -118,7 +118,7 @@ class FaultReader:
 def period(faults: ir.Faults | None, values: Values, path: Path, given: object, tick: float) -> ir.Faults | None:
     """The faults with the period that stands at `path`, in ticks; DB308 for one that is no whole number of them."""
     seconds = None if given is None else values.number((*path, "period"), given, TIME)
-    if seconds is None:
+    if seconds is None or values.is_lost("world.timestep"):
         return faults
     ticks = round(seconds / tick)
     if ticks < 1 or abs(seconds - ticks * tick) > 1e-9 * seconds:

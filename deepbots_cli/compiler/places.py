@@ -147,8 +147,9 @@ class Places:
         if pose.region != "arena":
             self._values.unknown(self._values.span((*path, "region")), "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
-            span = self._values.span((*path, "region"))
-            self._values.findings.add("DB201", span, "the world has no arena", help="give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`")
+            if not self._values.is_lost("world.arena"):
+                span, help = self._values.span((*path, "region")), "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`"
+                self._values.findings.add("DB201", span, "the world has no arena", help=help)
         elif arena is not None:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
             return ir.Region((-half_x, -half_y), (half_x, half_y), mesh)

@@ -11,6 +11,7 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import TIME, Dimension
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol
+from deepbots_cli.schema.plain import choose_from
 from deepbots_cli.schema.reset import JointState
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
@@ -33,10 +34,16 @@ def _joint_start(key: str, given: object, namespace: Namespace, poses: Mapping[s
         if robot_name not in namespace.robots:
             namespace.values.unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.named(Origin.ROBOT))
         return None
+    if not part:
+        movable = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS] + [
+            joint.name for joint in robot.model.moving_joints
+        ]
+        help = choose_from(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
+        namespace.values.findings.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help=help)
+        return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
-        span = text.part(len(robot_name + dot), len(key)) if part else text.span
-        joint_missing(namespace.values, span, part, robot.model)
+        joint_missing(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {}))

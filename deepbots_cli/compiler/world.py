@@ -33,7 +33,9 @@ class WorldBuilder:
     def build(self, robots: list[RobotScene], painted: tuple[ir.Line, ...]) -> ir.WorldModel:
         spec = self._spec.world
         timestep = self._values.number(("world", "timestep"), spec.timestep, TIME, self._scope)
-        if timestep is not None:
+        if timestep is None:
+            self._values.lose("timestep")  # the stand-in below is nothing to measure periods by
+        else:
             self._check_timestep(timestep)
         path: Path = ("world", "gravity")
         gravity = figures(self._namespace, path, spec.gravity, ACCELERATION, self._drawn, "gravity", (), SPACE) or (0.0, 0.0, -9.81)

@@ -101,7 +101,7 @@ def _has_shape(value: Typed, components: Components | None, what: str, report: R
             value.start,
             value.end,
             f"{what} is {value.type.shape_words}, not a single value",
-            "pick a component, or reduce it with `norm`, `sum`, `max` ...",
+            f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}",
         )
     elif len(found) != len(components) and found[0] in ("x", "1"):
         report("DB106", value.start, value.end, f"{what} has {len(found)} values, not {len(components)}")

@@ -163,8 +163,8 @@ class Quantity(Leaf):
 
     @property
     def example(self) -> str:
-        number, _, unit = MEASURES[self.dimension][1].partition(" ")
-        return " ".join([number] * (self.components or 1) + [unit]).strip() if not self.whole else "3"
+        number, _, unit = ("3", "", "") if self.whole else MEASURES[self.dimension][1].partition(" ")
+        return " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def holds(self, value: object) -> bool:
         return isinstance(value, Scalar) and not isinstance(value, bool)
@@ -176,6 +176,9 @@ class Quantity(Leaf):
                 self._examine_length(found)
         elif isinstance(value, (int, float)):
             self._examine_length(1)
+            if self.maximum == 1 and 1 < value <= 100:
+                help = f"give at most 1; a share in hundredths is written `{value:g} %`"
+                raise problem("DB105", f"`{value}` is above the largest allowed value", help)
             examine_bounds(value, None if self.dimension not in _BARE else self.minimum, self.maximum, exclusive=self.exclusive)
             if self.whole and value != int(value):
                 raise mismatch(self.noun)

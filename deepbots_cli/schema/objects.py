@@ -27,7 +27,9 @@ from deepbots_cli.schema.quantity import (
 class Material(Part):
     """What a body is made of; in `one_of`, a variant overrides it."""
 
-    mass: DrawnMass | None = Field(default=None, description="Mass, kg; needed by whatever can move.")
+    mass: DrawnMass | None = Field(
+        default=None, description="Mass, kg; by default as much as water has in this shape. A mesh that can move needs one."
+    )
     colour: Paint | None = Field(default=None, description="Colour: a word, `'#rrggbb'`, or `choice(red | green)`.")
     friction: DrawnFactor | None = Field(default=None, description="Coulomb's coefficient of friction.")
     spinning_friction: DrawnFactor | None = Field(default=None, description="Friction against spinning on the spot.")
