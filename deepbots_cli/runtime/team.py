@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector.utils import batch_space
 
+from deepbots_cli.frames import Triple
 from deepbots_cli.ir import CompiledScenario, Copies, WorldModel
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.share import Share, copy_name
@@ -142,6 +143,9 @@ class Team(Supervisor):
             "reward_terms": terms,
             "each": each,
         }
+
+    def _strayed(self) -> Triple:
+        return self.members[0]._strayed()
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         return tuple(mask for member in self.members for mask in member.allowed())

@@ -9,7 +9,8 @@ from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.ir import CompiledScenario, Picture, Pit, Place, Region, WorldModel
 from deepbots_cli.lang.scalar import Const, Draw, Scalar
-from deepbots_cli.port import View
+from deepbots_cli.port import STILL, View
+from deepbots_cli.runtime.share import offset
 
 _FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the front right, above
 _FLAT = 0.9  # how much higher the eye stands over what is flat
@@ -22,7 +23,7 @@ def overview(scenario: CompiledScenario, width: int = 480, height: int = 320) ->
     places = {place.body: place for place in scenario.reset.places}
     for layout in scenario.reset.layouts:
         places = {place.body: place for place in layout.places} | places
-    around_all = [*_surroundings(scenario.world), *_bodies(scenario.world, places)]
+    around_all = [*_surroundings(scenario.world), *_robots(scenario, places), *_objects(scenario.world, places)]
     arena = scenario.world.arena
     if arena is None:
         return around(around_all, width, height)
@@ -68,10 +69,17 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
                 yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, 0.0)
 
 
-def _bodies(world: WorldModel, places: dict[str, Place]) -> Iterator[Bounds]:
-    """Robots and objects, wherever they may stand when an episode begins."""
-    for robot in world.robots:
-        yield _placed(_all_round(bounds(robot.model)), robot.pose.xyz, places.get(robot.name.partition("#")[0]))
+def _robots(scenario: CompiledScenario, places: dict[str, Place]) -> Iterator[Bounds]:
+    """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
+    copies = scenario.agent.each
+    shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
+    for robot in scenario.world.robots:
+        low, high = _placed(_all_round(bounds(robot.model)), robot.pose.xyz, places.get(robot.name))
+        yield from ((add(low, shift), add(high, shift)) for shift in shifts)
+
+
+def _objects(world: WorldModel, places: dict[str, Place]) -> Iterator[Bounds]:
+    """Objects, wherever they may stand when an episode begins."""
     for thing in world.objects:
         place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
         for shape in (thing.shape, *(variant.shape for variant in thing.variants)):

@@ -63,6 +63,30 @@ def test_max_steps_counts_steps_and_max_time_simulated_time(make: Make) -> None:
     assert environment.get_info()["ended_by"] == "max_time"
 
 
+def test_rewards_of_the_last_tick_see_the_limit_of_steps(make: Make) -> None:
+    rows = episode(make(THREE, "reward={cut: 1 when truncated, over: 1 when ended}", "truncation={max_steps: 2}"), 9)
+    assert [row[0] for row in rows] == [0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("limits", "first"), [("max_steps: 2, max_time: 100 ms", "max_time"), ("max_steps: 2, max_time: 1 s", "max_steps")]
+)
+def test_of_two_limits_the_one_that_is_met_first_cuts_short(make: Make, limits: str, first: str) -> None:
+    environment = make(THREE, f"truncation={{{limits}}}")
+    assert len(episode(environment, 9)) == 2
+    assert environment.get_info()["ended_by"] == first
+
+
+def test_all_options_may_be_forbidden_while_none_has_to_be_chosen(make: Make) -> None:
+    midst = "augment={midst: 'time > 70 ms and time < 110 ms'}"
+    choice = "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: midst, back: midst}}"
+    environment = make(THREE, midst, choice)
+    environment.reset(seed=0)
+    for _ in range(2):
+        environment.step(0)
+    assert environment.action_masks().all()
+
+
 def test_an_ending_in_the_last_tick_beats_the_limit_of_steps(make: Make) -> None:
     rows = episode(make(THREE, "truncation={max_steps: 2}", "termination={success: {late: time > 110 ms}}"), 99)
     assert rows[-1][1:3] == (True, False)

@@ -206,8 +206,9 @@ def test_errors_name_the_expression_as_ever(team: Make) -> None:
         environment.step(np.zeros(3, int))
 
 
-def test_pictures_hold_the_whole_row(team: Make) -> None:
-    with closing(api.make(TEAM, render_mode="rgb_array")) as environment:
+@pytest.mark.parametrize("base", ["fixed", "free"])
+def test_a_team_can_be_filmed(base: str) -> None:
+    with closing(api.make(TEAM, sets=[f"robots.cart.base={base}"], render_mode="rgb_array")) as environment:
         environment.reset(seed=0)
         assert environment.render().shape == (320, 480, 3)
 

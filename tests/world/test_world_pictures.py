@@ -2,6 +2,7 @@
 
 import math
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ def seen_at(view: View, point: tuple[float, float, float]) -> tuple[float, float
     return dot(offset, right) / depth / tall * view.height / view.width, dot(offset, cross(right, ahead)) / depth / tall
 
 
+TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 BOXES = [
     ((-0.04, -0.04, 0.0), (0.04, 0.04, 0.05)),
     ((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1)),
@@ -51,6 +53,15 @@ def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> N
                 x, y = seen_at(view, environment.engine.pose(robot.name)()[0])
                 assert abs(x) < 1.0
                 assert abs(y) < 1.0
+
+
+def test_every_copy_of_a_row_begins_in_the_picture() -> None:
+    with closing(api.make(TEAM, sets=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])) as environment:
+        view = overview(environment.scenario)
+        environment.reset(seed=0)
+        for number in range(1, 10):
+            place = environment.engine.pose(f"cart#{number}")()[0]
+            assert max(map(abs, seen_at(view, place))) < 1.0
 
 
 def test_the_view_follows_a_robot_that_leaves_and_stays_where_there_is_an_arena() -> None:

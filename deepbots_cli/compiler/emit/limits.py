@@ -8,11 +8,11 @@ from deepbots_cli.compiler.emit.workspace import Workspace
 
 
 def tick_limit(space: Workspace) -> tuple[int, str] | None:
-    """The number of ticks at which an episode is cut short within a step, and the name of that limit."""
+    """The number of ticks at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
     limits = space.scenario.truncation
     ticks = []
-    if limits.max_steps is not None and not space.repeats:
-        ticks.append((limits.max_steps, "max_steps"))
+    if limits.max_steps is not None:
+        ticks.append((limits.max_steps * space.scenario.agent.repeat, "max_steps"))
     if limits.max_time is not None:
         # a limit of a whole number of ticks must not gain one by rounding
         ticks.append((math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9), "max_time"))

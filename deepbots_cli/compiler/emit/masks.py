@@ -10,15 +10,17 @@ from deepbots_cli.lang.emit import operand
 
 
 def print_masks(space: Workspace, printer: Printer) -> None:
-    """What the agent may choose after this step; while an episode goes on, it must be something."""
+    """What the agent may choose next; where it has to choose, it must be something."""
     if not space.forbids:
         return
+    repeat = space.scenario.agent.repeat
+    chooses = "not self.terminated and not self.truncated" + (f" and self.tick_count % {repeat} == 0" if space.repeats else "")
     for part in space.scenario.action:
         if isinstance(part, Choices) and any(option.forbidden is not None for option in part.options):
             allowed = f"self.allowed_{part.name}"
             printer.line(f"{allowed} = {tuple_code([_allowed(printer, option) for option in part.options])}")
             if all(option.forbidden is not None for option in part.options):
-                printer.line(f"if not any({allowed}) and not self.terminated and not self.truncated:")
+                printer.line(f"if not any({allowed}) and {chooses}:")
                 printer.line(f"    self._nothing_allowed({quoted(part.name)})")
 
 

@@ -49,10 +49,6 @@ def advance(space: Workspace) -> list[str]:
     printer.line(f"    {'yield from ' if space.shares else ''}self._tick({', '.join(acting)})")
     printer.line("    if self.terminated or self.truncated:")
     printer.line("        break")
-    steps = space.scenario.truncation.max_steps
-    if steps is not None:
-        printer.line(f"if self.step_count >= {steps} and not self.terminated:")
-        printer.line('    self._truncate("max_steps")')
     ticking = space.printer()
     ticking.line('"""One tick: let the world go on, receive, and compute all that is read afterwards."""')
     ticking.line("self.tick_count += 1")
