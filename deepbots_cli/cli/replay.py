@@ -28,14 +28,14 @@ def zero(environment: Supervisor) -> Policy:
 
 
 def scripted(scenario: CompiledScenario, text: str) -> Policy:
-    """The actions of `text`, over and over: separated by commas, the parts of one action by colons.
+    """The actions of `text`, over and over: separated by commas, the parts of one action by colons; copies of a robot all take the same.
 
     A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
 
     Raises:
         UsageError: If one of them is no action of the scenario; says what is.
     """
-    actions = cycle([_action(scenario, word.strip()) for word in text.split(",")])
+    actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
     return lambda: next(actions)
 
 
@@ -71,6 +71,18 @@ def _action(scenario: CompiledScenario, text: str) -> Any:
         return np.array(ranges, np.float32)
     chosen = choices[0] if len(choices) == 1 else np.array(choices, np.int64)
     return {"choices": chosen, "ranges": np.array(ranges, np.float32)} if ranges else chosen
+
+
+def _of_all(scenario: CompiledScenario, action: Any) -> Any:
+    """The action of one robot as that of all its copies, where there are any."""
+    import numpy as np
+
+    copies = scenario.agent.each
+    if copies is None:
+        return action
+    if isinstance(action, dict):
+        return {key: _of_all(scenario, part) for key, part in action.items()}
+    return np.array([action] * copies.count)
 
 
 def _slots(part: Choices | Interval) -> Sequence[Choices | Interval]:

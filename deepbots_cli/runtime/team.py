@@ -82,10 +82,13 @@ class Team(Supervisor):
         self._gather()
 
     def _advance(self, action: Any) -> None:
-        if not self._takes(action):
+        if not _takes(self.action_space, action):
             raise ValueError("no action of this space")
         self.step_count += 1
-        turns = [member._advance(row) for member, row in zip(self.members, action, strict=True)]
+        rows = (
+            [{key: part[row] for key, part in action.items()} for row in range(len(self.members))] if isinstance(action, dict) else action
+        )
+        turns = [member._advance(row) for member, row in zip(self.members, rows, strict=True)]
         for turn in turns:
             next(turn)
         running = True
@@ -95,13 +98,6 @@ class Team(Supervisor):
         for turn in turns:
             turn.close()
         self._gather()
-
-    def _takes(self, action: Any) -> bool:
-        """Whether every row can be acted on; a team that has half acted could not go back."""
-        space = self.action_space
-        if isinstance(space, gym.spaces.Box):
-            return isinstance(action, np.ndarray) and action.shape == space.shape and bool(np.isfinite(action).all())
-        return space.contains(action)
 
     def _gather(self) -> None:
         """What the team has come to by what its members have."""
@@ -149,3 +145,12 @@ class Team(Supervisor):
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         return tuple(mask for member in self.members for mask in member.allowed())
+
+
+def _takes(space: gym.Space[Any], action: Any) -> bool:
+    """Whether every row can be acted on; a team that has half acted could not go back."""
+    if isinstance(space, gym.spaces.Dict):
+        return isinstance(action, dict) and set(action) == set(space.spaces) and all(_takes(space[key], action[key]) for key in action)
+    if isinstance(space, gym.spaces.Box):
+        return isinstance(action, np.ndarray) and action.shape == space.shape and bool(np.isfinite(action).all())
+    return space.contains(action)

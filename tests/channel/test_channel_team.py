@@ -198,6 +198,21 @@ def test_numbers_that_do_not_fit_change_nothing(team: Make, bad: Any) -> None:
     assert environment.members[0].step_count == 0
 
 
+def test_copies_act_by_choices_and_ranges_together(team: Make) -> None:
+    environment = team(
+        CALM, "cart_speed=0.1 m/s", "reward={speed: joint_velocity(cart.slider) / (0.1 m/s)}", source=TEAM.with_name("mixed_team.yaml")
+    )
+    environment.reset(seed=0)
+    action = {"choices": np.array([0, 1, 0]), "ranges": np.array([[1.0], [1.0], [-1.0]])}
+    for _ in range(3):
+        each = environment.step(action)[4]["each"]
+    assert each["reward"] == pytest.approx((1.0, -1.0, 0.2), abs=1e-3)
+    for bad in ({"choices": np.array([0, 1, 0])}, action | {"ranges": np.full((3, 1), np.nan)}, [0, 1, 0]):
+        with pytest.raises(UsageError, match="does not fit"):
+            environment.step(bad)
+    assert environment.members[0].step_count == 3
+
+
 def test_errors_name_the_expression_as_ever(team: Make) -> None:
     environment = team(CALM, 'reward={bad: "1 / (step - 2)"}')
     environment.reset(seed=0)

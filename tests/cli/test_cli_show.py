@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import zlib
+from pathlib import Path
 
 import pytest
 
 from deepbots_cli import api
+
+
+TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 
 
 def inspected(deepbots, *words):
@@ -117,6 +121,11 @@ def test_the_same_seed_runs_the_same_episodes(deepbots):
     assert first == again != other
     episode = json.loads(first)["episodes"][0]
     assert episode["return"] == episode["length"] == episode["reward_terms"]["alive"]
+
+
+def test_copies_of_a_robot_all_take_the_actions_of_the_command_line(deepbots):
+    ran = deepbots("run", str(TEAM), "--actions", "forward,backward", "--engine", "exact", "--episodes", "1")
+    assert ran.code == 0, ran.err
 
 
 def test_actions_go_by_name_or_number(deepbots):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api, canonical, interface
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import CompiledScenario, Evaluation, RobotBody, Solved, WorldModel
+from deepbots_cli.ir import CompiledScenario, Evaluation, ObjectBody, RobotBody, Solved, Variant, WorldModel
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run, inside, new_directory
 from deepbots_cli.source import shipped
@@ -169,6 +169,18 @@ def test_a_forged_robot_that_would_end_the_process_is_refused(
 ) -> None:
     world = WorldModel(0.02, 1, robots=(RobotBody("robot", RobotModel("robot", links, joints, root)),))
     forge(run_copy, replace(stand_in.scenario(), world=world))
+    with pytest.raises(RunError, match="figures or bodies"):
+        Run.open(run_copy)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [Variant("odd", Sphere(-1.0)), Variant("odd", Sphere(1.0), -1.0), Variant("odd", Sphere(1e300))],
+    ids=["negative size", "negative mass", "huge"],
+)
+def test_a_forged_form_of_an_object_that_would_end_the_process_is_refused(run_copy: Path, form: Variant) -> None:
+    thing = ObjectBody("thing", Sphere(0.1), mass=1.0, variants=(Variant("usual", Sphere(0.1), 1.0), form))
+    forge(run_copy, replace(stand_in.scenario(), world=WorldModel(0.02, 1, objects=(thing,))))
     with pytest.raises(RunError, match="figures or bodies"):
         Run.open(run_copy)
 
