@@ -178,8 +178,9 @@ def _sensible(ir: CompiledScenario) -> bool:
 def _is_sound(ir: CompiledScenario) -> bool:
     """Whether the figures that learning itself computes with, and the bodies, are such as compiling leaves them."""
     windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
-    forms = [form for thing in ir.world.objects for form in (thing, *thing.variants)]
-    bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(form.shape, form.mass) for form in forms]
+    forms = [(thing.shape, thing.mass) for thing in ir.world.objects]
+    forms += [(variant.shape, variant.mass) for thing in ir.world.objects for variant in thing.variants]
+    bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(shape, mass) for shape, mass in forms]
     return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows) and all(bodies)
 
 

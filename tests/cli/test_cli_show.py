@@ -10,7 +10,6 @@ import pytest
 
 from deepbots_cli import api
 
-
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 
 
