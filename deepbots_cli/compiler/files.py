@@ -17,7 +17,7 @@ from deepbots_cli.urdf.mesh_format import measure
 from deepbots_cli.urdf.model import Mesh
 
 MOST_TRIANGLES = 200_000
-_SMALL, _LARGE = 1e-4, 1e3  # m; a mesh is probably in another unit beyond
+_SMALLEST, _SMALL, _LARGE, _LARGEST = 1e-5, 1e-4, 1e3, 1e6  # m; beyond the inner two a mesh is probably in another unit
 
 
 def mesh(namespace: Namespace, path: Path, reference: str, scale: object) -> Mesh | None:
@@ -52,10 +52,11 @@ def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) 
         findings.add("DB005", span, headline, help="simplify it")
         return False
     size = [abs(factor) * (high - low) for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)]
-    if not _SMALL <= max(size) <= _LARGE:
+    code = None if _SMALL <= max(size) <= _LARGE else "DB505" if _SMALLEST <= max(size) <= _LARGEST else "DB105"
+    if code is not None:
         shown = " x ".join(f"{side:.3g}" for side in size)
-        findings.add("DB505", span, f"the mesh is {shown} m in size", help="a mesh in millimetres needs `scale: 0.001 0.001 0.001`")
-    return True
+        findings.add(code, span, f"the mesh is {shown} m in size", help="a mesh in millimetres needs `scale: 0.001 0.001 0.001`")
+    return code != "DB105"
 
 
 def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str] | None:

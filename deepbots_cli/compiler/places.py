@@ -68,6 +68,7 @@ class Places:
         place = self._on_line(place, pose.line, path) if pose.line else place
         if pose.region is not None:
             place = replace(place, spot=self._region(pose, path))
+            self._check_spots(place.spot, path)
         elif pose.grid is not None:
             span = self._values.key_span((*path, "grid"))
             self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
@@ -154,6 +155,11 @@ class Places:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
             return ir.Region((-half_x, -half_y), (half_x, half_y), mesh)
         return None
+
+    def _check_spots(self, spot: ir.Region | ir.Cells | None, path: Path) -> None:
+        if isinstance(spot, ir.Region) and spot.spots > ir.MOST_SPOTS:
+            headline = f"a region of {spot.spots:.0f} cells, more than {ir.MOST_SPOTS:_}"
+            self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
 
     def _check_copies(self, place: Placement, path: Path, *, used: bool) -> None:
         """Keys that only groups know; copies of a group that would stand within each other."""

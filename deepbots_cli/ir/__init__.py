@@ -30,7 +30,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.ir.actuation import Actuator, Cartesian, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.disturbances import NOTHING, Disturbance
-from deepbots_cli.ir.resets import Cells, Group, Layout, Place, Region, Reset, SetJoint, Variation
+from deepbots_cli.ir.resets import MOST_SPOTS, Cells, Group, Layout, Place, Region, Reset, SetJoint, Variation
 from deepbots_cli.ir.robots import (
     Direction,
     Field,
@@ -111,6 +111,7 @@ __all__ = [
     "MOST_SEEN_BYTES",
     "MOST_SENSED_RAYS",
     "MOST_SETTLING_STEPS",
+    "MOST_SPOTS",
     "MOST_SUBSTEPS",
     "NOTHING",
     "WALL_COLOUR",

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from deepbots_cli.lang.scalar import Scalar
+
+MOST_SPOTS = 1_000_000  # of a region with a grid
 
 
 @dataclass(frozen=True)
@@ -17,6 +20,11 @@ class Region:
     low: tuple[float, float]
     high: tuple[float, float]
     mesh: float | None = None
+
+    @property
+    def spots(self) -> float:
+        """How many cells it has; 1 without a mesh."""
+        return math.prod(max(1.0, (end - start) / self.mesh) for start, end in zip(self.low, self.high, strict=True)) if self.mesh else 1.0
 
 
 @dataclass(frozen=True)

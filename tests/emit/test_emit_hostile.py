@@ -125,6 +125,8 @@ def test_lists_of_another_length_give_a_world_that_runs_or_are_refused(source: s
         (("world", "timestep"), 1e-320),
         (("robots", 0, "to_robot", "stamp"), -1),
         (("robots", 0, "from_robot", "stamp"), 10**30),
+        (("reset", "joints", 0, "position"), {"is": "Name", "name": "cart.place", "component": None}),  # not sent yet
+        (("robots", 0, "name"), "rail"),  # which the world has not
         (("reward",), []),
         (("reward", 0, "value"), {"is": "Op", "op": "min", "args": [{"is": "Const", "value": 1.0}]}),
     ],

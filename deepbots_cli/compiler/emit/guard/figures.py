@@ -58,6 +58,8 @@ def require_figures(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"settle of {scenario.reset.settle} s")
     if len(scenario.world.robots) + len(scenario.world.objects) > MOST_BODIES:
         raise CanonicalError(f"more than {MOST_BODIES} bodies")
+    if [robot.name for robot in scenario.robots] != [body.name for body in scenario.world.robots]:
+        raise CanonicalError("robots other than those of the world")
     if scenario.truncation.max_steps is None and scenario.truncation.max_time is None:
         raise CanonicalError("episodes without a limit")
 

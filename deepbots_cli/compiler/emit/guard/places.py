@@ -8,10 +8,9 @@ from dataclasses import fields
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
-from deepbots_cli.ir import MOST_BODIES, Cells, CompiledScenario, Place, Region
+from deepbots_cli.ir import MOST_BODIES, MOST_SPOTS, Cells, CompiledScenario, Place, Region
 from deepbots_cli.lang.scalar import State, World
 
-_MOST_CELLS = 1_000_000
 MOST_ATTEMPTS = 100_000
 
 
@@ -47,7 +46,7 @@ def _require_copies(scenario: CompiledScenario, groups: Mapping[str, int]) -> No
     for node in nodes(own):
         if isinstance(node, World) and node.function == "present":
             group, _, number = node.subjects[0].partition("#")
-            if int(number) > groups.get(group, 0):
+            if not number.isdecimal() or len(number) > 4 or int(number) > groups.get(group, 0):
                 raise CanonicalError(f"'{node.subjects[0][:40]}' is a copy that there is not")
 
 
@@ -55,8 +54,11 @@ def _require_spot(place: Place) -> None:
     match place.spot:
         case Region(low, high, mesh):
             sides = [end - start for start, end in zip(low, high, strict=True)]
-            cells = math.prod(max(1.0, side / mesh) for side in sides) if mesh and mesh > 0.0 else 1.0
-            if not all(0.0 <= side < math.inf for side in sides) or (mesh is not None and not mesh > 0.0) or not cells <= _MOST_CELLS:
+            if (
+                not all(0.0 <= side < math.inf for side in sides)
+                or (mesh is not None and not mesh > 0.0)
+                or not place.spot.spots <= MOST_SPOTS
+            ):
                 raise CanonicalError(f"'{place.body[:40]}' is placed in an impossible region")
         case Cells(spots):
             if not spots or not all(math.isfinite(end) for spot in spots for end in spot):

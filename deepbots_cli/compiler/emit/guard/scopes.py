@@ -46,6 +46,8 @@ def _require_parameters(scenario: CompiledScenario) -> None:
         _require_in([entry.values, entry.redraw], known)
         known.update(flat([entry]))
     _require_in([scenario.disturbances], known)
+    reset = scenario.reset
+    _require_in([reset.places, reset.layouts, reset.joints, reset.variations, reset.groups], known)
     _require_in([(robot.to_route, robot.from_route) for robot in scenario.robots], known)
 
 
