@@ -17,6 +17,7 @@ world: {timestep: 20 ms, substeps: 2}
 robots:
   cart:
     urdf: cartpole_rail
+    joints: {slider: {max_torque: 1000 N}}
     base: fixed
     sensors:
       place: {type: joint_position, joint: slider}

@@ -195,6 +195,7 @@ SCRIPTED = """\
     urdf: cartpole_rail
     base: fixed
     pose: {y: 1 m}
+    joints: {slider: {max_torque: 1000 N}}
     sensors: {place: {type: joint_position, joint: slider}}
     actuators: {motor: {type: velocity_motor, joint: slider, max_torque: 1000 N}}
     receive:
