@@ -141,7 +141,7 @@ class Layouts:
         height, colour = (arena.wall_height, arena.colour or ir.WALL_COLOUR) if arena else (0.1, ir.WALL_COLOUR)
         number = Constant(Type(NUMBER, interval=exact(float(count))), 0, 0, (float(count),))
         span = self._values.key_span(("reset", "layouts"))
-        bodies = len(self._world.robots) + len(self._world.objects) + len(self.walls) + count
+        bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
         if bodies > ir.MOST_BODIES:
             headline = f"the world has {bodies:_} bodies, the walls of maps among them, more than {ir.MOST_BODIES}"
             self._values.findings.add("DB005", span, headline, help="put up long walls under `world.walls`, or use larger cells")

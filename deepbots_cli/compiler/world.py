@@ -46,7 +46,7 @@ class WorldBuilder:
         bodies = Bodies(self._namespace)
         objects = [body for name, thing in self._spec.objects.items() for body in bodies.bodies(name, thing)]
         pieces = walls(self._spec, self._namespace)
-        self._check_bodies(len(robots), len(objects), len(pieces))
+        self._check_bodies(len(robots), sum(thing.bodies for thing in objects), len(pieces))
         return ir.WorldModel(
             timestep or 0.032,
             spec.substeps,
@@ -69,7 +69,7 @@ class WorldBuilder:
         )
 
     def _check_bodies(self, robots: int, objects: int, pieces: int) -> None:
-        """DB005 for more bodies than a world may have, copies among them."""
+        """DB005 for more bodies than a world may have, each variant of each copy among them."""
         counts: dict[Path, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
         if sum(counts.values()) > ir.MOST_BODIES:
             more = max(counts, key=lambda section: counts[section])

@@ -147,6 +147,11 @@ class ObjectBody:
     rolling_friction: float = 0.0
     restitution: float = 0.0
 
+    @property
+    def bodies(self) -> int:
+        """How many bodies an engine builds for it: one for each variant."""
+        return max(1, len(self.variants))
+
 
 @dataclass(frozen=True)
 class RobotBody:

@@ -99,7 +99,9 @@ class RaySensor(Fan):
 class Reflectance(Fan):
     """Measures how bright the ground is below each ray's frame: 1 is white, painted lines have their own reflectance."""
 
-    spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = Field(default="4 mm", description="Diameter of the spot that it sees.")
+    spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = Field(
+        default="4 mm", description="Diameter of the spot that it sees."
+    )
 
 
 class Camera(LinkSensor):

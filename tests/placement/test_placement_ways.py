@@ -43,6 +43,12 @@ def around(start: tuple[float, float], end: tuple[float, float], corner: tuple[f
     return first + second + radius * (one + other)
 
 
+@pytest.mark.parametrize("size", [1e3, 1e5])
+def test_lengths_in_a_world_of_kilometres_are_finite(size: float) -> None:
+    chart = Chart((-size, -size, size, size), RADIUS, [], (0.0, 0.0), 0.05)
+    assert chart.length(0.6 * size, 0.0) == pytest.approx(0.6 * size, rel=0.02)
+
+
 def test_around_a_disc_it_is_a_taut_string() -> None:
     disc = Footprint((0.0, 0.0), 0.15).at(0.0, 0.0, 0.0)
     chart = Chart(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)

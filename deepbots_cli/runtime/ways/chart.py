@@ -12,6 +12,7 @@ from deepbots_cli.runtime.ways.sweep import FAR, MARGIN, Mask, lengths
 
 CELLS = 100  # along the longer side
 _DEAR = 50.0  # times; the price of a line through what no way passes
+_WIDE = 20.0  # m; lengths in wider areas are kept in a longer unit, so that none comes near FAR
 _UNKNOWN = 0.01 * FAR  # m; more than any way is long, and less than a mean with a node that none reaches
 Area = tuple[float, float, float, float]
 """Least x and y, greatest x and y, in m."""
@@ -37,12 +38,15 @@ class Chart:
         for patch in solids:
             self._block(blocked, patch, radius)
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
-        starts = np.where((away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked, away, FAR)
-        found = lengths(blocked, starts, self.cell)
+        self._unit = max(1.0, self.cell * CELLS / _WIDE)
+        self._step = self.cell / self._unit
+        starts = np.where((away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked, away / self._unit, FAR)
+        found = lengths(blocked, starts, self._step)
         self._reached: Mask = found < FAR
         if not self._reached.any():  # the goal itself is shut in: as the crow flies
-            found = np.where(self._outside, FAR, away)
+            found = np.where(self._outside, FAR, away / self._unit)
         self._found = found
+        self._filled = False
         self._lengths: list[list[float]] = found.tolist()
         self._open: list[list[bool]] = self._reached.tolist()
         self._rows, self._columns = rows, columns
@@ -52,8 +56,9 @@ class Chart:
 
         Lines are made so dear that the nearest counts and not the one with the shortest way, which may be beyond a wall.
         """
-        line = lengths(self._outside, np.where(self._reached, 0.0, FAR), self.cell)
-        dear = lengths(self._outside, np.where(self._reached, self._found, FAR), self.cell * _DEAR)
+        self._filled = True
+        line = lengths(self._outside, np.where(self._reached, 0.0, FAR), self._step)
+        dear = lengths(self._outside, np.where(self._reached, self._found, FAR), self._step * _DEAR)
         self._found = np.where(self._reached | self._outside, self._found, dear - (_DEAR - 1.0) * line)
         self._lengths = self._found.tolist()
 
@@ -82,12 +87,12 @@ class Chart:
         here, there = self._lengths[j], self._lengths[j + 1]
         low = here[i] + u * (here[i + 1] - here[i])
         length = low + v * (there[i] + u * (there[i + 1] - there[i]) - low)
-        if length > _UNKNOWN:
+        if length > _UNKNOWN and not self._filled:
             self._fill()
             return self.length(x, y)
         if column == inside_column and row == inside_row:
-            return length
-        return length + self.cell * hypot(column - inside_column, row - inside_row)
+            return length * self._unit
+        return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
     def reaches(self, x: float, y: float) -> bool:
         """Whether there is a way from a place, or from a node beside it."""

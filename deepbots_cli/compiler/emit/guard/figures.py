@@ -56,7 +56,7 @@ def require_figures(scenario: CompiledScenario) -> None:
         raise CanonicalError(f"{scenario.world.substeps} substeps")
     if scenario.reset.settle / timestep * scenario.world.substeps > MOST_SETTLING_STEPS * (1 + 1e-9):
         raise CanonicalError(f"settle of {scenario.reset.settle} s")
-    if len(scenario.world.robots) + len(scenario.world.objects) > MOST_BODIES:
+    if len(scenario.world.robots) + sum(thing.bodies for thing in scenario.world.objects) > MOST_BODIES:
         raise CanonicalError(f"more than {MOST_BODIES} bodies")
     if [robot.name for robot in scenario.robots] != [body.name for body in scenario.world.robots]:
         raise CanonicalError("robots other than those of the world")
