@@ -151,3 +151,11 @@ def test_the_floor_gets_another_colour_until_the_next_reset(build):
     engine.reset()
     assert (engine.render(view) == usual).all()
     assert (look().colours == seen).all()
+
+
+def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(build):
+    """The pixels of its corners lie beyond all integers, through which the renderer once went one by one."""
+    plank = ObjectBody("plank", Box((0.2, 1.0, 0.1)), Pose((0.1 + 1e-8, 0, 1.3)), fixed=True)
+    engine = build("pybullet", world(plank, wall(2.0)))
+    look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
+    assert "wall" in {look().names[number] for number in np.unique(look().bodies)}

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Image, View
 
 NEAREST = 0.01  # m
+# m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye, as those of a flat
+# side do on whose link the camera sits, beyond the range of its integers, and then goes through all of them: minutes a picture.
+AHEAD = 1.7e-5
 
 
 class Aim(NamedTuple):
@@ -70,10 +73,11 @@ class Camera:
 
     def shoot(self, aim: Aim) -> Shot:
         width, height = self._size
+        eye = add(aim.eye, scaled(aim.ahead, AHEAD))
         _, _, pixels, buffer, numbers = p.getCameraImage(
             width,
             height,
-            p.computeViewMatrix(aim.eye, add(aim.eye, aim.ahead), aim.up),
+            p.computeViewMatrix(eye, add(eye, aim.ahead), aim.up),
             self._projection,
             lightDirection=(1.0, -1.5, 3.0),
             lightColor=(1.0, 1.0, 1.0),
@@ -85,7 +89,7 @@ class Camera:
             physicsClientId=self._client,
         )
         shape = (height, width)
-        depth = SIGHT * NEAREST / (SIGHT - (SIGHT - NEAREST) * np.asarray(buffer, np.float32).reshape(shape))
+        depth = SIGHT * NEAREST / (SIGHT - (SIGHT - NEAREST) * np.asarray(buffer, np.float32).reshape(shape)) + np.float32(AHEAD)
         rays = self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)
         colours = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3].copy()
         return Shot(colours, depth, np.asarray(numbers, np.int32).reshape(shape), rays.reshape(*shape, 3))
