@@ -248,15 +248,16 @@ class Frequency(Leaf):
 
 
 class Setting(Leaf):
-    """The new value of whatever the key names: a number, a quantity, a draw, a word."""
+    """The new value of whatever the key names: a number, a quantity, a draw, a word, or all that stands below the key.
 
-    noun = "a single value"
+    What may be in it is known only where it is put, and checked there.
+    """
 
     def holds(self, value: object) -> bool:
-        return isinstance(value, (str, int, float))
+        return isinstance(value, (str, int, float, dict, list))
 
     def json_schema(self) -> JsonSchema:
-        return {"type": ["string", "number", "boolean"]}
+        return {"type": ["string", "number", "boolean", "object", "array"]}
 
 
 class PythonPath(Leaf):

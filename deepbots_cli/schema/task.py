@@ -99,7 +99,7 @@ class Truncation(Part):
     max_time: Period | None = Field(default=None, description="Simulated time, such as `60 s`.")
 
 
-Settings = dict[Annotated[str, Reference("setting")], Annotated[str | int | float | bool, Setting()]]
+Settings = dict[Annotated[str, Reference("setting")], Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()]]
 
 
 class Stage(Part):

@@ -78,3 +78,25 @@ def test_a_case_that_is_not_there_is_told_with_those_that_are(workshop, cartpole
     assert ir.case("steep") is ir.cases[0]
     with pytest.raises(UsageError, match="no case 'flat'; there are: steep"):
         ir.case("flat")
+
+
+CRATES = (
+    "robots:",
+    """objects:
+  crate: {count: 2, fixed: true, one_of: {cube: {shape: box, size: 5 5 5 cm}, plank: {shape: box, size: 2 20 5 cm}}}
+robots:""",
+)
+SCATTERED = ("place: {", "place: {crate: {region: {x: -0.4 .. 0.4 m, y: 0.2 .. 0.4 m}}, ")
+
+
+def test_a_case_may_exchange_the_kinds_of_a_group(workshop, cartpole) -> None:
+    others = "round: {set: {objects.crate.one_of: {can: {shape: cylinder, radius: 3 cm, height: 8 cm}}}}"
+    ir = workshop.compile(cartpole(CRATES, SCATTERED, with_cases(others))).ir
+    kinds = [[variant.name for variant in world.objects[0].variants] for world in (ir.world, ir.case("round").scenario.world)]
+    assert kinds == [["cube", "plank"], ["can"]]
+
+
+def test_a_mistake_within_the_value_of_a_setting_is_shown_in_its_place(workshop, cartpole) -> None:
+    others = "round: {set: {objects.crate.one_of: {can: {shape: cylinder, radius: 3 kg, height: 8 cm}}}}"
+    findings = workshop.lint(cartpole(CRATES, SCATTERED, with_cases(others)))
+    assert [(finding.code, finding.span.text) for finding in findings] == [("DB503", "3 kg")]
