@@ -14,8 +14,6 @@ from pathlib import Path
 
 from pydantic_core import PydanticUndefinedType
 
-from deepbots_cli.compiler import support
-from deepbots_cli.compiler.sensors import SENSOR_KINDS
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER, TIME
 from deepbots_cli.lang.examples import EXAMPLES
@@ -31,8 +29,6 @@ from deepbots_cli.schema.task import PythonTerm
 
 FOLDER = Path(__file__).parent / "reference"
 _NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"
-_LATER = "*Not run yet.*"
-
 _UNITS = {
     "length": "m",
     "time": "s",
@@ -56,13 +52,6 @@ _UNITS = {
 
 Route = tuple[str, ...]
 
-_KEYS_LATER: dict[Route, tuple[str, ...]] = {
-    route: tuple(key for other, key in support.LATER if other == route) for route, _ in support.LATER
-}
-_KINDS_RUN: dict[Route, frozenset[str]] = {
-    ("robots", "*", "sensors", "*"): frozenset(SENSOR_KINDS),
-}
-
 
 def pages() -> dict[str, str]:
     """The text of each page by its file name."""
@@ -73,7 +62,7 @@ def pages() -> dict[str, str]:
 
 
 class _Keys:
-    """Walks the schema in the order of the file; a part is described where it is first met, and nothing below what is not run yet."""
+    """Walks the schema in the order of the file; a part is described where it is first met."""
 
     def __init__(self) -> None:
         self._met: set[type[Part]] = {PythonTerm}
@@ -87,8 +76,7 @@ class _Keys:
             "`NAME` stands for a name of your choice. *Settled* says how late a figure may be: *fixed* figures are constants, *episode*"
             " figures may be drawn anew at every reset, *step* figures are computed in every tick.",
             "A figure is kept in SI units, of which 1 is a plain number; how values are written is said in [the language](../language.md)."
-            " Tests lay each example upon a scenario that has a place for it, and run that."
-            f"{f' {_LATER} marks what is refused with [DB108](rules.md).' if support.LATER else ''}",
+            " Tests lay each example upon a scenario that has a place for it, and run that.",
         ]
         return "\n".join([*head, *self._section("scenario", Scenario, ())]) + "\n"
 
@@ -100,9 +88,8 @@ class _Keys:
             yield from self._table(title, doc, rows, route)
 
     def _kinds(self, title: str, spec: Kinds, route: Route) -> Iterator[str]:
-        """One table for all kinds that run; a key that only some have says so."""
-        run = _KINDS_RUN.get(route, frozenset(spec.names))
-        models = {name: spec.model(name) for name in spec.names if name in run}
+        """One table for all kinds; a key that only some have says so."""
+        models = {name: spec.model(name) for name in spec.names}
         if self._met.issuperset(models.values()):
             return
         self._met.update(models.values())
@@ -111,8 +98,7 @@ class _Keys:
             for key in fields(model):
                 owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
         rows = [(key, "" if len(names) == len(models) else f"{_listed(names)}: ") for key, names in owners.items()]
-        missing = [name for name in spec.names if name not in run]
-        doc = f"`{spec.key}` is one of {_listed(models)}." + (f" Not run yet: {_listed(missing)}." if missing else "")
+        doc = f"`{spec.key}` is one of {_listed(models)}."
         yield from self._table(title, doc, sorted(rows, key=lambda row: row[1] != ""), route)
 
     def _table(self, title: str, doc: str, rows: list[tuple[_Key, str]], route: Route) -> Iterator[str]:
@@ -125,12 +111,10 @@ class _Keys:
             "| key | value | unit | default | settled | example | meaning |",
             "|---|---|---|---|---|---|---|",
         ]
-        later = _KEYS_LATER.get(route, ())
         for key, owners in rows:
-            yield f"{key.cells} {owners}{key.meaning}{f' {_LATER}' if key.name in later else ''} |"
+            yield f"{key.cells} {owners}{key.meaning} |"
         for key, _ in rows:
-            if key.name not in later:
-                yield from self._below(f"{title}.{key.name}" if route else key.name, key.spec, (*route, key.name))
+            yield from self._below(f"{title}.{key.name}" if route else key.name, key.spec, (*route, key.name))
 
     def _below(self, title: str, spec: Spec, route: Route) -> Iterator[str]:
         """The sections of the parts that are met inside the value of a key."""
@@ -273,10 +257,7 @@ def _functions() -> str:
         "",
         "How they are used is said in [the language](../language.md). The examples are about one scenario: a small two-wheeled `rover` with"
         " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. A unit is that in which a"
-        " value is kept; 1 is a plain number."
-        + (
-            "" if all(function.supported for function in FUNCTIONS.values()) else f" {_LATER} marks what is refused with [DB108](rules.md)."
-        ),
+        " value is kept; 1 is a plain number.",
         "",
         "## Units",
         "",
@@ -295,9 +276,8 @@ def _functions() -> str:
 
 
 def _function_row(function: Function) -> str:
-    later = "" if function.supported else f" {_LATER}"
     example = _cell(EXAMPLES[function.name])
-    return f"| `{_cell(function.signature)}` | {_cell(function.doc)}{later} | {_unit(function)} | `{example}` |"
+    return f"| `{_cell(function.signature)}` | {_cell(function.doc)} | {_unit(function)} | `{example}` |"
 
 
 def _unit(function: Function) -> str:

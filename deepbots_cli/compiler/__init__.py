@@ -23,7 +23,6 @@ resets.py       how an episode begins: layouts.py, groups.py; places.py where a 
                 starts.py joints, poses.py their named positions
 disturbances.py pushes while an episode runs
 inputs.py       the files that it was made from, as a run keeps copies of them
-support.py      what the language has and this version does not run yet
 """
 
 from __future__ import annotations
@@ -51,7 +50,6 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
 from deepbots_cli.compiler.starts import joint_starts
 from deepbots_cli.compiler.strokes import lines
-from deepbots_cli.compiler.support import check_support
 from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
@@ -167,7 +165,6 @@ class _Pass:
 
     def run(self) -> Task:
         spec, namespace = self.spec, self.namespace
-        check_support(spec, self.values)
         self._define_parameters()
         for name in spec.robots:
             namespace.define(name, Origin.ROBOT, ("robots", name))

@@ -37,8 +37,7 @@ class Sensing:
         self._sensors: dict[str, ir.Sensor] = {}
         for name, spec in scene.spec.sensors.items():
             self.symbols[name] = Symbol(name, None)
-            if spec.type in SENSOR_KINDS:  # `support` has said so of the others
-                self._add(name, spec, SENSOR_KINDS[spec.type])
+            self._add(name, spec, SENSOR_KINDS[spec.type])
         self._check_size()
 
     def finished(self, tick: float) -> tuple[ir.Sensor, ...]:

@@ -9,7 +9,7 @@ from deepbots_cli.lang import agree, syntax
 from deepbots_cli.lang.dimensions import NUMBER, Dimension
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Function, Param, Shape
 from deepbots_cli.lang.intervals import INF, TRUTH, Interval, exact, hull
-from deepbots_cli.lang.names import NOT_YET, subject_of, unknown
+from deepbots_cli.lang.names import subject_of, unknown
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Typed, Vector
 from deepbots_cli.lang.types import PLANE, SPACE, Components, Context, Report, Scope, Stage, Subject, Type
@@ -80,15 +80,13 @@ def call(node: syntax.Call, scope: Scope, visit: Visit, report: Report, occurren
 
 
 def _availability(node: syntax.Call, function: Function, context: Context, report: Report) -> bool:
-    """Whether the function may be called in this place; one that is merely not delivered yet is typed all the same."""
+    """Whether the function may be called in this place."""
     if function.family not in ALLOWED[context]:
         fixed = context is Context.FIXED and function.family is Family.DRAW
         help = "it is the same in every episode; give one figure" if fixed else _FAMILY_HELP.get(function.family)
         help = "compute it under `augment`, and name that here" if context is Context.FORBID else help
         report("DB407", node.start, node.name_end, f"`{function.name}` in {_PLACE_WORDS[context]}", help)
         return False
-    if not function.supported:
-        report("DB108", node.start, node.name_end, f"`{function.name}` is not supported yet", NOT_YET)
     return True
 
 

@@ -63,9 +63,6 @@ class Param(NamedTuple):
         return f"[{shown}]" if self.optional else f"{shown}, ..." if self.many else shown
 
 
-# In the language, and understood here, but not yet run by this version.
-UNSUPPORTED: frozenset[str] = frozenset()
-
 DimensionRule = Callable[[Dimension], Dimension]
 IntervalRule = Callable[[Sequence[Interval], int], Interval]
 
@@ -90,10 +87,6 @@ class Function(NamedTuple):
     interval: IntervalRule = _nothing_known
     boolean: bool = False
     truths: bool = False
-
-    @property
-    def supported(self) -> bool:
-        return self.name not in UNSUPPORTED
 
     @property
     def signature(self) -> str:

@@ -10,9 +10,6 @@ from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Pick, Reference, Typed
 from deepbots_cli.lang.types import Kind, Report, Scope, Subject, shown
 
-NOT_YET = "take it out for now; the language reference lists what each version runs"
-"""The help that goes with DB108."""
-
 # What is asked most often of a part of the world that is no place.
 _ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
 
@@ -65,9 +62,6 @@ def subject_of(node: syntax.Node, kinds: frozenset[Kind], function: str, scope: 
     if subject is not None and subject.kind is Kind.BROKEN:
         return None
     if subject is not None and subject.kind in kinds:
-        if subject.kind is Kind.ROBOTS:
-            headline = f"`{node.dotted}` is {subject.kind.words}, over which `{function}` is not supported yet"
-            report("DB108", node.start, node.end, headline, NOT_YET)
         return subject
     fitting = [name for name in dict.fromkeys(scope.subjects()) if (other := scope.subject(name, kinds)) and other.kind in kinds]
     if subject is not None:

@@ -52,14 +52,14 @@ _TURN = Param("angle", dimension=ANGLE)
 _RANGE = Param("range", Form.RANGE)
 
 _PLACED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
-_PLACES = _PLACED | {Kind.LINKS, Kind.OBJECTS, Kind.ROBOTS}
+_PLACES = _PLACED | {Kind.LINKS, Kind.OBJECTS}
 _BODY = Param("body", Form.SUBJECT, kinds=_PLACED)
 _BODIES = Param("body", Form.SUBJECT, kinds=_PLACES)
 _OTHER = Param("other", Form.SUBJECT, kinds=_PLACES)
 _TOUCHED = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.GROUND})
 _JOINT = Param("joint", Form.SUBJECT, kinds=frozenset({Kind.JOINT, Kind.JOINTS}))
 _LINE = Param("line", Form.SUBJECT, kinds=frozenset({Kind.LINE}))
-_SEEN = Param("body", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.ROBOTS}))
+_SEEN = Param("body", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS}))
 _CAMERA = Param("camera", Form.SUBJECT, kinds=frozenset({Kind.CAMERA}))
 _EMITTER = Param("robot", Form.SUBJECT, kinds=frozenset({Kind.ROBOT}))
 _SENDER = Param("sender", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.SENSOR, Kind.CAMERA}))

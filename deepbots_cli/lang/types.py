@@ -84,7 +84,6 @@ class Kind(StrEnum):
     JOINT = "joint"
     LINKS = "group of links"
     JOINTS = "group of joints"
-    ROBOTS = "group of robots"
     OBJECT = "object"
     OBJECTS = "group of objects"
     LINE = "line"

@@ -17,15 +17,14 @@ from deepbots_cli.lang.types import Symbol
 from deepbots_cli.source import loads
 
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
-RUN = {name: FUNCTIONS[name] for name in FUNCTIONS if FUNCTIONS[name].supported}
 
 
 def scenario_with_examples(observation: dict[str, str]) -> Checked:
     """The model scenario with each example as a value that the policy may see: a draw as a parameter, all else as an augmentation."""
-    drawn = [name for name, function in RUN.items() if function.family is Family.DRAW]
+    drawn = [name for name, function in FUNCTIONS.items() if function.family is Family.DRAW]
     lines = ["deepbots: 1", "extends: reference.yaml", "parameters:"]
     lines += [f"  drawn_{name}: {EXAMPLES[name]}" for name in drawn]
-    lines += ["augment:", *(f"  by_{name}: '{f'drawn_{name}' if name in drawn else EXAMPLES[name]}'" for name in RUN)]
+    lines += ["augment:", *(f"  by_{name}: '{f'drawn_{name}' if name in drawn else EXAMPLES[name]}'" for name in FUNCTIONS)]
     lines += ["observation:", *(f"  {name}: {shown}" for name, shown in observation.items())]
     return check(loads("\n".join(lines), base=SCENARIOS))
 
@@ -46,7 +45,7 @@ def as_observed(symbol: Symbol) -> str:
 @pytest.fixture(scope="module")
 def checked() -> Checked:
     first = scenario_with_examples({"rover.near": "0 .. 50 cm"})
-    return scenario_with_examples({f"by_{name}": as_observed(symbol(first, f"by_{name}")) for name in RUN})
+    return scenario_with_examples({f"by_{name}": as_observed(symbol(first, f"by_{name}")) for name in FUNCTIONS})
 
 
 def test_every_function_has_an_example():

@@ -5,7 +5,6 @@ import pytest
 from deepbots_cli.lang.check import check, check_drawn, check_range
 from deepbots_cli.lang.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, NUMBER, SPEED, TIME, TORQUE
 from deepbots_cli.lang.expect import ANY_SHAPE, expect, expect_range
-from deepbots_cli.lang.functions import UNSUPPORTED
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.table import FUNCTIONS
@@ -244,4 +243,3 @@ def test_every_function_is_documented_in_one_sentence():
     for function in FUNCTIONS.values():
         assert function.doc.endswith("."), function.name
         assert function.signature.startswith(function.name + "(")
-    assert set(FUNCTIONS) >= UNSUPPORTED
