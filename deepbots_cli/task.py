@@ -113,6 +113,22 @@ class Forbidden:
 
 
 @dataclass(frozen=True, eq=False)
+class Pick:
+    """How a script chooses: the first option whose condition holds, and `otherwise` if none does."""
+
+    rules: tuple[tuple[str, Valued], ...]
+    otherwise: str
+
+
+@dataclass(frozen=True, eq=False)
+class TaskScript:
+    """A hand-written policy: for each part of the action, in its order, an option or a value in what the part's range is in."""
+
+    name: str
+    parts: tuple[Pick | Valued, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class TaskEnding:
     value: Valued
     outcome: ir.Outcome
@@ -255,6 +271,7 @@ class Task:
     forbidden: tuple[Forbidden, ...] = ()
     disturbances: tuple[Push, ...] = ()
     goal: TaskGoal | None = None
+    scripts: tuple[TaskScript, ...] = ()
     cases: tuple[TaskCase, ...] = ()
     curriculum: tuple[TaskStage, ...] = ()
     groups: tuple[TaskGroup, ...] = ()

@@ -244,6 +244,7 @@ _PLACES = {
     Context.RECEIVE: "`receive`",
     Context.SIGNAL: "`augment`, `signals`",
     Context.FORBID: "`forbid`",
+    Context.SCRIPT: "`scripts`",
     Context.REWARD: "`reward`",
     Context.ENDING: "`termination`",
 }

@@ -11,6 +11,7 @@ anatomy.py   what `inspect` shows, robot_file.py of a robot file
 measure.py   what `bench` times
 ageing.py    when actions act, how old observations are
 picture.py   a picture as PNG              replay.py   episodes of a policy without a network
+progress.py  how many of them are done
 copying.py   what `copy` writes            project.py  what `eject` writes
 health.py    what `doctor` looks at
 """

@@ -55,6 +55,7 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
         "endings": _endings(scenario, root),
         "reset": _reset(scenario, root),
         "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
+        "scripts": _scripts(scenario, root),
         "training": _training(scenario),
     }
     return {name: rows for name, rows in tables.items() if rows}
@@ -340,6 +341,14 @@ def _reset(scenario: CompiledScenario, root: Node) -> list[Row]:
     if scenario.reset.settle:
         rows.append({"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"})
     return rows
+
+
+def _scripts(scenario: CompiledScenario, root: Node) -> list[Row]:
+    return [
+        {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
+        for script in scenario.scripts
+        for part in scenario.action
+    ]
 
 
 def _training(scenario: CompiledScenario) -> Row:

@@ -1,8 +1,9 @@
-"""Episodes of policies that learned nothing: random, zero, or a list of actions."""
+"""Episodes of policies that learned nothing: random, zero, a list of actions, or a script of the scenario."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import cycle
 from typing import Any
 
@@ -27,7 +28,7 @@ def zero(environment: Supervisor) -> Policy:
     return lambda: action
 
 
-def scripted(scenario: CompiledScenario, text: str) -> Policy:
+def repeated(scenario: CompiledScenario, text: str) -> Policy:
     """The actions of `text`, over and over: separated by commas, the parts of one action by colons; copies of a robot all take the same.
 
     A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
@@ -37,6 +38,11 @@ def scripted(scenario: CompiledScenario, text: str) -> Policy:
     """
     actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
     return lambda: next(actions)
+
+
+def written(environment: Supervisor, name: str) -> Policy:
+    """What a script of the scenario says."""
+    return partial(environment.script, name)
 
 
 def episodes(environment: Supervisor, policy: Policy, *, count: int, seed: int, most_steps: int | None) -> Iterator[Episode]:

@@ -14,7 +14,7 @@ bodies.py       objects; colours.py, files.py meshes and pictures
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
 controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
-actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get
+actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get; scripts.py policies by hand
 copies.py       several of one robot under one policy
 channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
 scoring.py      signals, reward, endings; foreign.py those in Python; training.py how the policy is trained
@@ -48,6 +48,7 @@ from deepbots_cli.compiler.resets import beginnings
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
+from deepbots_cli.compiler.scripts import scripts
 from deepbots_cli.compiler.starts import joint_starts
 from deepbots_cli.compiler.strokes import lines
 from deepbots_cli.compiler.training import training
@@ -230,6 +231,7 @@ class _Pass:
             forbidden=actions.forbidden(),
             disturbances=disturbances(spec, namespace),
             goal=goals.goal(rewards),
+            scripts=scripts(spec, namespace, action),
         )
 
     def _define_parameters(self) -> None:

@@ -18,12 +18,14 @@ from deepbots_cli.task import (
     JointStart,
     ObservedNoise,
     ObservedValue,
+    Pick,
     Placement,
     Push,
     Task,
     TaskGoal,
     TaskRobot,
     TaskRoute,
+    TaskScript,
     Valued,
     Varied,
 )
@@ -72,6 +74,7 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         tuple(_disturbance(push) for push in task.disturbances),
         goal=_goal(task.goal),
         pictures=tuple(_pictured(observed) for observed in task.observation if observed.value.typed.type.picture),
+        scripts=tuple(_script(script, task) for script in task.scripts),
     )
 
 
@@ -112,6 +115,20 @@ def _action(task: Task) -> tuple[ir.Choices | ir.Interval, ...]:
         else part
         for part in task.action
     )
+
+
+def _script(script: TaskScript, task: Task) -> ir.Script:
+    """A single value for a range of several components is for all of them."""
+    parts: list[ir.Pick | ir.Aim] = []
+    for part, decided in zip(task.action, script.parts, strict=True):
+        if isinstance(decided, Pick):
+            options = (*(option for option, _ in decided.rules), decided.otherwise)
+            parts.append(ir.Pick(options, tuple(_scalars(condition)[0] for _, condition in decided.rules)))
+        else:
+            values = _scalars(decided)
+            count = len(part.components) if isinstance(part, ir.Interval) else 0
+            parts.append(ir.Aim(values * count if len(values) == 1 and count else values))
+    return ir.Script(script.name, tuple(parts))
 
 
 def _observed(observed: ObservedValue) -> list[ir.Observed]:

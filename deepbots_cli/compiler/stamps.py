@@ -35,7 +35,7 @@ def with_stamps(scenario: ir.CompiledScenario, layout: Layout) -> ir.CompiledSce
         fields[node.subjects[0]] = field
         return Op("add", (message, Name(f"{robot}.{field}")))
 
-    parts = ("action", "signals", "observation", "reward", "endings")
+    parts = ("action", "signals", "observation", "reward", "endings", "scripts")
     scenario = replace(scenario, **{part: rewritten(getattr(scenario, part), change) for part in parts})
     robots = tuple(replace(robot, receive=rewritten(robot.receive, change)) for robot in scenario.robots)
     return replace(scenario, robots=tuple(_stamped(robot, fields, layout) for robot in robots)) if fields else scenario

@@ -10,12 +10,14 @@
     ├── observation   one entry per number of a frame of what the policy sees, pictures apart
     ├── reward, endings, truncation, reset, disturbances
     ├── training, evaluation, solved
+    ├── scripts       hand-written policies
     └── cases, curriculum   the whole once more for each case of the evaluation and each stage of the curriculum
 
 world.py     what an engine builds               robots.py    controllers and their messages
 channels.py  what messages meet on their way    sensing.py   what robots sense
 values.py    named values, and how often they are drawn   actuation.py what they drive   disturbances.py what pushes bodies about
 task.py      action to endings                   resets.py    how an episode begins, what it varies
+scripts.py   hand-written policies
 training.py  how the policy is trained and judged
 
 Expressions are scalar trees (`lang.scalar`). `deepbots_cli.canonical` writes all of it as canonical JSON, whose
@@ -26,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir.actuation import Actuator, Cartesian, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
@@ -39,6 +42,7 @@ from deepbots_cli.ir.robots import (
     Robot,
     Timing,
 )
+from deepbots_cli.ir.scripts import Aim, Pick, Script
 from deepbots_cli.ir.sensing import (
     FINEST,
     MOST_PIXELS,
@@ -118,6 +122,7 @@ __all__ = [
     "ActionNoise",
     "Actuator",
     "Agent",
+    "Aim",
     "Arena",
     "Beams",
     "Cartesian",
@@ -161,6 +166,7 @@ __all__ = [
     "Order",
     "Outcome",
     "Parameter",
+    "Pick",
     "Picture",
     "Pictured",
     "Pit",
@@ -176,6 +182,7 @@ __all__ = [
     "RobotBody",
     "Route",
     "Schedule",
+    "Script",
     "Sensor",
     "SetJoint",
     "Setting",
@@ -225,6 +232,7 @@ class CompiledScenario:
     disturbances: tuple[Disturbance, ...] = ()
     goal: Goal | None = None
     pictures: tuple[Pictured, ...] = ()
+    scripts: tuple[Script, ...] = ()
     version: int = IR_VERSION
 
     @property
@@ -258,6 +266,22 @@ class CompiledScenario:
         if found is None:
             known = ", ".join(case.name for case in self.cases)
             raise UsageError(f"{self.name} has no case '{name}'" + (f"; there are: {known}" if known else ", nor any other"))
+        return found
+
+    def script(self, name: str) -> Script:
+        """The script of that name.
+
+        Raises:
+            UsageError: There is none; lists those there are.
+        """
+        found = next((script for script in self.scripts if script.name == name), None)
+        if found is None:
+            names = [script.name for script in self.scripts]
+            near = nearest(name, names)
+            hint = f" (did you mean {near}?)" if near else ""
+            raise UsageError(
+                f"{self.name} has no script '{name}'{hint}" + (f"; there are: {', '.join(names)}" if names else ", nor any other")
+            )
         return found
 
 

@@ -26,6 +26,7 @@ _PLACE_WORDS = {
     Context.SIGNAL: "a signal",
     Context.OBSERVATION: "the range of an observation",
     Context.FORBID: "what forbids a choice",
+    Context.SCRIPT: "a script",
     Context.GOAL: "a goal",
     Context.REWARD: "a reward",
     Context.ENDING: "an ending",

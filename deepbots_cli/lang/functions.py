@@ -95,6 +95,7 @@ class Function(NamedTuple):
 
 _EVERYWHERE = frozenset({Family.PURE})
 _WORLD = frozenset({Family.PURE, Family.WORLD})
+_NOW = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE})
 _TASK = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE, Family.STATEFUL})
 _BOARD = frozenset({Family.PURE, Family.STATEFUL})
 _DRAWN = frozenset({Family.PURE, Family.DRAW})
@@ -109,6 +110,7 @@ ALLOWED: dict[Context, frozenset[Family]] = {
     Context.SIGNAL: _TASK,
     Context.OBSERVATION: _EVERYWHERE,
     Context.FORBID: _EVERYWHERE,
+    Context.SCRIPT: _NOW,
     Context.GOAL: _WORLD,
     Context.REWARD: _TASK,
     Context.ENDING: _TASK,

@@ -131,6 +131,7 @@ class Context(Enum):
     SIGNAL = auto()
     OBSERVATION = auto()
     FORBID = auto()
+    SCRIPT = auto()
     GOAL = auto()
     REWARD = auto()
     ENDING = auto()

@@ -13,6 +13,7 @@ noise.py         noise on the actions of algorithms that explore by it
 environments.py  copies of one world, stepped in turn in one process
 curriculum.py    the stages of a training
 episodes.py      what an episode leaves behind: log, statistics, solved
+summary.py       what several come to
 callbacks.py     what happens during training: best model, checkpoints, logging
 interruption.py  Ctrl-C and SIGTERM end a training between two steps
 intervals.py     confidence intervals

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import fmean, stdev
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -18,9 +16,10 @@ from deepbots_cli.ir import CompiledScenario, Solved
 from deepbots_cli.learning import algorithms, video, weights
 from deepbots_cli.learning.environments import BuildWorld, World, copies_over
 from deepbots_cli.learning.episodes import Episode, meets
-from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
+from deepbots_cli.learning.intervals import Pair
 from deepbots_cli.learning.rollout import ROWS, rollout
 from deepbots_cli.learning.run import Compiled, ModelName, Run
+from deepbots_cli.learning.summary import Summary
 from deepbots_cli.learning.training import default_build
 from deepbots_cli.runtime.streams import derive
 
@@ -177,35 +176,21 @@ def _summary(
     deterministic: bool,
     video_to: Path | None,
 ) -> EvaluationResult:
-    returns = [episode.total_return for episode in done]
-    successes = sum(episode.is_success for episode in done)
-    rate = successes / len(done)
-    solved, verdict = judge(ir.solved, len(done), fmean(returns), rate)
-    names = {name: None for episode in done for name in episode.terms}
+    figures = Summary.of(done)
+    solved, verdict = judge(ir.solved, figures.episodes, figures.mean_return, figures.success_rate)
     return EvaluationResult(
         run=run.path,
         scenario=ir.name,
         case=case,
         model=model,
-        episodes=len(done),
         seed=seed,
         deterministic=deterministic,
-        mean_return=fmean(returns),
-        deviation=stdev(returns) if len(returns) > 1 else None,
-        return_interval=mean_interval(returns),
-        least_return=min(returns),
-        greatest_return=max(returns),
         success_defined=ir.defines_success,
-        successes=successes,
-        success_rate=rate,
-        success_interval=wilson(successes, len(done)),
-        mean_length=fmean(episode.length for episode in done),
-        endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
-        term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
         solved=solved,
         verdict=verdict,
         video=video_to,
         notes=(*run.notes(), *interface.other_conditions(run.ir, ir)),
+        **vars(figures),
     )
 
 

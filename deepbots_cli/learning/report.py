@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deepbots_cli.learning.evaluation import EvaluationResult
     from deepbots_cli.learning.intervals import Pair
+    from deepbots_cli.learning.summary import Summary
     from deepbots_cli.learning.training import TrainingResult
 
 Row = tuple[str, str]
@@ -49,14 +50,8 @@ def evaluation_text(result: EvaluationResult) -> str:
     rows = [
         ("model", f"{result.run} ({result.model})"),
         ("episodes", f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}"),
-        ("mean return", f"{result.mean_return:.2f}{_deviation(result)}"),
-        ("least, greatest", f"{result.least_return:.2f}, {result.greatest_return:.2f}"),
-        ("mean length", f"{result.mean_length:.1f} steps"),
-        ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
+        *_figures(result, success_defined=result.success_defined),
     ]
-    if result.success_defined:
-        low, high = result.success_interval
-        rows.append(("success rate", f"{result.success_rate:.1%} (95 %: {low:.1%} .. {high:.1%})"))
     rows += (
         [(f"reward {name}", f"{mean:.2f} per episode") for name, mean in result.term_means.items()] if len(result.term_means) > 1 else []
     )
@@ -66,6 +61,24 @@ def evaluation_text(result: EvaluationResult) -> str:
     return "\n".join(
         [f"evaluation of {result.scenario}{f', case {result.case}' if result.case else ''}", *_aligned(rows), *notes, result.verdict]
     )
+
+
+def summary_text(summary: Summary, *, success_defined: bool) -> str:
+    """The same figures of episodes without a trained policy."""
+    return "\n".join([f"summary of {summary.episodes:,} episodes", *_aligned(_figures(summary, success_defined=success_defined))])
+
+
+def _figures(result: EvaluationResult | Summary, *, success_defined: bool) -> list[Row]:
+    rows = [
+        ("mean return", f"{result.mean_return:.2f}{_deviation(result)}"),
+        ("least, greatest", f"{result.least_return:.2f}, {result.greatest_return:.2f}"),
+        ("mean length", f"{result.mean_length:.1f} steps"),
+        ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
+    ]
+    if success_defined:
+        low, high = result.success_interval
+        rows.append(("success rate", f"{result.success_rate:.1%} (95 %: {low:.1%} .. {high:.1%})"))
+    return rows
 
 
 def case_rows(results: Sequence[EvaluationResult]) -> list[dict[str, object]]:
@@ -93,7 +106,7 @@ def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
     return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items()}
 
 
-def _deviation(result: EvaluationResult) -> str:
+def _deviation(result: EvaluationResult | Summary) -> str:
     if result.deviation is None or result.return_interval is None:
         return ""
     low, high = result.return_interval

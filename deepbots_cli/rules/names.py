@@ -60,12 +60,15 @@ def _idle(checked: Checked, path: Path, what: str, help: str) -> Iterator[Findin
 
 
 def _judged(task: Task) -> Iterator[Valued]:
-    """What the supervisor computes in every tick."""
+    """What the supervisor computes."""
     yield from task.order
     yield from task.reward
     if task.goal is not None:
         yield from (task.goal.achieved, task.goal.desired)
     yield from (ending.value for ending in task.endings)
+    for script in task.scripts:
+        for part in script.parts:
+            yield from [part] if isinstance(part, Valued) else (condition for _, condition in part.rules)
     for robot in task.robots:
         yield from robot.receive
 

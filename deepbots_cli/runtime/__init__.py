@@ -12,7 +12,7 @@ streams.py     named random streams under one root seed
 album.py       the last pictures
 foreign.py     terms in Python
 hindsight.py   rewards for other goals, for hindsight replay
-spaces.py      action and observation spaces; view.py a camera that sees the whole scene
+spaces.py      action and observation spaces; actions.py actions in their forms; view.py a camera that sees the whole scene
 load.py        generated text to a module whose tracebacks show its lines
 
 Nothing here reads YAML or knows an engine beyond the port.

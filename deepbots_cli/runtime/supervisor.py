@@ -16,6 +16,7 @@ from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
 from deepbots_cli.ir import Choices, CompiledScenario, MessageLayout
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.runtime.actions import alike, composed, usual
 from deepbots_cli.runtime.album import Album
 from deepbots_cli.runtime.channel import channel
 from deepbots_cli.runtime.hindsight import recomputed
@@ -210,6 +211,29 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             return recomputed(self.scenario, achieved[None], np.atleast_2d(desired)).item()
         return recomputed(self.scenario, achieved, desired)
 
+    def script(self, name: str) -> Any:
+        """The next action of a script of the scenario, in the action space; asking changes nothing.
+
+        Raises:
+            UsageError: There is no such script, or no episode has begun.
+            EvaluationError: An expression of it has no value; shows which.
+        """
+        self.scenario.script(name)
+        if self._go_on == self._refuse:
+            raise UsageError(_CLOSED if self._closed else "call reset() before script()")
+        try:
+            return self.scripted(name)
+        except (ArithmeticError, ValueError, NameError) as error:
+            raise self._no_value(error) from error
+
+    def scripted(self, name: str) -> Any:
+        """The same without a look at whether there is one."""
+        return getattr(self, f"script_{name}")()
+
+    def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
+        """An action of these options, by number, and these values from -1 to 1."""
+        return composed(self.action_space, choices, ranges)
+
     # What the compiler prints
 
     def bind(self, engine: Engine) -> None:
@@ -317,13 +341,13 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
         A list, or the array without axes that SB3 predicts, fails there before anything has changed.
         """
-        usual = _usual(self.action_space, action)
-        if usual is None:
+        fitting = usual(self.action_space, action)
+        if fitting is None:
             raise UsageError(f"action {excerpt(action)} does not fit {self.action_space}") from None
-        if _alike(usual, action):
+        if alike(fitting, action):
             raise self._no_value(error) from error
         try:
-            self._go_on(usual)
+            self._go_on(fitting)
         except (ArithmeticError, ValueError) as second:
             raise self._no_value(second) from second
 
@@ -343,30 +367,6 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
 def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
     return rebuild()
-
-
-def _usual(space: gym.Space[Any], action: Any) -> Any:
-    """The action as generated code takes it (int or array), or None if it is none of this space."""
-    try:
-        if isinstance(space, gym.spaces.Dict):
-            parts = {key: _usual(part, action[key]) for key, part in space.spaces.items()} if set(action) == set(space.spaces) else {}
-            return parts if parts and all(part is not None for part in parts.values()) else None
-        array = np.asarray(action)
-        if isinstance(space, gym.spaces.Box):
-            fits = array.shape == space.shape and np.isrealobj(array) and np.isfinite(array.astype(float)).all()
-            return array if fits else None
-        if isinstance(space, gym.spaces.Discrete):
-            return array.item() if array.ndim == 0 and space.contains(array.item()) else None
-        return array if space.contains(array) else None
-    except (TypeError, ValueError, OverflowError):
-        return None
-
-
-def _alike(usual: Any, action: Any) -> bool:
-    """Whether an action came in the form in which generated code takes it."""
-    if isinstance(usual, dict):
-        return all(_alike(part, action[key]) for key, part in usual.items())
-    return type(usual) is type(action) or isinstance(action, int | np.integer)
 
 
 def clipped(value: float) -> float:

@@ -112,6 +112,13 @@ class Team(Supervisor):
         failed = [member for member in over if not member.is_success]
         self.ended_by = (failed or over)[0].ended_by if over else None
 
+    def scripted(self, name: str) -> Any:
+        """Every copy follows the script."""
+        rows = [member.scripted(name) for member in self.members]
+        if isinstance(rows[0], dict):
+            return {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+        return np.stack(rows)
+
     def get_observations(self) -> Any:
         rows = [member.get_observations() for member in self.members]
         if isinstance(rows[0], dict):

@@ -10,7 +10,7 @@ from deepbots_cli.schema.fields import Expression, Scalar
 from deepbots_cli.schema.objects import AnyObject
 from deepbots_cli.schema.part import Many, Part, Size
 from deepbots_cli.schema.plain import Count, Text, Title
-from deepbots_cli.schema.quantity import SharedName, Signal
+from deepbots_cli.schema.quantity import LocalName, SharedName, Signal
 from deepbots_cli.schema.reset import Disturbance, Reset
 from deepbots_cli.schema.robot import Messages, Robot
 from deepbots_cli.schema.task import (
@@ -21,6 +21,7 @@ from deepbots_cli.schema.task import (
     Goal,
     Observation,
     Reward,
+    Script,
     Solved,
     Stage,
     Termination,
@@ -62,6 +63,9 @@ class Scenario(Part):
     truncation: Truncation | None = Field(default=None, description="Limits that cut an episode short.")
     reset: Reset = Field(default_factory=Reset, description="How an episode begins.")
     disturbances: dict[SharedName, Disturbance] = Field(default={}, description="Pushes and gusts, by names of your choice.")
+    scripts: dict[LocalName, Script] = Field(
+        default={}, description="Hand-written policies by names of your choice: what each makes of every part of the action."
+    )
     curriculum: Annotated[Many[Stage], Size(1, "stage")] = Field(default=(), description="Stages of rising difficulty.")
     evaluation: Evaluation = Field(default_factory=Evaluation, description="How a trained policy is examined.")
     solved: Solved | None = Field(default=None, description="What counts as solved.")

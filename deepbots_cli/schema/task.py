@@ -99,6 +99,14 @@ class Truncation(Part):
     max_time: Period | None = Field(default=None, description="Simulated time, such as `60 s`.")
 
 
+Decision = Annotated[
+    Annotated[dict[Annotated[str, Reference("choice")], Annotated[str, Expression("script", boolean=True)]], Size(1, "option")]
+    | Annotated[Scalar, Expression("script", boolean=False)],
+    FORMS,
+]
+Script = Annotated[dict[Annotated[str, Reference("action")], Decision], Size(1, "action")]
+
+
 Settings = dict[Annotated[str, Reference("setting")], Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()]]
 
 

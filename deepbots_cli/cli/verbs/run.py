@@ -12,11 +12,19 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.progress import told
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import report
+from deepbots_cli.learning.summary import Summary
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.episodes import Episode
+
+
+MANY = 20
+"""More episodes than these are no longer shown one by one, but for the `FIRST` of them."""
+FIRST = 5
 
 
 class Policy(StrEnum):
@@ -32,6 +40,7 @@ def command(
     actions: Annotated[
         str | None, typer.Option("--actions", metavar="A,B,...", help="Take these actions, over and over: options by name, or numbers.")
     ] = None,
+    script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Follow this script of the scenario.")] = None,
     episodes: Annotated[int, typer.Option("--episodes", metavar="N", min=1, help="How many episodes to run.")] = 3,
     steps: Annotated[int | None, typer.Option("--steps", metavar="N", min=1, help="Stop after so many steps in all.")] = None,
     seed: Seed = 0,
@@ -48,23 +57,38 @@ def command(
       deepbots run cartpole
       deepbots run cartpole --policy zero --episodes 1
       deepbots run cartpole --actions forward,backward --steps 50
+      deepbots run pit_escape --script rocking --episodes 100
 
     An action of several parts is written with colons: --actions left:0.5,right:-0.5
     """
-    if policy is not None and actions is not None:
-        raise UsageError("--policy and --actions exclude each other")
+    given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
+    if len(given) > 1:
+        raise UsageError(f"{' and '.join(given)} exclude each other")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     ir = compiled.ir if case is None else compiled.ir.case(case).scenario
+    if script is not None:
+        ir.script(script)
     with closing(api.make(ir, engine=engine, allow_code=allow_code)) as environment:
         from deepbots_cli.cli import replay  # needs the simulator, whose absence `make` has reported by now
 
-        chosen = replay.scripted(ir, actions) if actions is not None else getattr(replay, policy or Policy.random)(environment)
-        done = list(replay.episodes(environment, chosen, count=episodes, seed=seed, most_steps=steps))
+        if script is not None:
+            chosen = replay.written(environment, script)
+        elif actions is not None:
+            chosen = replay.repeated(ir, actions)
+        else:
+            chosen = getattr(replay, policy or Policy.random)(environment)
+        running = replay.episodes(environment, chosen, count=episodes, seed=seed, most_steps=steps)
+        done = list(told(running, episodes) if episodes > MANY else running)
+    summary = Summary.of(done)
     if as_json:
-        terminal.show_json({"scenario": compiled.ir.name, "digest": compiled.digest, "seed": seed, "episodes": list(map(_row, done))})
-    else:
-        _show(done)
+        figures = {"success_defined": ir.defines_success, **vars(summary)}
+        known = {"scenario": ir.name, "digest": compiled.digest, "seed": seed, "case": case, "script": script}
+        terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": figures})
+        return
+    _show(done)
+    if len(done) > 1:
+        terminal.say("\n" + report.summary_text(summary, success_defined=ir.defines_success))
 
 
 def _row(episode: Episode) -> Row:
@@ -78,8 +102,11 @@ def _row(episode: Episode) -> Row:
 
 
 def _show(done: list[Episode]) -> None:
-    rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(done)]
+    shown = done if len(done) <= MANY else done[:FIRST]
+    rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
     terminal.say("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
+    if len(shown) < len(done):
+        terminal.say(f"  and {len(done) - len(shown):,} more")
     terminal.say("\nreward terms\n" + table([_term(done, name) for name in done[0].terms]))
 
 

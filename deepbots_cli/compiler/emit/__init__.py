@@ -8,6 +8,7 @@ supervisor.py  the supervisor class, whose methods are printed by
   step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py, goal.py), observation.py, masks.py
   redraws.py     parameters and figures of routes, drawn at a reset and within an episode
   readings.py    the paper's methods, which read what a step left
+  scripts.py     hand-written policies
 workspace.py   what these share: names and readers
 reads.py       which engine readers are bound, and how each number is taken from them
 guard/         what may be printed at all

@@ -83,5 +83,5 @@ def print_first_telling(space: Workspace, printer: Printer) -> None:
 
 
 def print_keeping(space: Workspace, printer: Printer) -> None:
-    """Store what the next message to a robot tells of this tick."""
-    printer.lines += [f"self.told_{local} = {local}" for local in space.told()]
+    """Store what the next message to a robot, or a script, tells of this tick."""
+    printer.lines += [f"self.told_{local} = {local}" for local in (space.local(*name) for name in space.kept())]

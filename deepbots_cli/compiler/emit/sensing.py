@@ -69,6 +69,7 @@ def devices(scenario: CompiledScenario, robot: Robot) -> dict[str, Sensor]:
     sent = [entry for other in scenario.robots for entry in other.receive]
     judged = [value for entry in (*scenario.signals, *sent) for value in entry.values]
     judged += [*(ending.condition for ending in scenario.endings), *(term.value for term in scenario.reward)]
+    judged += [value for script in scenario.scripts for value in script.expressions]
     judged += [*scenario.goal.achieved, *scenario.goal.desired] if scenario.goal is not None else []
     read = {leaf.name for value in on_board for leaf in names_in(value)}
     asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}

@@ -12,6 +12,7 @@ from deepbots_cli.compiler.emit.pushes import bind_pushes, drawing
 from deepbots_cli.compiler.emit.readings import readings
 from deepbots_cli.compiler.emit.reset import begin, is_arranged
 from deepbots_cli.compiler.emit.robot import controller_name
+from deepbots_cli.compiler.emit.scripts import scripts
 from deepbots_cli.compiler.emit.step import advance, start
 from deepbots_cli.compiler.emit.text import block, docstring, indent, quoted
 from deepbots_cli.compiler.emit.workspace import Workspace
@@ -24,7 +25,7 @@ def supervisor(scenario: CompiledScenario) -> list[str]:
     controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
     lines = [f"class {class_name(scenario.name)}Supervisor(Supervisor):"]
     lines += indent([*docstring(scenario.summary or scenario.name), "", f"CONTROLLERS = {{{controllers}}}", *choice_tables(space), ""])
-    asked = (*readings(space), allowed(space), compute_reward(space))
+    asked = (*readings(space), allowed(space), compute_reward(space), *scripts(space))
     for method in (_bind(space), begin(space), drawing(space), start(space), advance(space), *asked):
         lines += indent(method)
     return lines

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import ARRIVALS, Reads
@@ -14,7 +16,7 @@ class Workspace:
     """One per printed supervisor.
 
     `evaluated` are the expressions of every tick; `sent` those of messages to robots, which tell of the
-    tick before.
+    tick before; `scripted` those of hand-written policies, which are asked between two steps.
     """
 
     def __init__(self, scenario: CompiledScenario) -> None:
@@ -29,11 +31,12 @@ class Workspace:
         self.evaluated += self._conditions
         if scenario.goal is not None:
             self.evaluated += [*scenario.goal.achieved, *scenario.goal.desired]
+        self.scripted = [value for script in scenario.scripts for value in script.expressions]
         self.sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
         required = scenario.reset.require
-        self.reads = Reads([*self.evaluated, *self.sent, *([] if required is None else [required])], self.names)
+        self.reads = Reads([*self.evaluated, *self.sent, *self.scripted, *([] if required is None else [required])], self.names)
         self.variables = [variable for part in scenario.action for variable in action_variables(part)]
-        self._used = {leaf.name for expression in self.evaluated for leaf in names_in(expression)}
+        self._used = {leaf.name for expression in (*self.evaluated, *self.scripted) for leaf in names_in(expression)}
         self._parameters = {entry.name for entry in scenario.parameters}
 
     @property
@@ -72,7 +75,7 @@ class Workspace:
         return self.scenario.format != "none" and (late or not robot.to_route.perfect)
 
     def uses(self, name: str) -> bool:
-        """Whether an expression of every tick reads the named value."""
+        """Whether an expression of every tick, or a script after it, reads the named value."""
         return name in self._used
 
     def local(self, name: str, component: str | None = None) -> str:
@@ -89,13 +92,28 @@ class Workspace:
 
     def told(self) -> list[str]:
         """Locals of one tick that the messages of the next one tell: signals, and fields that robots sent."""
-        robots = self.scenario.robots
-        kept = [*flat(self.scenario.signals), *((f"{r.name}.{name}", component) for r in robots for name, component in flat(r.emit))]
-        told = {(leaf.name, leaf.component) for value in self.sent for leaf in names_in(value)}
-        return [self.local(name, component) for name, component in kept if (name, component) in told]
+        told = _named(self.sent)
+        return [self.local(*name) for name in self._results() if name in told]
 
-    def printer(self, *, starting: bool = False) -> Printer:
-        return Printer(self._resolve, self.names, self.scenario.world.timestep, starting=starting)
+    def kept(self) -> list[tuple[str, str | None]]:
+        """Names and components of what a tick keeps: that, and what scripts read of the tick and of the action before it."""
+        told, read = _named(self.sent), _named(self.scripted)
+        acted = [name for name in (*self.variables, *self.taken) if name in read]
+        return [*(name for name in self._results() if name in told or name in read), *acted]
+
+    def _results(self) -> list[tuple[str, str | None]]:
+        """What a tick comes to: signals, and the fields that robots sent."""
+        sent = ((f"{robot.name}.{name}", component) for robot in self.scenario.robots for name, component in flat(robot.emit))
+        return [*flat(self.scenario.signals), *sent]
+
+    def printer(self, *, starting: bool = False, between: bool = False) -> Printer:
+        """One for a method that runs in a tick: the first one (`starting`), any other, or `between` two steps."""
+        resolve = self._resolve_between if between else self._resolve
+        return Printer(resolve, self.names, self.scenario.world.timestep, starting=starting)
+
+    def _resolve_between(self, leaf: Name | World) -> str:
+        """Between two steps the reward of the last one is known."""
+        return "self.reward" if leaf == Name("previous_reward") else self._resolve(leaf)
 
     def _resolve(self, leaf: Name | World) -> str:
         if isinstance(leaf, World):
@@ -128,3 +146,7 @@ class Workspace:
             return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "paper"
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
+
+
+def _named(expressions: Iterable[Scalar]) -> set[tuple[str, str | None]]:
+    return {(leaf.name, leaf.component) for value in expressions for leaf in names_in(value)}

@@ -8,6 +8,7 @@ expressions.py  nodes: operations, functions, draws, facts       scopes.py   nam
 figures.py      counts, figures, what an episode varies          sensing.py  sensors
 actuation.py    actuators, disturbances                          places.py   where bodies begin
 world.py        terrain, lines, colours                          policy.py   what is seen, the goal
+scripts.py      hand-written policies
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from deepbots_cli.compiler.emit.guard.figures import require_copies, require_cou
 from deepbots_cli.compiler.emit.guard.places import require_places
 from deepbots_cli.compiler.emit.guard.policy import require_view
 from deepbots_cli.compiler.emit.guard.scopes import require_known_names, require_order
+from deepbots_cli.compiler.emit.guard.scripts import require_scripts
 from deepbots_cli.compiler.emit.guard.sensing import require_sensors
 from deepbots_cli.compiler.emit.guard.world import require_world
 from deepbots_cli.compiler.emit.text import action_variables
@@ -58,6 +60,7 @@ def check_printable(scenario: CompiledScenario) -> None:
     require_sensors(scenario)
     require_actuators(scenario)
     require_places(scenario)
+    require_scripts(scenario)
     require_disturbances(scenario)
     require_known_names(scenario)
     require_order(scenario.endings)
@@ -68,7 +71,15 @@ def _defined_names(scenario: CompiledScenario) -> Iterator[str]:
         yield robot.name
         for entries in (robot.sensors, robot.actuators, robot.receive, robot.emit, robot.apply):
             yield from (entry.name for entry in entries)
-    for named in (scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action, scenario.disturbances):
+    for named in (
+        scenario.parameters,
+        scenario.signals,
+        scenario.reward,
+        scenario.endings,
+        scenario.action,
+        scenario.disturbances,
+        scenario.scripts,
+    ):
         yield from (entry.name for entry in named)
     for part in scenario.action:
         if isinstance(part, Choices):

@@ -13,7 +13,8 @@ from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.ir import CompiledScenario, Ending, own_action
 from deepbots_cli.lang.scalar import Name, World
 
-_BUILT_IN = tuple((name, None) for name in ("time", "step", "terminated", "truncated", "ended", "previous_reward", "episode_return"))
+_FLAGS = tuple((name, None) for name in ("terminated", "truncated", "ended"))
+_BUILT_IN = tuple((name, None) for name in ("time", "step", "previous_reward", "episode_return"))
 
 
 def require_known_names(scenario: CompiledScenario) -> None:
@@ -21,14 +22,17 @@ def require_known_names(scenario: CompiledScenario) -> None:
     sent = [(f"{robot.name}.{name}", component) for robot in scenario.robots for name, component in flat(robot.emit)]
     acted = [pair for part in scenario.action for pair in action_variables(part)]
     endings = [(ending.name, None) for ending in scenario.endings]
-    known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *endings, *_BUILT_IN}
+    given = [("previous_action", component) for component in own_action(scenario.action)]
+    known = {*flat(scenario.parameters), *flat(scenario.signals), *sent, *acted, *_BUILT_IN}
+    _require_in([scenario.scripts], {*known, *given} - {*endings, *_FLAGS})
+    known |= {*endings, *_FLAGS}
     if scenario.goal is not None:
         reached = {(name.name, name.component) for name in (*scenario.goal.names("achieved"), *scenario.goal.names("desired"))}
         reached.add(("goal_reached", None))
         _require_in([(scenario.goal.achieved, scenario.goal.desired)], known - {*endings})
         _require_in([scenario.reward], reached)
         known |= reached
-    known |= {("previous_action", component) for component in own_action(scenario.action)}
+    known |= {*given}
     _require_parameters(scenario)
     _require_senders(scenario)
     supervisor = [scenario.action, scenario.signals, scenario.seen, scenario.reward, scenario.endings, scenario.reset]
@@ -53,7 +57,7 @@ def _require_parameters(scenario: CompiledScenario) -> None:
 
 def _require_senders(scenario: CompiledScenario) -> None:
     """The supervisor knows how old the messages of robots are, and a robot how old the readings of its devices."""
-    told = [scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.action]
+    told = [scenario.signals, scenario.observation, scenario.reward, scenario.endings, scenario.action, scenario.scripts]
     known = {robot.name for robot in scenario.robots}
     asked = _senders((*told, *(robot.receive for robot in scenario.robots)))
     on_board = [

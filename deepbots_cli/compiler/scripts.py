@@ -1,0 +1,125 @@
+"""Hand-written policies: what a script makes of each part of the action.
+
+A script is no trained policy: it sees what a signal may see, the truth too. It is asked now and then, between two steps,
+and so keeps nothing in memory.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from deepbots_cli import ir
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.scopes import SupervisorScope
+from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.lower import constant
+from deepbots_cli.lang.types import Context
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Pick, TaskScript, Valued
+
+_WORD = re.compile(r"\w+", re.ASCII)
+
+
+def scripts(spec: Scenario, namespace: Namespace, action: tuple[ir.Choices | ir.Interval, ...]) -> tuple[TaskScript, ...]:
+    """The scripts without findings, which decide every part of the `action`."""
+    reader = _Reader(namespace, {part.name: part for part in action}, list(spec.action))
+    found = (reader.script(name, given) for name, given in spec.scripts.items())
+    return tuple(script for script in found if script is not None)
+
+
+class _Reader:
+    """Reads scripts for one action; `names` are those of all its parts, `parts` has those without findings."""
+
+    def __init__(self, namespace: Namespace, parts: Mapping[str, ir.Choices | ir.Interval], names: list[str]) -> None:
+        self._namespace = namespace
+        self._values = namespace.values
+        self._scope = SupervisorScope(namespace, Context.SCRIPT)
+        self._parts = parts
+        self._names = names
+
+    def script(self, name: str, given: Mapping[str, object]) -> TaskScript | None:
+        place: Path = ("scripts", name)
+        for part in given:
+            if part not in self._names:
+                self._values.unknown(self._values.key_span((*place, part)), "action", part, self._names)
+        for part in self._names:
+            if part not in given and not self._values.is_lost(part):
+                headline = f"the script `{name}` does not decide `{part}`"
+                self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
+        decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
+        parts = [decided.get(part) for part in self._names]
+        return TaskScript(name, tuple(part for part in parts if part is not None)) if all(parts) else None
+
+    def _example(self, name: str) -> str | None:
+        """How a part may be decided."""
+        match self._parts.get(name):
+            case ir.Choices(options=options) if options:
+                return f"name an option, as in `{name}: {options[0].name}`"
+            case ir.Interval(low=low, high=high, unit=unit):
+                return f"give a value, as in `{name}: {f'{(low + high) / 2:g} {unit}'.removesuffix(' 1')}`"
+            case _:
+                return None
+
+    def _decision(self, place: Path, part: ir.Choices | ir.Interval, given: object) -> Pick | Valued | None:
+        if isinstance(part, ir.Interval):
+            return self._aim(place, part, given)
+        return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
+
+    def _aim(self, place: Path, part: ir.Interval, given: object) -> Valued | None:
+        """A value of the dimension of the range, for each component or for all."""
+        if isinstance(given, dict):
+            help = f"write an expression; {self._example(part.name)}"
+            self._values.findings.add("DB103", self._values.key_span(place), f"options, where `{part.name}` is a range", help=help)
+            return None
+        known = self._namespace.settle(part.name)
+        text = self._values.text(place, given)
+        typed = self._values.expression(text, self._scope, boolean=False)
+        if typed is None or known is None or known.type is None:
+            return None
+        what, dimension, components = f"`{part.name}`", known.type.dimension, known.type.components
+        fitted = expect(typed, self._values.report(text), what, dimension=dimension, components=components)
+        return fitted and Valued(part.name, text.span, text.text, fitted, ".".join(map(str, place)))
+
+    def _option(self, place: Path, part: ir.Choices, word: str) -> Pick | None:
+        """The same option always."""
+        span, options = self._values.span(place), [option.name for option in part.options]
+        if not _WORD.fullmatch(word):
+            help = f"name one, or say when each is taken: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
+            self._values.findings.add("DB103", span, f"an expression, where an option of `{part.name}` is due", help=help)
+        elif word not in options:
+            self._values.unknown(span, "choice", word, options)
+        else:
+            return Pick((), word)
+        return None
+
+    def _pick(self, place: Path, part: ir.Choices, given: Mapping[str, object]) -> Pick | None:
+        """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
+        options, rules, broken = [option.name for option in part.options], [], False
+        for option, condition in given.items():
+            if option not in options:
+                self._values.unknown(self._values.key_span((*place, option)), "choice", option, options)
+            rule = self._condition((*place, option), condition)
+            broken = broken or rule is None or option not in options
+            if rule is not None:
+                rules.append((option, rule))
+        if broken:
+            return None
+        always = next((index for index, (_, rule) in enumerate(rules) if constant(rule.typed) == (True,)), None)
+        if always is None:
+            headline = f"`{part.name}` may be left undecided: none of the conditions always holds"
+            help = f"let the last one hold always: `{rules[-1][0]}: true`"
+            self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
+            return None
+        otherwise = rules[always][0]
+        for option, _ in rules[always + 1 :]:
+            headline = f"`{option}` is never taken, as `{otherwise}` before it always is"
+            self._values.findings.add("DB205", self._values.key_span((*place, option)), headline, help="take it out, or put it before")
+        return Pick(tuple(rules[:always]), otherwise)
+
+    def _condition(self, place: Path, given: object) -> Valued | None:
+        text = self._values.text(place, given)
+        typed = self._values.expression(text, self._scope, boolean=True)
+        typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+        return typed and Valued(str(place[-1]), text.span, text.text, typed, ".".join(map(str, place)))
