@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +41,14 @@ def parts(observation: Any) -> list[Any]:
 
 
 def numbers(observation: Any) -> Any:
-    """The numbers that the scenario lists under `observation`."""
-    return observation["observation"] if isinstance(observation, dict) else observation
+    """The numbers that the scenario lists under `observation`; of a team, those of the first copy."""
+    listed = observation["observation"] if isinstance(observation, dict) else observation
+    return listed[0] if listed.ndim > 1 else listed
+
+
+def agents(environment: Supervisor) -> list[Supervisor]:
+    """The supervisors that score and send: the environment itself, of a team one for each copy."""
+    return list(getattr(environment, "members", [environment]))
 
 
 def flat_bytes(observation: Any) -> bytes:
@@ -148,7 +155,12 @@ def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[
         assert type(terminated) is bool
         assert type(truncated) is bool
         assert not (terminated and truncated)
-        assert set(info) - {"action_mask"} == {"is_success", "ended_by", "endings", "reward_terms"}
+        assert set(info) - {"action_mask"} - ({"each"} if environment.scenario.agent.each else set()) == {
+            "is_success",
+            "ended_by",
+            "endings",
+            "reward_terms",
+        }
         assert (info["ended_by"] in known) if terminated or truncated else (info["ended_by"] is None)
         assert not info["is_success"] or terminated or (truncated and environment.scenario.goal is not None)
         assert list(info["reward_terms"]) == [term.name for term in environment.scenario.reward]
@@ -164,8 +176,8 @@ def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> No
     found = []
     for transition in episode(environment, 6, 20):
         for _ in range(2):
-            for robot in environment.scenario.robots:
-                controller = getattr(environment, f"robot_{robot.name}")
+            for agent, robot in product(agents(environment), environment.scenario.robots):
+                controller = getattr(agent, f"robot_{robot.name}")
                 (controller.create_message if environment.scenario.format != "none" else controller.sense)()
             again = (environment.get_observations(), environment.get_reward(), *environment.is_done(), environment.get_info())
             assert str(again) == str(transition)
@@ -180,17 +192,17 @@ def test_queues_are_empty_after_every_reset(environment: Supervisor) -> None:
     for steps in (0, 1, 5, 30):
         list(episode(environment, steps, steps))
         environment.reset()
-        for robot in environment.scenario.robots:
-            assert len(getattr(environment, f"to_{robot.name}")) == 0
-            assert len(getattr(environment, f"from_{robot.name}")) == waiting
+        for agent, robot in product(agents(environment), environment.scenario.robots):
+            assert len(getattr(agent, f"to_{robot.name}")) == 0
+            assert len(getattr(agent, f"from_{robot.name}")) == waiting
 
 
 def test_channels_never_fill_up(environment: Supervisor) -> None:
     """At most those that were sent within the latency, of at most 110 ms in these scenarios, are under way."""
     list(episode(environment, 2, 60))
-    for robot in environment.scenario.robots:
+    for agent, robot in product(agents(environment), environment.scenario.robots):
         for route, way in ((robot.to_route, f"to_{robot.name}"), (robot.from_route, f"from_{robot.name}")):
-            assert len(getattr(environment, way)) <= (1 if route.perfect else 6)
+            assert len(getattr(agent, way)) <= (1 if route.perfect else 6)
 
 
 # Wrong use
@@ -212,7 +224,7 @@ def test_a_closed_environment_refuses_to_go_on(make: Make) -> None:
             use()
 
 
-BAD_ACTIONS = [None, float("nan"), "forward", [], {}, np.zeros((2, 2, 2)), np.full(9, 0), object(), [[1], [1, 2]], 1 + 2j]
+BAD_ACTIONS = [None, float("nan"), "forward", [], {}, np.zeros((2, 2, 2)), np.full(11, 0), object(), [[1], [1, 2]], 1 + 2j]
 NO_CHOICE = [-1, 98, 99, 1.5, np.int64(-1), np.array(98), np.array([0])]
 NO_INTERVAL = [np.array([np.nan], np.float32), np.array([[0.5]]), np.full(99, 0.5), 0.5, np.array(0.5), [float("inf")], np.array([1j])]
 NO_CHOICES = [np.array([0]), np.array([0, 0, 0]), [0, 2], [-1, 0], [0.5, 0], np.array(0), 0, [0, [1]]]
@@ -249,9 +261,12 @@ def test_gymnasiums_checker_has_nothing_to_say(make: Make, case: Any) -> None:
 
 
 def test_stable_baselines_checker_has_nothing_to_say(make: Make) -> None:
+    environment = make()
+    if environment.scenario.agent.each:
+        pytest.skip("a policy sees each copy of a team by itself, never the team")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sb3_check(make(), warn=True)
+        sb3_check(environment, warn=True)
 
 
 def test_an_environment_can_be_pickled(environment: Supervisor) -> None:
