@@ -122,10 +122,13 @@ class Pick:
 
 @dataclass(frozen=True, eq=False)
 class TaskScript:
-    """A hand-written policy: for each part of the action, in its order, an option or a value in what the part's range is in."""
+    """A hand-written policy: for each part of the action, in its order, an option, or values in what the part's range is in.
+
+    Of several components there is one value, a vector or for all of them, or one for each.
+    """
 
     name: str
-    parts: tuple[Pick | Valued, ...]
+    parts: tuple[Pick | tuple[Valued, ...], ...]
 
 
 @dataclass(frozen=True, eq=False)

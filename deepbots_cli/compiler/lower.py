@@ -118,14 +118,14 @@ def _action(task: Task) -> tuple[ir.Choices | ir.Interval, ...]:
 
 
 def _script(script: TaskScript, task: Task) -> ir.Script:
-    """A single value for a range of several components is for all of them."""
+    """One value for a range of several components is for all of them."""
     parts: list[ir.Pick | ir.Aim] = []
     for part, decided in zip(task.action, script.parts, strict=True):
         if isinstance(decided, Pick):
             options = (*(option for option, _ in decided.rules), decided.otherwise)
             parts.append(ir.Pick(options, tuple(_scalars(condition)[0] for _, condition in decided.rules)))
         else:
-            values = _scalars(decided)
+            values = tuple(scalar for value in decided for scalar in _scalars(value))
             count = len(part.components) if isinstance(part, ir.Interval) else 0
             parts.append(ir.Aim(values * count if len(values) == 1 and count else values))
     return ir.Script(script.name, tuple(parts))

@@ -14,7 +14,7 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import SupervisorScope
 from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.types import Context
+from deepbots_cli.lang.types import Components, Context
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Pick, TaskScript, Valued
@@ -62,24 +62,40 @@ class _Reader:
             case _:
                 return None
 
-    def _decision(self, place: Path, part: ir.Choices | ir.Interval, given: object) -> Pick | Valued | None:
+    def _decision(self, place: Path, part: ir.Choices | ir.Interval, given: object) -> Pick | tuple[Valued, ...] | None:
         if isinstance(part, ir.Interval):
-            return self._aim(place, part, given)
+            if isinstance(given, dict):
+                return self._aims(place, part, given)
+            aim = self._aim(place, part, given, part.components or None)
+            return None if aim is None else (aim,)
         return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
 
-    def _aim(self, place: Path, part: ir.Interval, given: object) -> Valued | None:
-        """A value of the dimension of the range, for each component or for all."""
-        if isinstance(given, dict):
-            help = f"write an expression; {self._example(part.name)}"
-            self._values.findings.add("DB103", self._values.key_span(place), f"options, where `{part.name}` is a range", help=help)
+    def _aims(self, place: Path, part: ir.Interval, given: Mapping[str, object]) -> tuple[Valued, ...] | None:
+        """A value for each component by its name."""
+        key = self._values.key_span(place)
+        if not part.components:
+            self._values.findings.add("DB103", key, f"several values, where `{part.name}` is one", help=self._example(part.name))
             return None
+        for name in given:
+            if name not in part.components:
+                self._values.unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
+        for name in part.components:
+            if name not in given:
+                headline = f"the script `{place[1]}` does not decide `{name}` of `{part.name}`"
+                self._values.findings.add("DB102", key, headline, help="give a value for each component, or one for all")
+        aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
+        found = tuple(aim for aim in aims if aim is not None)
+        return found if len(found) == len(part.components) else None
+
+    def _aim(self, place: Path, part: ir.Interval, given: object, components: Components | None) -> Valued | None:
+        """A value of the dimension of the range, which may be a vector of these components."""
         known = self._namespace.settle(part.name)
         text = self._values.text(place, given)
         typed = self._values.expression(text, self._scope, boolean=False)
         if typed is None or known is None or known.type is None:
             return None
-        what, dimension, components = f"`{part.name}`", known.type.dimension, known.type.components
-        fitted = expect(typed, self._values.report(text), what, dimension=dimension, components=components)
+        report, dimension = self._values.report(text), known.type.dimension
+        fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
         return fitted and Valued(part.name, text.span, text.text, fitted, ".".join(map(str, place)))
 
     def _option(self, place: Path, part: ir.Choices, word: str) -> Pick | None:
@@ -96,6 +112,9 @@ class _Reader:
 
     def _pick(self, place: Path, part: ir.Choices, given: Mapping[str, object]) -> Pick | None:
         """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
+        if len(given) > ir.MOST_CONDITIONS:
+            self._values.findings.add("DB005", self._values.key_span(place), f"more than {ir.MOST_CONDITIONS} conditions")
+            return None
         options, rules, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
             if option not in options:

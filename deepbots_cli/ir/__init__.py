@@ -42,7 +42,7 @@ from deepbots_cli.ir.robots import (
     Robot,
     Timing,
 )
-from deepbots_cli.ir.scripts import Aim, Pick, Script
+from deepbots_cli.ir.scripts import MOST_CONDITIONS, Aim, Pick, Script
 from deepbots_cli.ir.sensing import (
     FINEST,
     MOST_PIXELS,
@@ -108,6 +108,7 @@ __all__ = [
     "GROUND",
     "IR_VERSION",
     "MOST_BODIES",
+    "MOST_CONDITIONS",
     "MOST_PIXELS",
     "MOST_POINTS",
     "MOST_RAYS",

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from deepbots_cli.lang.scalar import Scalar
 
+# Conditions of one choice in a script: Python's compiler goes down one level for each.
+MOST_CONDITIONS = 1000
+
 
 @dataclass(frozen=True)
 class Pick:

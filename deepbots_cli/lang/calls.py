@@ -86,6 +86,7 @@ def _availability(node: syntax.Call, function: Function, context: Context, repor
         fixed = context is Context.FIXED and function.family is Family.DRAW
         help = "it is the same in every episode; give one figure" if fixed else _FAMILY_HELP.get(function.family)
         help = "compute it under `augment`, and name that here" if context is Context.FORBID else help
+        help = "keep it as a signal, and name that here" if context is Context.SCRIPT and function.family is Family.STATEFUL else help
         report("DB407", node.start, node.name_end, f"`{function.name}` in {_PLACE_WORDS[context]}", help)
         return False
     return True

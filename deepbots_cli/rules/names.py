@@ -68,7 +68,7 @@ def _judged(task: Task) -> Iterator[Valued]:
     yield from (ending.value for ending in task.endings)
     for script in task.scripts:
         for part in script.parts:
-            yield from [part] if isinstance(part, Valued) else (condition for _, condition in part.rules)
+            yield from part if isinstance(part, tuple) else (condition for _, condition in part.rules)
     for robot in task.robots:
         yield from robot.receive
 

@@ -100,7 +100,7 @@ class Truncation(Part):
 
 
 Decision = Annotated[
-    Annotated[dict[Annotated[str, Reference("choice")], Annotated[str, Expression("script", boolean=True)]], Size(1, "option")]
+    Annotated[dict[Annotated[str, Reference("choice")], Annotated[Scalar | bool, Expression("script")]], Size(1, "option")]
     | Annotated[Scalar, Expression("script", boolean=False)],
     FORMS,
 ]

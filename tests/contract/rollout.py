@@ -24,11 +24,18 @@ def actions(environment: Supervisor, seed: int) -> Iterator[Any]:
         yield environment.action_space.sample()
 
 
-def episode(environment: Supervisor, seed: int, steps: int) -> Iterator[Transition]:
-    """What `reset` and up to `steps` steps return, until the episode ends."""
+def asked(environment: Supervisor, script: str) -> Iterator[Any]:
+    """An endless row of what a script of the scenario says."""
+    while True:
+        yield environment.script(script)
+
+
+def episode(environment: Supervisor, seed: int, steps: int, script: str | None = None) -> Iterator[Transition]:
+    """What `reset` and up to `steps` steps return, until the episode ends; with random actions, or by a script."""
     observation, info = environment.reset(seed=seed)
     yield observation, 0.0, False, False, info
-    for _, action in zip(range(steps), actions(environment, seed), strict=False):
+    chosen = actions(environment, seed) if script is None else asked(environment, script)
+    for _, action in zip(range(steps), chosen, strict=False):
         transition = environment.step(action)
         yield transition
         if transition[2] or transition[3]:

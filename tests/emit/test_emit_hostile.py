@@ -44,6 +44,7 @@ TEXTS = (
     "\\",
     "",
 )
+CONSTANT = {"is": "Const", "value": 1.0}
 OTHERS: tuple[Any, ...] = (None, True, -1, 0, 10**30, 1e308, [], ["x"], {}, {"is": "float", "value": "nan"})
 
 
@@ -129,6 +130,14 @@ def test_lists_of_another_length_give_a_world_that_runs_or_are_refused(source: s
         (("robots", 0, "name"), "rail"),  # which the world has not
         (("reward",), []),
         (("reward", 0, "value"), {"is": "Op", "op": "min", "args": [{"is": "Const", "value": 1.0}]}),
+        (("scripts", 0, "parts"), []),
+        (("scripts", 0, "parts", 0, "values"), []),
+        (("scripts", 0, "parts", 0), {"is": "Pick", "options": ["forward"], "conditions": []}),  # the action is a range
+        (("scripts", 0, "parts", 0, "values", 0), {"is": "Name", "name": "done", "component": None}),  # an ending
+        (("scripts", 0, "parts", 0, "values", 0), {"is": "Name", "name": "ended", "component": None}),
+        (("scripts", 0, "parts", 0, "values", 0), {"is": "State", "function": "delta", "args": [CONSTANT], "slot": "scripts.approach#0"}),
+        (("scripts", 0, "parts", 0, "values", 0), {"is": "Draw", "distribution": "uniform", "args": [CONSTANT] * 2, "stream": "s"}),
+        (("scripts", 0, "name"), "Approach"),
     ],
     ids=str,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
-from deepbots_cli.ir import Aim, Choices, CompiledScenario, Interval, Pick
+from deepbots_cli.ir import MOST_CONDITIONS, Aim, Choices, CompiledScenario, Interval, Pick
 from deepbots_cli.lang.scalar import Draw, State
 
 _LEAST, _MOST = 1e-300, 1e300
@@ -26,7 +26,8 @@ def _decides(decided: Pick | Aim, part: Choices | Interval) -> bool:
     match decided, part:
         case Pick(), Choices():
             known = {option.name for option in part.options}
-            return len(decided.conditions) + 1 == len(decided.options) and known.issuperset(decided.options)
+            count = len(decided.conditions)
+            return count <= MOST_CONDITIONS and count + 1 == len(decided.options) and known.issuperset(decided.options)
         case Aim(), Interval():
             return len(decided.values) == max(1, len(part.components)) and _LEAST < part.high - part.low < _MOST
         case _:

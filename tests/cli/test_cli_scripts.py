@@ -1,0 +1,156 @@
+"""`run --script`, and what `run` says of many episodes."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cli.progress import told
+from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.intervals import mean_interval, wilson
+
+BASE = Path(__file__).parents[1] / "golden" / "lint" / "cartpole.yaml"
+SCRIPTED = """\
+deepbots: 1
+extends: cartpole.yaml
+name: Scripted
+scripts:
+  onward: {drive: forward}
+  catch: {drive: {forward: cart.pole_angle > 0 rad, backward: true}}
+evaluation: {cases: {back: {set: {scripts.onward.drive: backward}}}}
+termination: {success: {far: x > 0.1 m}}
+"""
+
+
+@pytest.fixture
+def scripted(tmp_path):
+    (tmp_path / "cartpole.yaml").write_bytes(BASE.read_bytes())
+    (tmp_path / "scripted.yaml").write_text(SCRIPTED)
+    return "scripted.yaml"
+
+
+def ran(deepbots, *words):
+    result = deepbots("run", *words, "--json")
+    assert result.code == 0, result.err
+    return json.loads(result.out)
+
+
+def test_a_script_drives_every_episode(deepbots, scripted):
+    onward = ran(deepbots, scripted, "--script", "onward")
+    assert onward["script"] == "onward"
+    assert onward["episodes"] == ran(deepbots, scripted, "--actions", "forward")["episodes"]
+    assert onward["episodes"] != ran(deepbots, scripted, "--script", "catch")["episodes"]
+
+
+def test_a_script_may_be_another_in_a_case(deepbots, scripted):
+    words = (scripted, "--case", "back")
+    assert ran(deepbots, *words, "--script", "onward")["episodes"] == ran(deepbots, *words, "--actions", "backward")["episodes"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--script", "cach"), "error: Scripted has no script 'cach' (did you mean catch?); there are: onward, catch\n"),
+        (("--script", "catch", "--policy", "zero"), "error: --policy and --script exclude each other\n"),
+        (("--script", "catch", "--actions", "forward"), "error: --actions and --script exclude each other\n"),
+        (("--policy", "zero", "--actions", "forward"), "error: --policy and --actions exclude each other\n"),
+    ],
+)
+def test_what_cannot_be_followed_is_said_with_what_can(deepbots, scripted, words, said):
+    result = deepbots("run", scripted, *words)
+    assert result.code == 2
+    assert result.err.endswith(said)
+    assert result.out == ""
+
+
+def test_a_scenario_without_scripts_says_so(deepbots):
+    result = deepbots("run", "cartpole", "--script", "catch")
+    assert result.code == 2
+    assert result.err == "error: CartPole has no script 'catch', nor any other\n"
+
+
+def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):
+    result = deepbots("run", scripted, "--script", "onward", "--episodes", "20")
+    assert "summary of 20 episodes" in result.out
+    assert "\n       19 " in result.out
+    assert "more" not in result.out
+    assert result.err == ""
+    assert "summary" not in deepbots("run", scripted, "--episodes", "1").out
+
+
+def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scripted):
+    words = ("run", scripted, "--script", "onward", "--episodes", "21")
+    shown = deepbots(*words)
+    assert "\n        4 " in shown.out
+    assert "\n        5 " not in shown.out
+    assert "\n  and 16 more\n" in shown.out
+    assert "of 21 episodes  " in shown.err
+    data = json.loads(deepbots(*words, "--json").out)
+    assert len(data["episodes"]) == 21
+
+
+def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
+    data = ran(deepbots, scripted, "--policy", "random", "--episodes", "8")
+    summary, returns = data["summary"], [episode["return"] for episode in data["episodes"]]
+    successes = sum(episode["success"] for episode in data["episodes"])
+    assert summary["success_defined"] is True
+    assert summary["episodes"] == 8
+    assert summary["mean_return"] == pytest.approx(sum(returns) / 8)
+    assert summary["return_interval"] == pytest.approx(list(mean_interval(returns)))
+    assert summary["successes"] == successes
+    assert summary["success_interval"] == pytest.approx(list(wilson(successes, 8)))
+    assert sum(summary["endings"].values()) == 8
+    assert {episode["ended_by"] for episode in data["episodes"]} == set(summary["endings"])
+
+
+def test_a_success_that_the_scenario_does_not_know_is_not_counted(deepbots):
+    assert "success rate" not in deepbots("run", "cartpole", "--episodes", "2").out
+    assert ran(deepbots, "cartpole", "--episodes", "2")["summary"]["success_defined"] is False
+
+
+def test_a_limit_of_steps_holds_for_all_episodes_of_a_script(deepbots, scripted):
+    data = ran(deepbots, scripted, "--script", "catch", "--episodes", "50", "--steps", "30")
+    assert sum(episode["length"] for episode in data["episodes"]) == 30
+    assert data["episodes"][-1]["ended_by"] == "--steps"
+
+
+def test_inspect_shows_what_each_script_decides(deepbots, scripted):
+    rows = json.loads(deepbots("inspect", scripted, "--json").out)["scripts"]
+    assert rows == [
+        {"script": "onward", "action": "drive", "is": "forward"},
+        {"script": "catch", "action": "drive", "is": "{forward: cart.pole_angle > 0 rad, backward: true}"},
+    ]
+    assert "onward" in deepbots("inspect", scripted).out
+
+
+def test_compile_prints_a_method_for_each_script(deepbots, scripted):
+    code = deepbots("compile", scripted).out
+    assert code == api.compile(scripted).code
+    assert "    def script_catch(self) -> Any:\n" in code
+    assert "        if cart_pole_angle > 0.0:\n            drive_pick = 0  # forward\n" in code
+
+
+# How far it is
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
+    screen = Terminal()
+    assert len(list(told([Episode(1.0, 2, False, None)] * 40, 40, screen))) == 40
+    assert "\n" not in screen.getvalue()
+    assert "1 of 40 episodes" in screen.getvalue()
+    assert screen.getvalue().endswith(" \r")
+
+
+def test_elsewhere_there_is_a_line_for_every_tenth():
+    log = io.StringIO()
+    list(told([Episode(1.0, 2, False, None)] * 40, 40, log))
+    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == ["4", "8", "12", "16", "20", "24", "28", "32", "36"]
