@@ -34,9 +34,8 @@ check: dev ## everything that a change must pass
 	$(BIN)/pytest -n 2 -m "not slow"
 
 .PHONY: results
-results: dev ## the trainings and benchmarks behind docs/results.md
-	$(BIN)/pytest -n 2 -m slow
-	$(BIN)/python -m tests.benchmarks --write
+results: dev ## docs/results.md: what is missing or stale of it; SCENARIO=, PART=, OPTIONS=--anew
+	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
 
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay

@@ -1,0 +1,189 @@
+"""What a bar looks at: a figure of a training, of an evaluation or of a baseline, read from the record of a scenario.
+
+Each has `words`, a `unit`, and `values(record)`: one number for each seed that was measured, in the order of the seeds. What never
+happened, such as a task that was not solved, is an infinity: more hours than any bar allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+Record = Mapping[str, Any]
+When = Literal["simulated_hours", "steps", "episode"]
+Metric = Literal["return", "success"]
+
+_UNITS = {"simulated_hours": "h", "cpu_seconds": "s", "success_rate": "%"}
+_NAMES = {
+    "simulated_hours": "simulated hours",
+    "episode": "episodes",
+    "cpu_seconds": "CPU time",
+    "success_rate": "episodes that succeed",
+    "successes": "episodes that succeed",
+    "mean_return": "mean return",
+    "least_return": "worst return",
+    "mean_length": "mean length in steps",
+}
+
+
+class Figure(Protocol):
+    """A figure with one value for each seed, or with a single one."""
+
+    @property
+    def words(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def training(self) -> str | None:
+        """The training whose seeds the values are of; None for a single value."""
+
+    def values(self, record: Record) -> list[float]: ...
+
+
+def seeds_of(record: Record, training: str) -> Iterator[Record]:
+    """The entries of the seeds that were measured, in the order of the seeds."""
+    measured = record.get("trainings", {}).get(training, {})
+    return (measured[seed] for seed in sorted(measured, key=int))
+
+
+def _or_never(entry: Record | None, key: str) -> float:
+    return math.inf if entry is None else float(entry[key])
+
+
+def _named(key: str) -> str:
+    return _NAMES.get(key, key.replace("_", " "))
+
+
+@dataclass(frozen=True)
+class Solved:
+    """When the scenario's own `solved` was first met."""
+
+    when: When
+    training: str = "main"
+
+    @property
+    def words(self) -> str:
+        return f"{_named(self.when)} until solved"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.when, "")
+
+    def values(self, record: Record) -> list[float]:
+        return [_or_never(seed["solved_at"], self.when) for seed in seeds_of(record, self.training)]
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """When the mean of 100 consecutive training episodes of one stage first was at least `threshold`."""
+
+    threshold: float
+    when: When
+    metric: Metric = "return"
+    training: str = "main"
+
+    @property
+    def key(self) -> str:
+        """Its name in a record."""
+        return f"{self.metric} {self.threshold:g}"
+
+    @property
+    def words(self) -> str:
+        what = f"a mean return of {self.threshold:g}" if self.metric == "return" else f"{self.threshold:.0%} successes"
+        return f"{_named(self.when)} until {what} over 100 episodes"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.when, "")
+
+    def values(self, record: Record) -> list[float]:
+        return [_or_never(seed["crossings"][self.key], self.when) for seed in seeds_of(record, self.training)]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training took as a whole."""
+
+    what: Literal["simulated_hours", "steps", "episodes", "cpu_seconds"]
+    training: str = "main"
+
+    @property
+    def words(self) -> str:
+        return f"{_named(self.what)} of the training"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.what, "")
+
+    def values(self, record: Record) -> list[float]:
+        return [float(seed[self.what]) for seed in seeds_of(record, self.training)]
+
+
+@dataclass(frozen=True)
+class Held:
+    """A figure of the held-out episodes; `case` is one that was gone through with the scenario itself."""
+
+    what: Literal["success_rate", "successes", "mean_return", "least_return", "mean_length"]
+    evaluation: str = "held_out"
+    case: str | None = None
+    training: str = "main"
+
+    @property
+    def words(self) -> str:
+        place = self.case or ("" if self.evaluation == "held_out" else self.evaluation.replace("_", " "))
+        return f"{_named(self.what)}, held out{place and f', {place}'}"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.what, "")
+
+    def values(self, record: Record) -> list[float]:
+        found = [seed["evaluations"].get(self.evaluation) for seed in seeds_of(record, self.training)]
+        cases = [entry and (entry if self.case is None else entry["cases"].get(self.case)) for entry in found]
+        return [float(entry[self.what]) for entry in cases if entry is not None]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A figure of a baseline."""
+
+    baseline: str
+    what: Literal["success_rate", "successes", "mean_return", "least_return", "mean_length"]
+    training: None = None
+
+    @property
+    def words(self) -> str:
+        return f"{_named(self.what)}, {self.baseline.replace('_', ' ')}"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.what, "")
+
+    def values(self, record: Record) -> list[float]:
+        entry = record.get("baselines", {}).get(self.baseline)
+        return [] if entry is None else [float(entry[self.what])]
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much a trained policy's figure exceeds that of a baseline."""
+
+    what: Literal["success_rate", "mean_return", "mean_length"]
+    baseline: str = "random"
+    evaluation: str = "held_out"
+    case: str | None = None
+    training: str = "main"
+
+    @property
+    def words(self) -> str:
+        return f"{Held(self.what, self.evaluation, self.case).words}, above {self.baseline.replace('_', ' ')}"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.what, "")
+
+    def values(self, record: Record) -> list[float]:
+        trained = Held(self.what, self.evaluation, self.case, self.training).values(record)
+        return [value - base for base in Tried(self.baseline, self.what).values(record) for value in trained]

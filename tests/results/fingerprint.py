@@ -1,0 +1,71 @@
+"""Digests of what a scenario asks for: a figure counts for as long as its digest is that of the scenario as it stands.
+
+They leave out what no figure depends on: the summary, where files lie, and whatever is as it would be by default, so that a new
+feature of the language leaves the figures of scenarios without it alone. The digest of a training knows nothing of the evaluation,
+so that a new case does not ask for a new training; that of an evaluation knows nothing of the training.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from functools import cache
+from pathlib import PurePath
+from typing import Any
+
+from deepbots_cli import api, canonical
+from deepbots_cli.ir import CompiledScenario, Evaluation
+from tests.results.experiment import Baseline, Training
+from tests.results.experiment import Evaluation as HeldOut
+from tests.results.places import ROOT
+
+
+@cache
+def compiled(scenario: str, sets: tuple[str, ...] = ()) -> CompiledScenario:
+    """A shipped scenario by name, or one by its path from the root of the repository."""
+    file = ROOT / scenario
+    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, sets=sets).ir
+
+
+def of_training(scenario: str, training: Training) -> str:
+    ir = _with(compiled(scenario, training.sets), scripts=())
+    # To evaluate in cases that came after a training is to name the scenario, which takes no settings.
+    return digest(ir if training.sets else _with(ir, cases=(), evaluation=Evaluation()))
+
+
+def of_evaluation(scenario: str, training: Training, evaluation: HeldOut) -> str:
+    ir = compiled(evaluation.scenario) if evaluation.scenario else compiled(scenario, training.sets)
+    chosen = ir if evaluation.case is None else ir.case(evaluation.case).scenario
+    return digest(_with(chosen, scripts=(), training=None, curriculum=()))
+
+
+def of_baseline(scenario: str, baseline: Baseline) -> str:
+    ir = compiled(scenario)
+    chosen = ir if baseline.case is None else ir.case(baseline.case).scenario
+    scripts = ir.scripts if "--script" in baseline.options else ()
+    return digest(_with(chosen, scripts=scripts, training=None, curriculum=(), cases=(), evaluation=Evaluation()))
+
+
+def _with(ir: CompiledScenario, **changes: Any) -> CompiledScenario:
+    """The scenario with other fields, in its cases and stages too."""
+    cases = tuple(replace(case, scenario=_with(case.scenario, **changes)) for case in ir.cases)
+    curriculum = tuple(replace(stage, scenario=_with(stage.scenario, **changes)) for stage in ir.curriculum)
+    return replace(ir, **{"cases": cases, "curriculum": curriculum, **changes})
+
+
+def digest(ir: CompiledScenario) -> str:
+    """SHA-256, in hexadecimal, of all that differs from a default."""
+    placeless = canonical.with_files(_with(ir, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
+    return hashlib.sha256(json.dumps(_told(placeless), sort_keys=True).encode()).hexdigest()
+
+
+def _told(value: object) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        told = {field.name: _told(getattr(value, field.name)) for field in fields(value) if getattr(value, field.name) != _default(field)}
+        return {"is": type(value).__name__, **told}
+    return [_told(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _default(field: Field[Any]) -> object:
+    return field.default_factory() if field.default_factory is not MISSING else field.default

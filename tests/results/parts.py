@@ -1,0 +1,197 @@
+"""The parts of the results page that are no scenario: costs, physics, channel, and what holds.
+
+A table is measured again when anything has changed that it could depend on: the package, the scenarios and robots, the tests.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from tests.results import records
+from tests.results.commands import CommandFailedError, Commands, Outcome
+from tests.results.places import ROOT, Places
+from tests.results.progress import Progress
+
+WATCHED = ("deepbots_cli", "scenarios", "robots", "tests")
+_COUNTED = re.compile(r"(\d+) (passed|failed|skipped|error)")
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A module of tests/benchmarks, which prints rows."""
+
+    module: str
+
+    @property
+    def name(self) -> str:
+        return self.module
+
+    @property
+    def command(self) -> str:
+        return f"python -m tests.benchmarks.{self.module}"
+
+    def measure(self, commands: Commands) -> tuple[Outcome, Any]:
+        outcome = commands.python(f"tests.benchmarks.{self.module}", "--json")
+        if outcome.code:
+            raise CommandFailedError(f"exit code {outcome.code} of: {self.command}")
+        return outcome, json.loads(outcome.text)
+
+
+@dataclass(frozen=True)
+class Holding:
+    """Something that tests show; `expression` and `marker` choose them."""
+
+    what: str
+    folder: str
+    expression: str = ""
+    marker: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.what
+
+    @property
+    def command(self) -> str:
+        chosen = [f" {option} '{given}'" for option, given in (("-k", self.expression), ("-m", self.marker)) if given]
+        return f"pytest {self.folder}{''.join(chosen)}"
+
+    def measure(self, commands: Commands) -> tuple[Outcome, Any]:
+        words = [
+            self.folder,
+            "-k",
+            self.expression,
+            "-m",
+            self.marker,
+            "-p",
+            "no:cacheprovider",
+            "-o",
+            "addopts=--import-mode=importlib",
+            "-q",
+        ]
+        outcome = commands.python("pytest", *words)
+        if outcome.code not in (0, 1):
+            raise CommandFailedError(f"exit code {outcome.code} of: {self.command}\n{outcome.text}")
+        last = outcome.text.strip().splitlines()[-1]
+        counts = {word: int(count) for count, word in _COUNTED.findall(last)}
+        return outcome, [{"what": self.what, "passed": 0, "failed": 0, "skipped": 0, **counts}]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A section of the page with its tables; `figure` heads the column of what was measured."""
+
+    name: str
+    title: str
+    prose: str
+    tables: tuple[Benchmark | Holding, ...]
+    figure: str = "measured"
+
+
+@dataclass(frozen=True)
+class TableChain:
+    """One table of a part."""
+
+    part: Part
+    table: Benchmark | Holding
+    places: Places
+
+    def missing(self) -> int:
+        known = records.read(self.places.record(self.part.name)).get("tables", {}).get(self.table.name)
+        return not records.fits(known, sources(), self.table.command)
+
+    def measure(self, commands: Commands, progress: Progress) -> None:
+        if not self.missing():
+            return
+        digest = sources()
+        with progress.piece(f"{self.part.name}: {self.table.name}"):
+            outcome, rows = self.table.measure(commands)
+        entry = {
+            "digest": digest,
+            "command": self.table.command,
+            **records.circumstances(),
+            "cpu_seconds": round(outcome.cpu_seconds, 1),
+            "rows": rows,
+        }
+        records.put(self.places.record(self.part.name), entry, "tables", self.table.name)
+
+
+def chains(part: Part, places: Places) -> Iterator[TableChain]:
+    for table in part.tables:
+        yield TableChain(part, table, places)
+
+
+@cache
+def sources() -> str:
+    """SHA-256, in hexadecimal, of all that the tables depend on, apart from what tells of results."""
+    digest = hashlib.sha256()
+    for folder in WATCHED:
+        for path in sorted((ROOT / folder).rglob("*")):
+            inside = path.relative_to(ROOT).as_posix()
+            if path.is_file() and "__pycache__" not in inside and not inside.startswith("tests/results/"):
+                digest.update(inside.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+COSTS = Part(
+    name="costs",
+    title="What it costs",
+    prose="""\
+Steps of the environment against bare physics: the same engine, world, substeps and motion, resets apart.
+"Layered by hand" is an ordinary environment with a supervisor, a robot and messages, written directly upon
+PyBullet and numpy (`tests/benchmarks/layered.py`). How much faster ours is depends on that style: figures
+clipped as one array, or joints read in one batch, make the hand-written one quicker, and the factor less than
+its bar asks for; the file says by how much. Sensors are timed one at a time, on a rover that drives in an arena:
+what each adds to a step, for which there is no bar. The quadruped stands at its bar, not clear of it: beside busy
+processes the same benchmark has given 1.18 to 1.23, above it.""",
+    tables=tuple(map(Benchmark, ("step_cost", "sensor_cost", "compile_cost", "lint_cost"))),
+)
+PHYSICS = Part(
+    name="physics",
+    title="Physics against closed forms",
+    prose="""\
+Each experiment is a scenario, from its text to what the policy sees, on PyBullet (`tests/physics`). Errors above one percent
+have these reasons. A tyre of 2 cm grips anywhere across its width, so that in an arc the middle of the axle may be faster or
+slower by 1 cm times the turning rate, which is 3.7 % here. A drum sinks into the ground by what the solver leaves of an overlap, and
+rolls on less than its radius. A bounce begins after the surfaces met, and leaves a little more speed than stated. Smaller physics
+steps mend both.""",
+    tables=(Benchmark("physics"),),
+    figure="error",
+)
+CHANNEL = Part(
+    name="channel",
+    title="Channels against what is declared",
+    prose="Over 100 000 messages each. A chi-square p says how often chance alone differs as much from what was declared.",
+    tables=(Benchmark("channel"),),
+)
+HOLDS = Part(
+    name="holds",
+    title="What holds",
+    prose="Over every shipped scenario and those of the tests, on every engine that can hold them.",
+    tables=(
+        Holding(
+            "same seed, same bytes: two environments, and after episodes of any length", "tests/contract", "same_seed or equals_a_fresh_one"
+        ),
+        Holding("same seed, same bytes: a fresh process", "tests/contract", "fresh_process"),
+        Holding("same bytes in every exact message format, and without messages", "tests/contract", "every_message_format"),
+        Holding("Gymnasium's and Stable-Baselines3's `check_env`, warnings as errors", "tests/contract", "checker_has_nothing_to_say"),
+        Holding("10 000 random steps of every shipped scenario, all figures finite", "tests/world", "for_long_under_random_actions"),
+        Holding("robots of PyBullet's data run with sensors on any link for 1000 steps", "tests/world", "robot_of_a_package_runs"),
+        Holding(
+            "queues are empty after every reset, and nothing leaks into the next episode", "tests", "queues_are_empty or nothing_leaks"
+        ),
+        Holding(
+            "channels share no draw, and none changes another",
+            "tests/channel",
+            "never_share_a_draw or leaves_the_other_alone or share_no_draw",
+        ),
+        Holding("timing `paper` is one tick more either way", "tests/channel", "paper_timing"),
+        Holding("the tests that take minutes", "tests", marker="slow"),
+    ),
+)
+PARTS = (COSTS, PHYSICS, CHANNEL, HOLDS)

@@ -1,0 +1,63 @@
+"""The record of a scenario or a part: what was measured, as JSON in docs/results, written piece by piece."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import threading
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import deepbots_cli
+from deepbots_cli.learning.atomic import write_text
+from deepbots_cli.learning.record import versions
+
+_WRITING = threading.Lock()
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Empty where nothing was measured yet."""
+    if not path.is_file():
+        return {}
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def put(path: Path, value: Any, *keys: str) -> None:
+    """Set the entry under `keys`, and keep all others."""
+    with _WRITING:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        record = inner = read(path)
+        for key in keys[:-1]:
+            inner = inner.setdefault(key, {})
+        inner[keys[-1]] = value
+        write_text(path, dumps(record) + "\n")
+
+
+def circumstances() -> dict[str, Any]:
+    """When and on what something is measured."""
+    machine = f"{os.cpu_count()} cores of {platform.machine()} under {platform.system()}"
+    return {
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": machine,
+        "versions": {"deepbots": deepbots_cli.__version__, **versions()},
+    }
+
+
+def fits(entry: Mapping[str, Any] | None, digest: str, command: str) -> bool:
+    """Whether a measurement is of what is asked for now."""
+    return entry is not None and entry["digest"] == digest and entry["command"] == command
+
+
+def dumps(value: Any, indent: str = "") -> str:
+    """JSON with an entry in each line, and lists of plain values in one."""
+    deeper = indent + "  "
+    if isinstance(value, Mapping) and value:
+        lines = (f"{deeper}{json.dumps(str(key))}: {dumps(value[key], deeper)}" for key in value)
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, (list, tuple)) and any(isinstance(item, (Mapping, list, tuple)) for item in value):
+        return "[\n" + ",\n".join(deeper + dumps(item, deeper) for item in value) + f"\n{indent}]"
+    return json.dumps(value, allow_nan=False)

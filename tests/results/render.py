@@ -1,0 +1,106 @@
+"""docs/results.md and its pictures, from the records alone; what is compiled anew is only compared by its digest."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from deepbots_cli.learning.atomic import write_text
+from tests.results import picture, records
+from tests.results.catalogue import reasons
+from tests.results.experiment import Experiment
+from tests.results.parts import PARTS, Part
+from tests.results.places import Places
+from tests.results.section import lines_of_experiment
+from tests.results.tables import measured_on, table
+from tests.results.verdicts import Verdict, judge
+
+Experiments = Mapping[str, Experiment]
+
+HEAD = """\
+# Results
+
+What deepbots reaches, with the commands that produce each figure. `make results` measures what is missing or stale and writes this
+page from the records in `docs/results`; nothing here is typed by hand. [Contributing](../CONTRIBUTING.md) says how a figure gets here.
+
+Simulated hours are the steps of all copies of the environment times the timestep. A seed is solved when the mean over so many
+consecutive episodes, in order of completion, first reaches what the scenario asks for. CPU times are those of all processes of a
+training, from the start to the end of the evaluation that `deepbots train` makes; they vary with the machine by a tenth or two, and by
+more beside busy neighbours, while ratios and simulated hours do not. The seeds, from 101, were not used to choose any figure of a
+scenario. Held-out episodes start from seeds that no training uses. Intervals are of 95 %: Wilson's for a share, Student's for a mean.
+Where a bar stands for several seeds, the worst counts unless it says otherwise.
+"""
+
+
+def write(places: Places, experiments: Experiments) -> None:
+    """The page, and the pictures whose data have changed."""
+    write_text(places.page, page(places, experiments))
+    for name, experiment in experiments.items():
+        picture.write(experiment, records.read(places.record(name)), places.picture(name))
+
+
+def page(places: Places, experiments: Experiments) -> str:
+    found = {name: records.read(places.record(name)) for name in experiments}
+    tables = {part.name: records.read(places.record(part.name)).get("tables", {}) for part in PARTS}
+    lines = [HEAD, "## Summary", "", *_summary(experiments, found, tables), ""]
+    for name, experiment in experiments.items():
+        lines += lines_of_experiment(experiment, found[name], has_picture=picture.has_curves(found[name]))
+    lines += ["## Not measured", "", *table(("scenario", "why"), [(f"`{name}`", why) for name, why in reasons().items()]), ""]
+    for part in PARTS:
+        lines += _lines_of_part(part, tables[part.name])
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _summary(experiments: Experiments, found: Mapping[str, Any], tables: Mapping[str, Any]) -> Iterator[str]:
+    rows = []
+    for name, experiment in experiments.items():
+        verdicts = [judge(experiment, bar, found[name]) for bar in experiment.bars]
+        rows += [_summary_row(experiment, verdict, first=verdict is verdicts[0]) for verdict in verdicts]
+    for part in PARTS:
+        bars = [_met(row) for entry in tables[part.name].values() for row in entry["rows"]]
+        bars = [met for met in bars if met is not None]
+        word = "not measured" if not bars else "met" if all(bars) else f"**{bars.count(False)} missed**"
+        rows.append((_link(part.title), f"{len(bars)} bars" if bars else "", "", f"{sum(bars)} of {len(bars)}" if bars else "", word))
+    return table(("scenario", "what", "asked", "measured", ""), rows)
+
+
+def _summary_row(experiment: Experiment, verdict: Verdict, *, first: bool) -> tuple[str, ...]:
+    asked = f"stretch: {verdict.asked}" if verdict.bar.stretch else verdict.asked
+    return _link(experiment.title) if first else "", verdict.what, asked, verdict.measured, verdict.word
+
+
+def _link(title: str) -> str:
+    anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+    return f"[{title}](#{anchor})"
+
+
+def _met(row: Mapping[str, Any]) -> bool | None:
+    """Of a row of a benchmark, or of tests."""
+    if "passed" in row:
+        return row["passed"] > 0 and not row["failed"] and not row.get("error")
+    return row["met"]  # type: ignore[no-any-return]
+
+
+def _lines_of_part(part: Part, measured: Mapping[str, Any]) -> list[str]:
+    lines = [f"## {part.title}", "", part.prose, ""]
+    known = [(entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]]
+    if part.name == "holds":
+        rows = [(row["what"], _counted(row), f"`{entry['command']}`") for entry, row in known]
+        lines += table(("what", part.figure, "command"), rows)
+    else:
+        rows = [(row["what"], row["bar_words"], f"{row['measured']:.3g} {row['unit']}".rstrip(), _verdict(row)) for _, row in known]
+        lines += table(("what", "bar", part.figure, "met"), rows)
+        lines += ["", ", ".join(f"`{entry['command']}`" for entry in measured.values())]
+    if missing := [entry.command for entry in part.tables if entry.name not in measured]:
+        lines += ["", f"Not measured: {', '.join(f'`{command}`' for command in missing)}."]
+    return [*lines, "", *measured_on(measured.values()), ""]
+
+
+def _verdict(row: Mapping[str, Any]) -> str:
+    return {None: "", True: "yes", False: "**no**"}[row["met"]]
+
+
+def _counted(row: Mapping[str, Any]) -> str:
+    failed = row["failed"] + row.get("error", 0)
+    return f"{row['passed']} passed" + (f", **{failed} failed**" if failed else "")

@@ -1,0 +1,127 @@
+"""The results page is what the records say, and the records are of what is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.source import shipped
+from tests.results import fingerprint, picture, records, render
+from tests.results.catalogue import experiments, reasons
+from tests.results.experiment import FIRST_SEED, Bar, Evaluation, Experiment, Training
+from tests.results.figures import Crossed, Held, Solved, Tried
+from tests.results.places import Places
+from tests.results.verdicts import judge
+
+PLACES = Places()
+CURRENT = "run: python -m tests.results --render"
+EXPERIMENTS = list(experiments().values())
+
+
+def named(experiment: Experiment) -> str:
+    return experiment.name
+
+
+def test_the_page_is_what_the_records_say():
+    assert PLACES.page.read_text(encoding="utf-8") == render.page(PLACES, experiments()), CURRENT
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
+def test_the_picture_of_a_scenario_shows_its_records_and_is_small(experiment: Experiment):
+    path = PLACES.picture(experiment.name)
+    assert picture.is_current(experiment, records.read(PLACES.record(experiment.name)), path), CURRENT
+    assert not path.exists() or path.stat().st_size < 100_000
+
+
+def test_every_shipped_scenario_is_measured_or_it_is_said_why_not():
+    assert set(shipped.scenario_names()) == {*experiments(), *reasons()}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
+def test_bars_look_at_what_is_measured(experiment: Experiment):
+    baselines = {baseline.name for baseline in experiment.baselines}
+    for figure in (bar.figure for bar in experiment.bars):
+        if isinstance(figure, Tried):
+            assert figure.baseline in baselines
+        else:
+            assert figure.training in {training.name for training in experiment.trainings}
+        if isinstance(figure, Held):
+            held = {evaluation.name: evaluation for evaluation in experiment.training(figure.training).evaluations}
+            found = fingerprint.compiled(held[figure.evaluation].scenario or experiment.scenario)
+            assert figure.case is None or figure.case in {case.name for case in found.cases}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
+def test_no_reported_seed_was_used_for_tuning(experiment: Experiment):
+    assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
+
+
+def hours(*values: float | None) -> dict[str, object]:
+    seeds = {str(101 + i): {"solved_at": None if value is None else {"simulated_hours": value}} for i, value in enumerate(values)}
+    return {"trainings": {"main": seeds}}
+
+
+def verdict(bar: Bar, record: dict[str, object], seeds: int = 3) -> tuple[str, str]:
+    found = judge(Experiment("cartpole", "", "", (Training(tuple(range(101, 101 + seeds))),), (bar,)), bar, record)
+    return found.word, found.measured
+
+
+def test_a_bar_over_all_seeds_is_missed_by_the_worst_of_them():
+    bar = Bar(Solved("simulated_hours"), at_most=0.5)
+    assert verdict(bar, hours(0.1, 0.2, 0.5)) == ("met", "0.5 h, the worst; 3 of 3 seeds")
+    assert verdict(bar, hours(0.1, 0.2, 0.51)) == ("**missed**", "0.51 h, the worst; 2 of 3 seeds")
+
+
+def test_a_seed_that_was_never_solved_misses_every_bar_on_hours():
+    assert verdict(Bar(Solved("simulated_hours"), at_most=9), hours(0.1, None, 0.2)) == ("**missed**", "never, the worst; 2 of 3 seeds")
+    assert verdict(Bar(Solved("simulated_hours"), at_most=9, over="mean"), hours(0.1, None, 0.2)) == ("**missed**", "never")
+
+
+def test_mean_and_median_of_the_seeds_are_compared_as_such():
+    record = hours(0.1, 0.2, 0.9)
+    assert verdict(Bar(Solved("simulated_hours"), at_most=0.3, over="median"), record) == ("met", "0.2 h")
+    assert verdict(Bar(Solved("simulated_hours"), at_most=0.3, over="mean"), record) == ("**missed**", "0.4 h")
+
+
+def test_a_bar_is_open_until_all_seeds_are_measured():
+    assert verdict(Bar(Solved("simulated_hours"), at_most=0.5), hours(0.1, 0.2)) == ("not measured", "2 of 3 seeds")
+
+
+def test_a_stretch_bar_is_reached_or_not_and_never_missed():
+    bar = Bar(Solved("simulated_hours"), at_most=0.5, stretch=True)
+    assert verdict(bar, hours(0.6), seeds=1)[0] == "not reached"
+    assert verdict(bar, hours(0.4), seeds=1)[0] == "reached"
+
+
+def entry(digest: str) -> dict[str, object]:
+    """A seed that was measured."""
+    curve = {"simulated_hours": [0.1, 0.2], "return": [10.0, 20.0], "success": [0.0, 0.0]}
+    counts = {"steps": 2000, "episodes": 20, "simulated_hours": 0.2, "cpu_seconds": 9.0, "times_resumed": 0}
+    rest = {"solved_at": None, "stage": None, "stages": [], "crossings": {}, "curve": curve, "evaluations": {}}
+    return {"digest": digest, "command": "deepbots train cartpole --seed 101", **records.circumstances(), **counts, **rest}
+
+
+def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_path: Path):
+    places = Places(*(tmp_path / name for name in ("records", "page.md", "pictures", "runs")))
+    chosen = {"cartpole": experiments()["cartpole"]}
+    digest = fingerprint.of_training("cartpole", chosen["cartpole"].training("main"))
+    for measured, marked in ((digest, False), ("of another world", True)):
+        records.put(places.record("cartpole"), entry(measured), "trainings", "main", "101")
+        assert ("**Measured on an earlier version of the scenario:** seed 101." in render.page(places, chosen)) == marked
+
+
+def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
+    ir = fingerprint.compiled("find_ball")
+    fewer = type(ir)(**{**vars(ir), "cases": ir.cases[:-1]})
+    training = Training(evaluations=(Evaluation(),))
+    before = fingerprint.of_training("find_ball", training), fingerprint.of_evaluation("find_ball", training, Evaluation())
+    monkeypatch.setattr(fingerprint, "compiled", lambda scenario, sets=(): fewer)
+    after = fingerprint.of_training("find_ball", training), fingerprint.of_evaluation("find_ball", training, Evaluation())
+    assert after[0] == before[0]
+    assert after[1] != before[1]
+
+
+def test_crossings_are_of_a_metric_and_a_threshold():
+    assert Crossed(0.9, "simulated_hours").key == "return 0.9"
+    assert Crossed(0.9, "steps", metric="success").words == "steps until 90% successes over 100 episodes"
