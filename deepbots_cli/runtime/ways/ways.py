@@ -1,4 +1,4 @@
-"""Ways between bodies: each pair that is asked for has a chart, drawn anew when it is out of date."""
+"""Ways between bodies: each pair that is asked for has a chart, drawn anew when what it shows has changed."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.placement.forms import Forms
 from deepbots_cli.runtime.ways.chart import Area, Chart
 
+Shown = tuple[Area, float, list[Patch], Spot, float]
+"""What a chart is drawn from: the area, the disc that goes, the solids, the goal and its radius."""
 _LEEWAY = 0.5  # m around everything, where no arena says how far ways may go
 _LEVEL = 1e-6  # m; what rises no higher is no obstacle
 
@@ -34,9 +36,9 @@ class Ways:
         self._ways: dict[tuple[Part, Part], Way] = {}
 
     def reset(self) -> None:
-        """Forget all charts: a new episode begins."""
+        """A new episode begins: charts are compared with the world before they are used again."""
         for way in self._ways.values():
-            way.chart = None
+            way.is_current = False
 
     def distance(self, one: Part, other: Part) -> Callable[[], float]:
         """A reader of the length of the shortest way, m."""
@@ -90,7 +92,9 @@ class Way:
     """The way from one part of the world to another."""
 
     def __init__(self, ways: Ways, one: Part, other: Part, here: PoseReader, there: PoseReader) -> None:
-        self.chart: Chart | None = None
+        self.is_current = False
+        self._chart: Chart | None = None
+        self._shown: Shown | None = None
         self._ways = ways
         self._one, self._other = one, other
         self._here, self._there = here, there
@@ -107,16 +111,17 @@ class Way:
 
     def _current(self) -> Chart:
         """The chart; a new one where something has moved by more than a cell."""
-        if self.chart is None:
+        if self._chart is None or not self.is_current:
             return self._draw()
-        limit = self.chart.cell**2
+        limit = self._chart.cell**2
         for read, x, y in self._watched:
             (now_x, now_y, _), _ = read()
             if (now_x - x) ** 2 + (now_y - y) ** 2 > limit:
                 return self._draw()
-        return self.chart
+        return self._chart
 
     def _draw(self) -> Chart:
+        """A chart of the world as it is; the one before if that shows the same, as in a world whose bodies start where they did."""
         ways, goal = self._ways, self._there()[0]
         standing = [(thing, read, read()) for thing, read in ways.solids(self._one[0], self._other[0])]
         patches = [patch for thing, _, pose in standing if (patch := ways.patch(thing, pose)) is not None]
@@ -126,8 +131,11 @@ class Way:
         radius = ways.forms.half_width(self._one[0])
         x, y, _ = self._here()[0]
         area = ways.area(patches, ((x, y), goal[:2]), radius)
-        self.chart = Chart(area, radius, patches, goal[:2], ways.radius(self._other))
-        return self.chart
+        shown: Shown = (area, radius, patches, goal[:2], ways.radius(self._other))
+        if self._chart is None or shown != self._shown:
+            self._chart, self._shown = Chart(*shown), shown
+        self.is_current = True
+        return self._chart
 
 
 def _angles(q: Quaternion) -> Triple:
