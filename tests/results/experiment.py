@@ -13,6 +13,7 @@ figures of `figures.py`:
     Bar(Held("success_rate", case="few"), at_least=0.92, over="mean")             mean of the seeds, over an evaluation
     Bar(Tried("forward", "successes"), at_most=0)                                 of a baseline, which has no seeds
     Bar(Trained("cpu_seconds"), at_most=60)                                       of the training itself
+    Bar(Ahead("random"), at_least=0)                                              better than random for sure, where no figure is set
 
 Reported seeds count from 101; 0 to 9 are for tuning and never appear here. A second training, such as a longer one for a stretch
 or one with another algorithm, has a name of its own, which figures take as `training=`.
@@ -40,13 +41,15 @@ class Evaluation:
     """Held-out episodes of each trained policy of a training.
 
     Without `case`, the scenario itself and all of its cases are gone through, `episodes` each (None: what the scenario says). `scenario`
-    is another one to evaluate in, by name or as a path from the root of the repository; its interface must be the same.
+    is another one to evaluate in, by name or as a path from the root of the repository; its interface must be the same. The model is the
+    best of the training, or the `last`.
     """
 
     name: str = "held_out"
     episodes: int | None = 100
     case: str | None = None
     scenario: str | None = None
+    last: bool = False
     words: str = ""
     """Shown beside its figures, where the name does not say enough."""
 
@@ -54,7 +57,8 @@ class Evaluation:
     def options(self) -> tuple[str, ...]:
         """Of `deepbots eval`."""
         given = (("--scenario", self.scenario), ("--case", self.case), ("--episodes", self.episodes))
-        return tuple(word for option, value in given if value is not None for word in (option, str(value)))
+        found = tuple(word for option, value in given if value is not None for word in (option, str(value)))
+        return (*found, *(("--last",) if self.last else ()))
 
 
 @dataclass(frozen=True)

@@ -139,10 +139,14 @@ class Held:
     def unit(self) -> str:
         return _UNITS.get(self.what, "")
 
-    def values(self, record: Record) -> list[float]:
+    def entries(self, record: Record) -> list[Record]:
+        """What was evaluated, for each seed that was."""
         found = [seed["evaluations"].get(self.evaluation) for seed in seeds_of(record, self.training)]
         cases = [entry and (entry if self.case is None else entry["cases"].get(self.case)) for entry in found]
-        return [float(entry[self.what]) for entry in cases if entry is not None]
+        return [entry for entry in cases if entry is not None]
+
+    def values(self, record: Record) -> list[float]:
+        return [float(entry[self.what]) for entry in self.entries(record)]
 
 
 @dataclass(frozen=True)
@@ -167,23 +171,25 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Gain:
-    """By how much a trained policy's figure exceeds that of a baseline."""
+class Ahead:
+    """How far the mean return of a trained policy is above that of a baseline, with their intervals of 95 % between them."""
 
-    what: Literal["success_rate", "mean_return", "mean_length"]
     baseline: str = "random"
     evaluation: str = "held_out"
     case: str | None = None
     training: str = "main"
+    unit: str = ""
 
     @property
     def words(self) -> str:
-        return f"{Held(self.what, self.evaluation, self.case).words}, above {self.baseline.replace('_', ' ')}"
-
-    @property
-    def unit(self) -> str:
-        return _UNITS.get(self.what, "")
+        return f"{Held('mean_return', self.evaluation, self.case).words}, beyond the intervals above {self.baseline.replace('_', ' ')}"
 
     def values(self, record: Record) -> list[float]:
-        trained = Held(self.what, self.evaluation, self.case, self.training).values(record)
-        return [value - base for base in Tried(self.baseline, self.what).values(record) for value in trained]
+        base = record.get("baselines", {}).get(self.baseline)
+        held = Held("mean_return", self.evaluation, self.case, self.training).entries(record)
+        return [] if base is None else [_ends(entry)[0] - _ends(base)[1] for entry in held]
+
+
+def _ends(entry: Record) -> tuple[float, float]:
+    low, high = entry["return_interval"]
+    return float(low), float(high)

@@ -171,8 +171,9 @@ class SeedChain:
     def _train(self, run: Run | None, commands: Commands) -> None:
         ledger = self._ledger
         if run is None:
-            shutil.rmtree(self.folder, ignore_errors=True)
             self.folder.parent.mkdir(parents=True, exist_ok=True)
+            for superseded in self.folder.parent.glob(f"{self.training.name}-{self.seed}-*/"):
+                shutil.rmtree(superseded)
             ledger.write_text("", encoding="utf-8")
             words = [self._scenario, "--seed", str(self.seed), *self.training.options, "--run", str(self.folder)]
         else:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import platform
-import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,6 @@ from typing import Any
 import deepbots_cli
 from deepbots_cli.learning.atomic import write_text
 from deepbots_cli.learning.record import versions
-
-_WRITING = threading.Lock()
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -28,13 +27,24 @@ def read(path: Path) -> dict[str, Any]:
 
 def put(path: Path, value: Any, *keys: str) -> None:
     """Set the entry under `keys`, and keep all others."""
-    with _WRITING:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _sole_writer(path.parent):
         record = inner = read(path)
         for key in keys[:-1]:
             inner = inner.setdefault(key, {})
         inner[keys[-1]] = value
         write_text(path, dumps(record) + "\n")
+
+
+@contextmanager
+def _sole_writer(folder: Path) -> Iterator[None]:
+    """Within, no other thread and no other process changes a record in the folder."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def circumstances() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from tests.results.experiment import Experiment
 from tests.results.parts import PARTS, Part
 from tests.results.places import Places
 from tests.results.section import lines_of_experiment
-from tests.results.tables import measured_on, table
+from tests.results.tables import measured_on, table, wrapped
 from tests.results.verdicts import Verdict, judge
 
 Experiments = Mapping[str, Experiment]
@@ -91,10 +91,10 @@ def _lines_of_part(part: Part, measured: Mapping[str, Any]) -> list[str]:
     else:
         rows = [(row["what"], row["bar_words"], f"{row['measured']:.3g} {row['unit']}".rstrip(), _verdict(row)) for _, row in known]
         lines += table(("what", "bar", part.figure, "met"), rows)
-        lines += ["", ", ".join(f"`{entry['command']}`" for entry in measured.values())]
+        lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
     if missing := [entry.command for entry in part.tables if entry.name not in measured]:
-        lines += ["", f"Not measured: {', '.join(f'`{command}`' for command in missing)}."]
-    return [*lines, "", *measured_on(measured.values()), ""]
+        lines += ["", *wrapped(f"Not measured: {', '.join(f'`{command}`' for command in missing)}.")]
+    return [*lines, "", f"`make results PART={part.name}`", "", *measured_on(measured.values()), ""]
 
 
 def _verdict(row: Mapping[str, Any]) -> str:

@@ -6,23 +6,24 @@ import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from deepbots_cli.learning.intervals import wilson
 from tests.results import fingerprint
 from tests.results.experiment import Experiment, Training
 from tests.results.measure import evaluation_command
-from tests.results.tables import count, measured_on, number, table
+from tests.results.tables import count, measured_on, number, table, wrapped
 from tests.results.verdicts import judge
 
 Entry = Mapping[str, Any]
 
 
 def lines_of_experiment(experiment: Experiment, record: Entry, *, has_picture: bool) -> list[str]:
-    lines = [f"## {experiment.title}", "", experiment.prose, ""]
+    lines = [f"## {experiment.title}", "", *wrapped(experiment.prose), ""]
     if experiment.paper:
-        lines += [experiment.paper, ""]
+        lines += [*wrapped(experiment.paper), ""]
     if not record:
         return [*lines, "Not measured yet.", ""]
     if stale := list(_stale(experiment, record)):
-        lines += [f"**Measured on an earlier version of the scenario:** {', '.join(stale)}.", ""]
+        lines += [*wrapped(f"**Measured on an earlier version of the scenario:** {', '.join(stale)}."), ""]
     if has_picture:
         lines += [f"![Learning curves of {experiment.title}](images/results/{experiment.name}.svg)", ""]
     verdicts = [judge(experiment, bar, record) for bar in experiment.bars]
@@ -33,7 +34,7 @@ def lines_of_experiment(experiment: Experiment, record: Entry, *, has_picture: b
     lines += _episodes(experiment, record)
     entries = [entry for _, _, entry in _trainings(experiment, record)]
     measured = [*entries, *(held for entry in entries for held in entry["evaluations"].values()), *record.get("baselines", {}).values()]
-    return [*lines, *measured_on(measured), ""]
+    return [*lines, f"`make results SCENARIO={experiment.name}`", "", *measured_on(measured), ""]
 
 
 def _trainings(experiment: Experiment, record: Entry) -> Iterator[tuple[Training, int, Entry]]:
@@ -65,7 +66,7 @@ def _stale(experiment: Experiment, record: Entry) -> Iterator[str]:
 def _trained(experiment: Experiment, training: Training, record: Entry) -> list[str]:
     """A row for each seed, and for each stage of its curriculum."""
     command = shlex.join(["deepbots", "train", experiment.scenario, "--seed", "N", *training.options])
-    lines = [f"`{command}`{training.words and f': {training.words}'}", ""]
+    lines = [*wrapped(f"`{command}`{training.words and f': {training.words}'}"), ""]
     seeds = [(seed, entry) for found, seed, entry in _trainings(experiment, record) if found is training]
     head = ("seed", "solved after", "simulated hours", "trained for", "simulated hours", "CPU")
     lines += [*table(head, [_seed_row(seed, entry) for seed, entry in seeds]), ""]
@@ -95,27 +96,51 @@ def _stage_row(end: Entry) -> tuple[str, ...]:
 
 
 def _episodes(experiment: Experiment, record: Entry) -> list[str]:
-    """A row for each evaluation, case and baseline."""
+    """A row for each evaluation or case and seed, and for each baseline."""
     rows, commands = [], []
-    for training, seed, entry in _trainings(experiment, record):
+    for training in experiment.trainings:
+        seeds = {seed: entry for found, seed, entry in _trainings(experiment, record) if found is training}
         for evaluation in training.evaluations:
-            held = entry["evaluations"].get(evaluation.name)
-            if held is None:
+            held = {seed: entry["evaluations"][evaluation.name] for seed, entry in seeds.items() if evaluation.name in entry["evaluations"]}
+            if not held:
                 continue
-            name = ("" if training.name == "main" else f"{training.name}: ") + (evaluation.words or evaluation.name.replace("_", " "))
-            rows.append((name, str(seed), *_outcome(held)))
-            rows += [(f"{name}, case `{case}`", str(seed), *_outcome(result)) for case, result in held["cases"].items()]
             commands.append(evaluation_command(evaluation))
+            name = ("" if training.name == "main" else f"{training.name}: ") + (evaluation.words or evaluation.name.replace("_", " "))
+            rows += _held_rows(name, held)
+            for case in next(iter(held.values()))["cases"]:
+                rows += _held_rows(
+                    f"{name}, `{case}`", {seed: entry["cases"][case] for seed, entry in held.items() if case in entry["cases"]}
+                )
     for baseline in experiment.baselines:
         tried = record.get("baselines", {}).get(baseline.name)
         if tried is not None:
-            rows.append((baseline.words or baseline.name.replace("_", " "), "", *_outcome(tried)))
             commands.append(tried["command"])
+            rows.append((baseline.words or baseline.name.replace("_", " "), "", *_outcome(tried)))
     if not rows:
         return []
-    head = ("episodes of", "seed", "number", "succeed", "mean return", "worst, best")
+    head = ("episodes", "seed", "number", "succeed", "mean return", "worst, best")
     quoted = ", ".join(f"`{command}`" for command in dict.fromkeys(commands))
-    return [*table(head, rows), "", f"{quoted}; RUN is the directory that the training made.", ""]
+    return [*table(head, rows), "", *wrapped(f"{quoted}; RUN is the directory that the training made."), ""]
+
+
+def _held_rows(name: str, held: Mapping[int, Entry]) -> Iterator[tuple[str, ...]]:
+    """A row for each seed; of several, one for all of their episodes together."""
+    for seed, entry in held.items():
+        yield (name, str(seed), *_outcome(entry))
+    if len(held) > 1:
+        entries = held.values()
+        successes, episodes = sum(entry["successes"] for entry in entries), sum(entry["episodes"] for entry in entries)
+        together = {
+            "episodes": episodes,
+            "success_defined": next(iter(entries))["success_defined"],
+            "success_rate": successes / episodes,
+            "success_interval": wilson(successes, episodes),
+            "mean_return": sum(entry["mean_return"] * entry["episodes"] for entry in entries) / episodes,
+            "return_interval": None,
+            "least_return": min(entry["least_return"] for entry in entries),
+            "greatest_return": max(entry["greatest_return"] for entry in entries),
+        }
+        yield (name, "all", *_outcome(together))
 
 
 def _outcome(result: Entry) -> tuple[str, ...]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
+
+WIDTH = 150
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
@@ -12,6 +15,11 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
     yield "|" + "---|" * len(head)
     for row in rows:
         yield f"| {' | '.join(row)} |"
+
+
+def wrapped(text: str) -> list[str]:
+    """A paragraph in lines of the width of the other pages."""
+    return textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -32,5 +40,5 @@ def measured_on(entries: Iterable[Mapping[str, Any]]) -> list[str]:
     lines = []
     for circumstances, days in dates.items():
         span = min(days) if min(days) == max(days) else f"{min(days)} to {max(days)}"
-        lines.append(f"Measured {span} on {circumstances}.")
+        lines += wrapped(f"Measured {span} on {circumstances}.")
     return lines

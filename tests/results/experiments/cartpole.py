@@ -16,8 +16,8 @@ EXPERIMENTS = (
     Experiment(
         scenario="cartpole",
         title="CartPole",
-        prose="A cart on four wheels keeps a free pole upright by driving back or forth at full speed. Two layers of ten ReLU units, PPO. "
-        "It counts as solved when the mean return of 100 consecutive training episodes is at least 195 of 200.",
+        prose="A cart on four wheels keeps a free pole upright by driving back or forth at full speed. Two layers of ten ReLU units, "
+        "PPO. It counts as solved when the mean return of 100 consecutive training episodes is at least 195 of 200.",
         trainings=(Training(seeds(5)),),
         baselines=(RANDOM,),
         bars=BARS,

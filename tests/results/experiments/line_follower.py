@@ -1,0 +1,19 @@
+"""Follow a painted track."""
+
+from tests.results.experiment import RANDOM, Bar, Experiment, Training, seeds
+from tests.results.figures import Ahead, Held
+
+EXPERIMENTS = (
+    Experiment(
+        scenario="line_follower",
+        title="LineFollower",
+        prose="A small robot with three reflectance sensors follows a painted track for a lap. PPO.",
+        trainings=(Training(seeds(3)),),
+        baselines=(RANDOM,),
+        bars=(
+            Bar(Ahead("random"), at_least=0),
+            Bar(Held("success_rate"), at_least=0.95, words="laps completed, held out"),
+        ),
+        curve="success",
+    ),
+)

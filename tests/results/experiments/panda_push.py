@@ -1,0 +1,19 @@
+"""Push a block to a mark."""
+
+from tests.results.experiment import RANDOM, Bar, Experiment, Training, seeds
+from tests.results.figures import Ahead, Held
+
+EXPERIMENTS = (
+    Experiment(
+        scenario="panda_push",
+        title="PandaPush",
+        prose="An arm pushes a block to a mark on a table. The reward is paid at the mark only; SAC with hindsight replay.",
+        trainings=(Training(seeds(1)),),
+        baselines=(RANDOM,),
+        bars=(
+            Bar(Ahead("random"), at_least=0),
+            Bar(Held("success_rate"), at_least=0.9),
+        ),
+        curve="success",
+    ),
+)
