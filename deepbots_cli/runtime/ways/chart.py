@@ -13,7 +13,6 @@ from deepbots_cli.runtime.ways.sweep import FAR, MARGIN, Mask, lengths
 CELLS = 100  # along the longer side
 _DEAR = 50.0  # times; the price of a line through what no way passes
 _WIDE = 20.0  # m; lengths in wider areas are kept in a longer unit, so that none comes near FAR
-_UNKNOWN = 0.01 * FAR  # m; more than any way is long, and less than a mean with a node that none reaches
 Area = tuple[float, float, float, float]
 """Least x and y, greatest x and y, in m."""
 
@@ -85,11 +84,11 @@ class Chart:
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN, j + MARGIN
         here, there = self._lengths[j], self._lengths[j + 1]
-        low = here[i] + u * (here[i + 1] - here[i])
-        length = low + v * (there[i] + u * (there[i + 1] - there[i]) - low)
-        if length > _UNKNOWN and not self._filled:
+        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= FAR:  # one of them is reached by no way
             self._fill()
             return self.length(x, y)
+        low = here[i] + u * (here[i + 1] - here[i])
+        length = low + v * (there[i] + u * (there[i + 1] - there[i]) - low)
         if column == inside_column and row == inside_row:
             return length * self._unit
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
