@@ -38,6 +38,7 @@ _ACTIVATIONS: Mapping[str, type[nn.Module]] = {
     "tanh": nn.Tanh,
 }
 _WIDEST_LAYER = 8192
+_WIDEST_MEMORY = 2048
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 50_000_000  # of one network; with gradients and moments, actor and critic then take 1.6 GB
 _MOST_COPIES = 1024
@@ -66,6 +67,10 @@ def _ppo(training: Training, total: int) -> Settings:
     }
 
 
+def _recurrent(training: Training, total: int) -> Settings:
+    return {**_ppo(training, total), "lstm": 64}
+
+
 def _sb3_own(training: Training, total: int) -> Settings:
     return {}
 
@@ -89,6 +94,7 @@ ALGORITHMS: Mapping[str, Algorithm] = {
     "DDPG": Algorithm("stable_baselines3.DDPG", False, _actor_critic, exploration_noise=True),
     "DQN": Algorithm("stable_baselines3.DQN", False, _dqn),
     "MaskablePPO": Algorithm("sb3_contrib.MaskablePPO", True, _ppo),
+    "RecurrentPPO": Algorithm("sb3_contrib.RecurrentPPO", True, _recurrent),
     "PPO": Algorithm("stable_baselines3.PPO", True, _ppo),
     "SAC": Algorithm("stable_baselines3.SAC", False, _actor_critic),
     "TD3": Algorithm("stable_baselines3.TD3", False, _actor_critic, exploration_noise=True),
@@ -126,12 +132,16 @@ def create(
             settings.pop(name, None)
     else:
         check_replay(settings, copies.observation_space)
-    policy = "MultiInputPolicy" if isinstance(copies.observation_space, gym.spaces.Dict) else "MlpPolicy"
+    networks = _networks(training.policy, algorithm)
+    memory = settings.pop("lstm", None)
+    if memory is not None:
+        networks["lstm_hidden_size"] = memory
+    inputs = "MultiInput" if isinstance(copies.observation_space, gym.spaces.Dict) else "Mlp"
+    policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of batches that do not divide a roll-out, which does no harm
-            make, networks = _imported(algorithm), _networks(training.policy, algorithm)
-            models.append(make(policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=networks, **settings))
+            models.append(_imported(algorithm)(policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=networks, **settings))
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error
@@ -179,6 +189,9 @@ def check(training: Training) -> None:
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers of 1 to {_WIDEST_LAYER} units")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
         raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:_} weights")
+    memory = [h.value for h in training.hyperparameters if h.name == "lstm"]
+    if not all(type(units) is int and 1 <= units <= _WIDEST_MEMORY for units in memory):
+        raise UsageError(f"a policy has a memory of 1 to {_WIDEST_MEMORY} units")
     if training.policy.activation not in _ACTIVATIONS:
         raise UsageError(_unknown("activation", training.policy.activation, _ACTIVATIONS))
 

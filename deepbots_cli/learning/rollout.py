@@ -36,7 +36,7 @@ def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int],
         lanes = [_Lane(world, row, range(row, len(seeds), ROWS), seeds) for world, row in zip(worlds, rows, strict=False)]
         running = [lane for lane in lanes if lane.begin(batch)]
         while running:
-            actions, _ = model.predict(batch.observations, deterministic=deterministic, **batch.masks)
+            actions = batch.answer(model, deterministic=deterministic)
             for lane in running:
                 episode = lane.step(actions[lane.row], batch)
                 if episode is not None:
@@ -50,10 +50,12 @@ def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministi
     torch.manual_seed(derive(seed, "policy"))
     observation, _ = world.reset(seed=seed)
     size, tally = len(world.get_wrapper_attr("members")), Tally()
+    memory, starts = None, np.ones(size, dtype=bool)
     heeds_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
     while True:
         masks = {"action_masks": world.get_wrapper_attr("action_masks")().reshape(size, -1)} if heeds_masks else {}
-        actions, _ = model.predict(observation, deterministic=deterministic, **masks)
+        actions, memory = model.predict(observation, state=memory, episode_start=starts, deterministic=deterministic, **masks)
+        starts = np.zeros(size, dtype=bool)
         observation, reward, terminated, truncated, info = world.step(actions)
         tally.add(float(reward), info)
         if terminated or truncated:
@@ -63,14 +65,25 @@ def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministi
 class _Batch:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
-    Where the policy heeds them, `masks` say beside them which of the agent's `choices` are allowed.
+    Where the policy heeds them, `masks` say beside them which of the agent's `choices` are allowed. A recurrent policy
+    has a `memory` for each row, which it forgets where `starts` says that an episode begins.
     """
 
     def __init__(self, space: gym.Space[Any], choices: int | None) -> None:
+        self.memory: Any = None
+        self.starts = np.ones(ROWS, dtype=bool)
         self.masks: dict[str, Any] = {} if choices is None else {"action_masks": np.ones((ROWS, choices), dtype=bool)}
         self.observations: Any = (
             {key: _zeros(part) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space)
         )
+
+    def answer(self, model: BaseAlgorithm, *, deterministic: bool) -> Any:
+        """An action for each row."""
+        actions, self.memory = model.predict(
+            self.observations, state=self.memory, episode_start=self.starts, deterministic=deterministic, **self.masks
+        )
+        self.starts[:] = False
+        return actions
 
     def put(self, row: int, observation: Any, world: World) -> None:
         for masks in self.masks.values():
@@ -113,6 +126,7 @@ class _Lane:
         self.number = number
         # Only a policy that samples draws from this.
         torch.manual_seed(derive(self._seeds[number], "policy"))
+        batch.starts[self.row] = True
         batch.put(self.row, self._world.reset(seed=self._seeds[number])[0], self._world)
         return True
 

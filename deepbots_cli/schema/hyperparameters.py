@@ -141,6 +141,13 @@ ALGORITHMS: Mapping[str, Mapping[str, Hyperparameter]] = {
     "TD3": _ACTOR | _DELAYED,
     "DDPG": _ACTOR,
     "MaskablePPO": _PROXIMAL,
+    "RecurrentPPO": _PROXIMAL
+    | _SDE
+    | {
+        "lstm": Hyperparameter(
+            Annotated[int, Count(maximum=2048)], "Units of the memory: an LSTM before the layers of actor and of critic."
+        )
+    },
     "TQC": _SOFT
     | {"top_quantiles_to_drop_per_net": Hyperparameter(Annotated[int, Count(minimum=0)], "Highest quantiles to drop, per critic.")},
 }
@@ -154,5 +161,6 @@ ELSEWHERE: Mapping[str, str] = {
     "net_arch": "write `policy: {hidden: [64, 64]}`",
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
+    "lstm_hidden_size": "write `lstm: 64`",
     "n_envs": "write `environments`",
 }

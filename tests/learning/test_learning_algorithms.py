@@ -16,6 +16,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import ActionNoise, CompiledScenario, Hindsight, Hyperparameter, Policy, Schedule, Training
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train, weights
 from deepbots_cli.learning.noise import noise
+from deepbots_cli.learning.run import Run
 
 SMALL = Policy((8,))
 
@@ -130,10 +131,10 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
     assert result.steps >= 1_600
 
 
-def copies_of(ir: CompiledScenario) -> Any:
+def copies_of(ir: CompiledScenario, world: Any = Reach) -> Any:
     from deepbots_cli.learning.environments import Copies
 
-    return Copies([Reach(ir), Reach(ir)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
+    return Copies([world(ir), world(ir)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
 
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
@@ -175,6 +176,58 @@ def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, mo
     with pytest.raises(MissingExtraError, match=r"training with TQC needs the 'contrib' extra; .*deepbots-cli\[contrib\]"):
         learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
     assert not (tmp_path / "run").exists()
+
+
+# Memory
+
+
+class Remember(stand_in.CartPole):
+    """A cue is shown at the start, and three steps later it counts which of the two it was."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.cue = int(self.np_random.integers(2))
+        return np.array([2 * self.cue - 1, 0, 0, 0], np.float32), self._info(None)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        over = self.steps == 4
+        right = over and int(action) == self.cue
+        return np.zeros(4, np.float32), float(right), False, over, self._info("max_steps" if over else None) | {"is_success": right}
+
+
+@pytest.fixture(scope="module")
+def remembered(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
+    figures = hyper(lstm=16, n_steps=32, batch_size=64, n_epochs=5, learning_rate=1e-2)
+    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 5_000, 8, figures, Policy((16,))))
+
+
+def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingResult) -> None:
+    result = evaluate(remembered.run, episodes=30, model="last", build=Remember)
+    assert result.success_rate == 1.0
+
+
+def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: TrainingResult) -> None:
+    first = evaluate(remembered.run, episodes=20, build=stand_in.build)
+    assert len({first.mean_return, first.least_return, first.greatest_return}) == 3  # episodes that differ
+    for copies in (1, 3):
+        assert evaluate(remembered.run, episodes=20, copies=copies, build=stand_in.build) == first
+    assert evaluate(remembered.run, episodes=3, deterministic=False, build=stand_in.build).episodes == 3
+
+
+def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: TrainingResult) -> None:
+    training = Run.open(remembered.run).ir.training
+    assert training is not None
+    model = algorithms.create(training, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
+    weights.put(model, weights.read(remembered.run / "checkpoint.npz", model))
+    assert model.policy.lstm_actor.hidden_size == 16
+    assert resume(remembered.run, total_timesteps=5_300, build=Remember).steps >= 5_300
+
+
+@pytest.mark.parametrize("units", [0, -1, 10**9, True, 2.5, "64"])
+def test_a_memory_that_no_machine_could_have_is_refused(units: object) -> None:
+    with pytest.raises(UsageError, match="memory of 1 to 2048 units"):
+        algorithms.check(Training("RecurrentPPO", 100, 1, hyper(lstm=units)))
 
 
 # Pictures

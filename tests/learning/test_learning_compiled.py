@@ -32,6 +32,9 @@ observation:
   cart.eye: {range: auto, history: 2}
 train: {total_timesteps: 100, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
 """,
+    "memory": """
+train: {algorithm: RecurrentPPO, lstm: 8, total_timesteps: 200, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+""",
     "team": """
 robots: {cart: {count: 3, spacing: 0 0.5 0 m}}
 agent: {each: cart}

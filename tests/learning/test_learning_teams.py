@@ -97,8 +97,9 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     ]
 
 
-def test_a_team_is_trained_evaluated_and_gone_on_with(tmp_path: Path) -> None:
-    training = Training("PPO", 600, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")), Policy((8,)))
+@pytest.mark.parametrize("algorithm", ["PPO", "RecurrentPPO"])
+def test_a_team_is_trained_evaluated_and_gone_on_with(tmp_path: Path, algorithm: str) -> None:
+    training = Training(algorithm, 600, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")), Policy((8,)))
     result = train(stand_in.compiled(training=training), run=tmp_path / "run", build=Team)
     assert result.steps == 768  # updates of 32 steps of six rows
     log = list(csv.DictReader((result.run / "monitor.csv").read_text().splitlines()[1:]))

@@ -15,11 +15,11 @@ Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 EXCLUDED = {"self", "policy", "env", "verbose", "device", "seed", "tensorboard_log", "policy_kwargs", "_init_setup_model"} | {
     f"{kind}_buffer_{what}" for kind in ("rollout", "replay") for what in ("class", "kwargs")
 }
-OURS = {"replay"}
+OURS = {"replay", "lstm"}
 
 
 def signature(algorithm: str) -> inspect.Signature:
-    library = "sb3_contrib" if algorithm in ("MaskablePPO", "TQC") else "stable_baselines3"
+    library = "sb3_contrib" if algorithm in ("MaskablePPO", "RecurrentPPO", "TQC") else "stable_baselines3"
     return inspect.signature(getattr(pytest.importorskip(library), algorithm).__init__)
 
 
