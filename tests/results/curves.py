@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -75,10 +76,10 @@ def points(logged: Iterable[Episode]) -> list[Point]:
 
 
 def thinned(curve: list[Point]) -> dict[str, list[float]]:
-    """At most 200 points, evenly among the episodes, the last one included; the first nine episodes say nothing yet."""
+    """At most 200 points, the last of each of as many stretches of time; the first nine episodes say nothing yet."""
     told = curve[9:] or curve
-    step = max(1, -(-len(told) // POINTS))
-    kept = told[::-step][::-1]
+    width = told[-1].simulated_hours / POINTS if told else 0.0
+    kept = {math.ceil(point.simulated_hours / width): point for point in told}.values()
     return {
         "simulated_hours": [round(point.simulated_hours, 4) for point in kept],
         "return": [float(f"{point.mean_return:.4g}") for point in kept],

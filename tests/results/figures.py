@@ -99,7 +99,9 @@ class Crossed:
         return _UNITS.get(self.when, "")
 
     def values(self, record: Record) -> list[float]:
-        return [_or_never(seed["crossings"][self.key], self.when) for seed in seeds_of(record, self.training)]
+        return [
+            _or_never(seed["crossings"][self.key], self.when) for seed in seeds_of(record, self.training) if self.key in seed["crossings"]
+        ]
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class Held:
 
     @property
     def words(self) -> str:
-        place = self.case or ("" if self.evaluation == "held_out" else self.evaluation.replace("_", " "))
+        place = f"case {self.case}" if self.case else "" if self.evaluation == "held_out" else self.evaluation.replace("_", " ")
         return f"{_named(self.what)}, held out{place and f', {place}'}"
 
     @property

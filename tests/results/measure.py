@@ -8,7 +8,6 @@ in its run directory.
 from __future__ import annotations
 
 import hashlib
-import shlex
 import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -21,7 +20,8 @@ from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.run import Run
-from tests.results import curves, fingerprint, records
+from tests.results import asked, curves, records
+from tests.results.asked import Asked
 from tests.results.commands import Commands
 from tests.results.experiment import Baseline, Evaluation, Experiment, Training
 from tests.results.figures import Crossed
@@ -85,18 +85,13 @@ class SeedChain:
         return self.places.record(self.experiment.name)
 
     @property
-    def command(self) -> str:
-        """As the record and the page have it: without the run directory."""
-        return shlex.join(["deepbots", "train", self._scenario, "--seed", str(self.seed), *self.training.options])
-
-    @property
-    def digest(self) -> str:
-        return fingerprint.of_training(self._scenario, self.training)
+    def asked(self) -> Asked:
+        return asked.training(self.experiment, self.training, self.seed)
 
     @property
     def folder(self) -> Path:
         """The run directory: one of its own for whatever is asked for."""
-        key = hashlib.sha256(f"{self.digest} {self.command}".encode()).hexdigest()[:10]
+        key = hashlib.sha256(f"{self.asked.digest} {self.asked.command}".encode()).hexdigest()[:10]
         return self.places.runs / self.experiment.name / f"{self.training.name}-{self.seed}-{key}"
 
     @property
@@ -109,14 +104,14 @@ class SeedChain:
         for key in self._keys:
             found = found.get(key, {})
         wanted = {crossed.key for crossed in self._crossings()}
-        return found if found and records.fits(found, self.digest, self.command) and wanted <= set(found["crossings"]) else None
+        return found if found and self.asked.is_of(found) and wanted <= set(found["crossings"]) else None
 
     def unevaluated(self) -> list[Evaluation]:
         known = (self.entry() or {}).get("evaluations", {})
         return [
             evaluation
             for evaluation in self.training.evaluations
-            if not records.fits(known.get(evaluation.name), self._evaluation_digest(evaluation), evaluation_command(evaluation))
+            if not asked.evaluation(self.experiment, self.training, evaluation).is_of(known.get(evaluation.name))
         ]
 
     def missing(self) -> int:
@@ -202,8 +197,7 @@ class SeedChain:
         processes = [float(line) for line in self._ledger.read_text(encoding="utf-8").split()]
         ends = [asdict(end) | {"simulated_hours": round(end.steps * run.ir.period / 3600, 4)} for end in curriculum.ends]
         return {
-            "digest": self.digest,
-            "command": self.command,
+            **vars(self.asked),
             **records.circumstances(),
             "steps": statistics.steps,
             "episodes": statistics.episodes,
@@ -219,9 +213,6 @@ class SeedChain:
             "evaluations": {},
         }
 
-    def _evaluation_digest(self, evaluation: Evaluation) -> str:
-        return fingerprint.of_evaluation(self._scenario, self.training, evaluation)
-
     def _evaluated(self, evaluation: Evaluation, commands: Commands) -> dict[str, Any]:
         words = [str(self.folder), *evaluation.options]
         if evaluation.scenario is None and not self.training.sets:
@@ -229,18 +220,12 @@ class SeedChain:
         outcome = commands.deepbots("eval", *words)
         told = outcome.data
         return {
-            "digest": self._evaluation_digest(evaluation),
-            "command": evaluation_command(evaluation),
+            **vars(asked.evaluation(self.experiment, self.training, evaluation)),
             **records.circumstances(),
             "cpu_seconds": round(outcome.cpu_seconds, 1),
             **{key: told[key] for key in KEPT},
             "cases": {case["case"]: {key: case[key] for key in KEPT} for case in told["cases"]},
         }
-
-
-def evaluation_command(evaluation: Evaluation) -> str:
-    """As the record and the page have it: RUN is what the training made."""
-    return shlex.join(["deepbots", "eval", "RUN", *evaluation.options])
 
 
 @dataclass(frozen=True)
@@ -256,16 +241,12 @@ class BaselineChain:
         return self.places.record(self.experiment.name)
 
     @property
-    def command(self) -> str:
-        return shlex.join(["deepbots", "run", self.experiment.scenario, *self.baseline.all_options])
-
-    @property
-    def digest(self) -> str:
-        return fingerprint.of_baseline(self.experiment.scenario, self.baseline)
+    def asked(self) -> Asked:
+        return asked.baseline(self.experiment, self.baseline)
 
     def missing(self) -> int:
         known = records.read(self._record).get("baselines", {}).get(self.baseline.name)
-        return not records.fits(known, self.digest, self.command)
+        return not self.asked.is_of(known)
 
     def measure(self, commands: Commands, progress: Progress) -> None:
         if not self.missing():
@@ -273,8 +254,7 @@ class BaselineChain:
         with progress.piece(f"{self.experiment.name}: {self.baseline.name}"):
             outcome = commands.deepbots("run", self.experiment.scenario, *self.baseline.all_options)
         entry = {
-            "digest": self.digest,
-            "command": self.command,
+            **vars(self.asked),
             **records.circumstances(),
             "cpu_seconds": round(outcome.cpu_seconds, 1),
             **{key: outcome.data["summary"][key] for key in KEPT},

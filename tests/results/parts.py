@@ -14,6 +14,7 @@ from functools import cache
 from typing import Any
 
 from tests.results import records
+from tests.results.asked import Asked
 from tests.results.commands import CommandFailedError, Commands, Outcome
 from tests.results.places import ROOT, Places
 from tests.results.progress import Progress
@@ -78,8 +79,8 @@ class Holding:
         if outcome.code not in (0, 1):
             raise CommandFailedError(f"exit code {outcome.code} of: {self.command}\n{outcome.text}")
         last = outcome.text.strip().splitlines()[-1]
-        counts = {word: int(count) for count, word in _COUNTED.findall(last)}
-        return outcome, [{"what": self.what, "passed": 0, "failed": 0, "skipped": 0, **counts}]
+        counts = {"passed": 0, "failed": 0} | {word: int(count) for count, word in _COUNTED.findall(last)}
+        return outcome, [{"what": self.what, "met": outcome.code == 0, **counts}]
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class TableChain:
 
     def missing(self) -> int:
         known = records.read(self.places.record(self.part.name)).get("tables", {}).get(self.table.name)
-        return not records.fits(known, sources(), self.table.command)
+        return not Asked(sources(), self.table.command).is_of(known)
 
     def measure(self, commands: Commands, progress: Progress) -> None:
         if not self.missing():

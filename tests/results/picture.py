@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.learning.atomic import write_text
-from tests.results.experiment import Experiment, Mark
+from tests.results.experiment import Bar, Experiment, Mark
+from tests.results.figures import Crossed, Solved
+from tests.results.standing import Standing
 
 INK = "#7d8590"
 """Of axes and texts: as far from white as from near black."""
@@ -18,45 +20,41 @@ SEEDS = ("#2f81f7", "#d2762a", "#2da44e", "#bf5fb5", "#c9423c", "#14a3a8", "#8a7
 STYLES = ("-", "--", ":", "-.")
 """One for each training of the experiment."""
 
-FAR = 1.5
+FAR = 2.2
 """An hour that is so many times beyond the curves is told at the edge and not drawn, or the curves would be a sliver."""
 
 
-def has_curves(record: Mapping[str, Any]) -> bool:
-    return any(record.get("trainings", {}).values())
-
-
-def state(experiment: Experiment, record: Mapping[str, Any]) -> str:
+def state(standing: Standing) -> str:
     """A digest of all that the picture shows; the picture carries it, so that a test can tell whether it is current."""
-    shown = [experiment.title, experiment.curve, [vars(mark) for mark in experiment.marks]]
-    curves = [(name, seed, entry["curve"], entry["stages"]) for name, seed, entry in _entries(experiment, record)]
+    experiment = standing.experiment
+    shown = [experiment.title, experiment.curve, [vars(mark) for mark in marks(experiment)]]
+    curves = [(name, seed, entry["curve"], entry["stages"]) for name, seed, entry in _curves(standing)]
     return hashlib.sha256(json.dumps([shown, curves]).encode()).hexdigest()[:16]
 
 
-def is_current(experiment: Experiment, record: Mapping[str, Any], path: Path) -> bool:
-    if not has_curves(record):
+def is_current(standing: Standing, path: Path) -> bool:
+    if not standing.has_curves:
         return not path.exists()
-    return path.is_file() and f"state {state(experiment, record)}" in path.read_text(encoding="utf-8")
+    return path.is_file() and f"state {state(standing)}" in path.read_text(encoding="utf-8")
 
 
-def write(experiment: Experiment, record: Mapping[str, Any], path: Path) -> None:
+def write(standing: Standing, path: Path) -> None:
     """Draw it where its data have changed; remove one that has no data any more."""
-    if is_current(experiment, record, path):
+    if is_current(standing, path):
         return
-    if not has_curves(record):
+    if not standing.has_curves:
         path.unlink()
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, drawn(experiment, record))
+    write_text(path, drawn(standing))
 
 
-def _entries(experiment: Experiment, record: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
-    for training in experiment.trainings:
-        found = record.get("trainings", {}).get(training.name, {})
-        yield from ((training.name, str(seed), found[str(seed)]) for seed in training.seeds if str(seed) in found)
+def _curves(standing: Standing) -> Iterator[tuple[str, int, Mapping[str, Any]]]:
+    for training in standing.experiment.trainings:
+        yield from ((training.name, seed, entry) for seed, entry in standing.seeds(training).items())
 
 
-def drawn(experiment: Experiment, record: Mapping[str, Any]) -> str:
+def drawn(standing: Standing) -> str:
     """The text of the SVG: the same for the same data, wherever it is drawn."""
     import io
 
@@ -70,28 +68,46 @@ def drawn(experiment: Experiment, record: Mapping[str, Any]) -> str:
         figure = Figure(figsize=(7.2, 3.4), layout="constrained")
         figure.patch.set_alpha(0)
         axes = figure.add_subplot(facecolor="none")
-        _draw(axes, experiment, list(_entries(experiment, record)))
+        _draw(axes, standing.experiment, list(_curves(standing)))
         stream = io.StringIO()
-        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Description": f"state {state(experiment, record)}"})
+        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None, "Description": f"state {state(standing)}"})
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
-def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, str, Mapping[str, Any]]]) -> None:
+def marks(experiment: Experiment) -> list[Mark]:
+    """Those of the experiment, and the hours that its bars ask for."""
+    bars = [bar for bar in experiment.bars if isinstance(bar.figure, (Solved, Crossed)) and bar.figure.when == "simulated_hours"]
+    asked = [Mark(f"{_whose(bar)}: {bar.at_most:g} h", hours=bar.at_most) for bar in bars if bar.at_most is not None]
+    return [*experiment.marks, *asked]
+
+
+def _whose(bar: Bar) -> str:
+    """Whose line the hours of a bar are: `asked`, `asked of the median`, `stretch`."""
+    return ("stretch" if bar.stretch else "asked") + ("" if bar.over == "all" else f" of the {bar.over}")
+
+
+def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Mapping[str, Any]]]) -> None:
     names = [training.name for training in experiment.trainings]
     seeds = list(dict.fromkeys(seed for _, seed, _ in entries))
     scale = 100 if experiment.curve == "success" else 1
     for name, seed, entry in entries:
-        colour, label = SEEDS[seeds.index(seed) % len(SEEDS)], seed if name == names[0] else f"{seed}, {name}"
+        colour, label = SEEDS[seeds.index(seed) % len(SEEDS)], str(seed) if name == names[0] else f"{seed}, {name}"
         hours, values = entry["curve"]["simulated_hours"], [scale * value for value in entry["curve"][experiment.curve]]
         axes.plot(hours, values, STYLES[names.index(name) % len(STYLES)], color=colour, linewidth=1.3, label=label)
         for end in entry["stages"]:
-            axes.axvline(end["simulated_hours"], color=colour, linewidth=0.6, alpha=0.6, linestyle=(0, (1, 2)))
-    if len(seeds) == 1:
-        _name_stages(axes, entries)
+            axes.axvline(end["simulated_hours"], color=colour, linewidth=0.9, linestyle=(0, (1, 2)))
+    if len(entries) == 1:
+        _name_stages(axes, entries[0][2])
     end = max(entry["simulated_hours"] for _, _, entry in entries)
-    axes.set_xlim(0, max([end, *(mark.hours for mark in experiment.marks if mark.hours and mark.hours < FAR * end)]) * 1.02)
-    for place, mark in enumerate(experiment.marks):
-        _mark(axes, mark, scale, end, place)
+    known = marks(experiment)
+    axes.set_xlim(0, max([end, *(mark.hours for mark in known if mark.hours and mark.hours < FAR * end)]) * 1.05)
+    if experiment.curve == "success":
+        axes.set_ylim(0, 103)
+    for mark in known:
+        if mark.value is not None:
+            _level(axes, mark.words, scale * mark.value)
+    for place, mark in enumerate(mark for mark in known if mark.hours is not None):
+        _upright(axes, mark, end, height=0.04 + 0.08 * place)
     axes.set_xlabel("simulated hours")
     axes.set_ylabel("successes in 100 episodes, %" if experiment.curve == "success" else "mean return of 100 episodes")
     axes.spines[["top", "right"]].set_visible(False)
@@ -99,23 +115,24 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, str, Mappi
     axes.legend(title="seed", frameon=False, fontsize=8, title_fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _name_stages(axes: Any, entries: list[tuple[str, str, Mapping[str, Any]]]) -> None:
-    for _, _, entry in entries[:1]:
-        for end in entry["stages"]:
-            where = (end["simulated_hours"], 0.02)
-            axes.text(*where, f"{end['name']} ", transform=axes.get_xaxis_transform(), rotation=90, ha="right", va="bottom", fontsize=7)
+def _name_stages(axes: Any, entry: Mapping[str, Any]) -> None:
+    """Each by the line of its end; the last one has none."""
+    for end in entry["stages"]:
+        where = (end["simulated_hours"], 0.02)
+        axes.text(*where, f"{end['name']} ", transform=axes.get_xaxis_transform(), rotation=90, ha="right", va="bottom", fontsize=7)
 
 
-def _mark(axes: Any, mark: Mark, scale: float, end: float, place: int) -> None:
-    if mark.value is not None:
-        axes.axhline(scale * mark.value, color=INK, linewidth=0.9, linestyle="--")
-        axes.annotate(
-            mark.words, (0, scale * mark.value), (3, 2), xycoords=("axes fraction", "data"), textcoords="offset points", fontsize=8
-        )
-    elif mark.hours is not None and mark.hours < FAR * end:
+def _level(axes: Any, words: str, value: float) -> None:
+    axes.axhline(value, color=INK, linewidth=0.9, linestyle="--")
+    place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    axes.annotate(words, (0, value), (3, 2), fontsize=8, **place)
+
+
+def _upright(axes: Any, mark: Mark, end: float, *, height: float) -> None:
+    """A line at its hours, or, far beyond the curves, an arrow at the edge."""
+    if mark.hours is not None and mark.hours < FAR * end:
         axes.axvline(mark.hours, color=INK, linewidth=0.9, linestyle="--")
-        axes.annotate(
-            mark.words, (mark.hours, 0.03), (-3, 0), xycoords=axes.get_xaxis_transform(), textcoords="offset points", ha="right", fontsize=8
-        )
-    elif mark.hours is not None:
-        axes.annotate(f"{mark.words} \u2192", (0.99, 0.05 + 0.08 * place), xycoords="axes fraction", ha="right", fontsize=8)
+        place = {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points"}
+        axes.annotate(mark.words, (mark.hours, height), (-3, 0), ha="right", fontsize=8, **place)
+    else:
+        axes.annotate(f"{mark.words} \u2192", (0.99, height), xycoords="axes fraction", ha="right", fontsize=8)

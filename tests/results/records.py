@@ -57,11 +57,6 @@ def circumstances() -> dict[str, Any]:
     }
 
 
-def fits(entry: Mapping[str, Any] | None, digest: str, command: str) -> bool:
-    """Whether a measurement is of what is asked for now."""
-    return entry is not None and entry["digest"] == digest and entry["command"] == command
-
-
 def dumps(value: Any, indent: str = "") -> str:
     """JSON with an entry in each line, and lists of plain values in one."""
     deeper = indent + "  "

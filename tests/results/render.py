@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from deepbots_cli.learning.atomic import write_text
@@ -12,9 +12,9 @@ from tests.results.catalogue import reasons
 from tests.results.experiment import Experiment
 from tests.results.parts import PARTS, Part
 from tests.results.places import Places
-from tests.results.section import lines_of_experiment
+from tests.results.section import lines_of
+from tests.results.standing import Standing
 from tests.results.tables import measured_on, table, wrapped
-from tests.results.verdicts import Verdict, judge
 
 Experiments = Mapping[str, Experiment]
 
@@ -37,49 +37,43 @@ def write(places: Places, experiments: Experiments) -> None:
     """The page, and the pictures whose data have changed."""
     write_text(places.page, page(places, experiments))
     for name, experiment in experiments.items():
-        picture.write(experiment, records.read(places.record(name)), places.picture(name))
+        picture.write(Standing.of(experiment, records.read(places.record(name))), places.picture(name))
 
 
 def page(places: Places, experiments: Experiments) -> str:
-    found = {name: records.read(places.record(name)) for name in experiments}
+    standings = [Standing.of(experiment, records.read(places.record(name))) for name, experiment in experiments.items()]
     tables = {part.name: records.read(places.record(part.name)).get("tables", {}) for part in PARTS}
-    lines = [HEAD, "## Summary", "", *_summary(experiments, found, tables), ""]
-    for name, experiment in experiments.items():
-        lines += lines_of_experiment(experiment, found[name], has_picture=picture.has_curves(found[name]))
+    lines = [HEAD, "## Summary", "", *_summary(standings, tables), ""]
+    for standing in standings:
+        lines += lines_of(standing)
     lines += ["## Not measured", "", *table(("scenario", "why"), [(f"`{name}`", why) for name, why in reasons().items()]), ""]
     for part in PARTS:
         lines += _lines_of_part(part, tables[part.name])
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _summary(experiments: Experiments, found: Mapping[str, Any], tables: Mapping[str, Any]) -> Iterator[str]:
-    rows = []
-    for name, experiment in experiments.items():
-        verdicts = [judge(experiment, bar, found[name]) for bar in experiment.bars]
-        rows += [_summary_row(experiment, verdict, first=verdict is verdicts[0]) for verdict in verdicts]
+def _summary(standings: Sequence[Standing], tables: Mapping[str, Any]) -> list[str]:
+    rows, words = [], []
+    for standing in standings:
+        note = ", earlier version" if any(standing.outdated()) else ""
+        for index, verdict in enumerate(standing.verdicts()):
+            link = "" if index else _link(standing.experiment.title)
+            rows.append((link, verdict.what, verdict.asked, verdict.measured, verdict.word + (note if verdict.measured else "")))
+            words.append(verdict.word)
     for part in PARTS:
-        bars = [_met(row) for entry in tables[part.name].values() for row in entry["rows"]]
-        bars = [met for met in bars if met is not None]
-        word = "not measured" if not bars else "met" if all(bars) else f"**{bars.count(False)} missed**"
-        rows.append((_link(part.title), f"{len(bars)} bars" if bars else "", "", f"{sum(bars)} of {len(bars)}" if bars else "", word))
-    return table(("scenario", "what", "asked", "measured", ""), rows)
-
-
-def _summary_row(experiment: Experiment, verdict: Verdict, *, first: bool) -> tuple[str, ...]:
-    asked = f"stretch: {verdict.asked}" if verdict.bar.stretch else verdict.asked
-    return _link(experiment.title) if first else "", verdict.what, asked, verdict.measured, verdict.word
+        met = [row["met"] for entry in tables[part.name].values() for row in entry["rows"] if row["met"] is not None]
+        word = "not measured" if not met else "met" if all(met) else f"**{met.count(False)} missed**"
+        rows.append((_link(part.title), f"{len(met)} bars" if met else "", "", f"{sum(met)} of {len(met)}" if met else "", word))
+        words += ["met" if each else "**missed**" for each in met]
+    counted = ", ".join(f"{words.count(word)} {word.strip('*')}" for word in ("met", "**missed**", "not measured"))
+    stretch = words.count("reached"), words.count("reached") + words.count("not reached")
+    head = f"Of what is asked, {counted}. Of what would be more than that (stretch), {stretch[0]} of {stretch[1]} measured reached."
+    return [*wrapped(head), "", *table(("scenario", "what", "asked", "measured", ""), rows)]
 
 
 def _link(title: str) -> str:
     anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
     return f"[{title}](#{anchor})"
-
-
-def _met(row: Mapping[str, Any]) -> bool | None:
-    """Of a row of a benchmark, or of tests."""
-    if "passed" in row:
-        return row["passed"] > 0 and not row["failed"] and not row.get("error")
-    return row["met"]  # type: ignore[no-any-return]
 
 
 def _lines_of_part(part: Part, measured: Mapping[str, Any]) -> list[str]:

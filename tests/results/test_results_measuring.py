@@ -11,12 +11,13 @@ from typing import Any
 import pytest
 
 from deepbots_cli.learning.run import Run
-from tests.results import curves, measure, records, render
+from tests.results import curves, measure, picture, records, render
 from tests.results.commands import Commands, StoppedError
 from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Training
 from tests.results.figures import Crossed, Held, Trained, Tried
 from tests.results.places import Places
 from tests.results.progress import Progress
+from tests.results.standing import Standing
 
 TINY = Experiment(
     scenario="tests/data/scenarios/rail.yaml",
@@ -81,7 +82,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(places: Plac
     page = places.page.read_text(encoding="utf-8")
     assert "| mean return, held out | at least 301 |" in page
     assert "| **missed** |" in page
-    assert f"state {render.picture.state(TINY, record)}" in places.picture("rail").read_text(encoding="utf-8")
+    assert f"state {picture.state(Standing.of(TINY, record))}" in places.picture("rail").read_text(encoding="utf-8")
 
     forget_evaluation(places)
     assert [chain.missing() for chain in measure.chains(TINY, places)] == [1, 0]

@@ -12,6 +12,7 @@ from tests.results.catalogue import experiments, reasons
 from tests.results.experiment import FIRST_SEED, Bar, Evaluation, Experiment, Training
 from tests.results.figures import Crossed, Held, Solved, Tried
 from tests.results.places import Places
+from tests.results.standing import Standing
 from tests.results.verdicts import judge
 
 PLACES = Places()
@@ -30,7 +31,7 @@ def test_the_page_is_what_the_records_say():
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
 def test_the_picture_of_a_scenario_shows_its_records_and_is_small(experiment: Experiment):
     path = PLACES.picture(experiment.name)
-    assert picture.is_current(experiment, records.read(PLACES.record(experiment.name)), path), CURRENT
+    assert picture.is_current(Standing.of(experiment, records.read(PLACES.record(experiment.name))), path), CURRENT
     assert not path.exists() or path.stat().st_size < 100_000
 
 
@@ -108,7 +109,9 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_
     digest = fingerprint.of_training("cartpole", chosen["cartpole"].training("main"))
     for measured, marked in ((digest, False), ("of another world", True)):
         records.put(places.record("cartpole"), entry(measured), "trainings", "main", "101")
-        assert ("**Measured on an earlier version of the scenario:** seed 101." in render.page(places, chosen)) == marked
+        assert (
+            "**Measured on an earlier version of the scenario or of the experiment:** seed 101." in render.page(places, chosen)
+        ) == marked
 
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):

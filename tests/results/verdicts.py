@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Any, Literal
@@ -32,7 +33,7 @@ class Verdict:
         return "met" if self.status == "met" else "**missed**"
 
 
-def judge(experiment: Experiment, bar: Bar, record: dict[str, Any]) -> Verdict:
+def judge(experiment: Experiment, bar: Bar, record: Mapping[str, Any]) -> Verdict:
     seeds = len(experiment.training(bar.figure.training).seeds) if bar.figure.training else 1
     values = bar.figure.values(record)
     what = bar.words or bar.figure.words
@@ -57,7 +58,8 @@ def _asked(bar: Bar, seeds: int) -> str:
     value = bar.at_most if bar.at_most is not None else bar.at_least
     assert value is not None  # one of the two, says Bar
     whose = {"all": f", {seeds} of {seeds} seeds", "mean": f", mean of {seeds} seeds", "median": f", median of {seeds} seeds"}[bar.over]
-    return f"at {'most' if bar.at_most is not None else 'least'} {_figure(value, bar.figure.unit)}{whose if seeds > 1 else ''}"
+    stretch = "stretch: " if bar.stretch else ""
+    return f"{stretch}at {'most' if bar.at_most is not None else 'least'} {_figure(value, bar.figure.unit)}{whose if seeds > 1 else ''}"
 
 
 def _figure(value: float, unit: str) -> str:
