@@ -23,10 +23,10 @@ TINY = Experiment(
     scenario="tests/data/scenarios/rail.yaml",
     title="A rod on a rail",
     prose="Too short to be learned.",
-    trainings=(Training(seeds=(0,), timesteps=12_000, evaluations=(Evaluation(episodes=3),)),),
+    trainings=(Training(seeds=(0,), timesteps=6_000, evaluations=(Evaluation(episodes=3),)),),
     baselines=(Baseline(RANDOM.name, RANDOM.options, episodes=3),),
     bars=(
-        Bar(Trained("steps"), at_least=12_000),
+        Bar(Trained("steps"), at_least=6_000),
         Bar(Crossed(10, "simulated_hours"), at_most=1),
         Bar(Held("mean_return"), at_least=301),
         Bar(Tried("random", "mean_return"), at_least=1),
@@ -66,7 +66,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(places: Plac
     record = records.read(places.record("rail"))
     [entry] = record["trainings"]["main"].values()
     assert entry["times_resumed"] == 1
-    assert entry["steps"] >= 12_000
+    assert entry["steps"] >= 6_000
     ledger = [float(line) for line in run.with_suffix(".cpu").read_text().split()]
     assert len(ledger) == 2  # the training in two processes
     assert entry["cpu_seconds"] == pytest.approx(sum(ledger), abs=0.1)
