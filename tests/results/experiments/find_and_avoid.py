@@ -1,24 +1,46 @@
-"""Reach a mark behind up to 25 obstacles, taught in six stages."""
+"""Around up to 25 obstacles to a mark, with the choices masked as in the collection, and without."""
 
 from tests.results.experiment import RANDOM, Bar, Experiment, Mark, Training, seeds
-from tests.results.figures import Held, Trained
+from tests.results.figures import Crossed, Held, Trained
+
+PAPER = (
+    "The collection tells of 98.7 % of the last training episodes, after 3.4 million steps of an agent with masked choices, at 307 steps "
+    "a second. Its maps are drawn otherwise, so the shares are no more than neighbours."
+)
+MARKS = (Mark("asked for: 90 %", value=0.9), Mark("the collection: 98.7 %", value=0.987))
 
 EXPERIMENTS = (
     Experiment(
         scenario="find_and_avoid",
         title="FindAndAvoid",
-        prose="A robot with thirteen sonars and two bumpers drives to a mark in an arena or a corridor with up to 25 obstacles, some "
-        "of which can be pushed. It is taught in six stages, and examined in the last one's maps. MaskablePPO; one seed.",
-        trainings=(Training(seeds(1)),),
+        prose="A rover with thirteen sonars and two bumpers looks for a mark among 25 obstacles, three of which can be pushed; every "
+        "episode has a new map. MaskablePPO, six stages. What counts is the share of 100 held-out maps of 25 obstacles on which it comes "
+        "to the mark.",
+        trainings=(Training(seeds(1), full=True),),
         baselines=(RANDOM,),
         bars=(
+            Bar(Held("success_rate"), at_least=0.9),
             Bar(Trained("steps"), at_most=3_400_000),
-            Bar(Held("success_rate", case="full"), at_least=0.9),
-            Bar(Held("success_rate", case="full"), at_least=0.987, stretch=True),
+            Bar(Crossed(0.987, "steps", "success"), at_most=3_400_000, stretch=True),
+            Bar(Held("success_rate"), at_least=0.987, stretch=True),
         ),
-        paper="The original world (2023) reports that 98.7 % of the last training episodes succeeded after 3.4 million steps, with "
-        "masked actions.",
-        marks=(Mark("the original, at its end: 98.7 %", value=0.987),),
+        paper=PAPER,
+        marks=MARKS,
+        curve="success",
+    ),
+    Experiment(
+        scenario="find_and_avoid_unmasked",
+        title="FindAndAvoid without a mask",
+        prose="The same, by plain PPO: no choice is forbidden.",
+        trainings=(Training(seeds(1), full=True),),
+        baselines=(),
+        bars=(
+            Bar(Held("success_rate"), at_least=0.9, stretch=True),
+            Bar(Crossed(0.987, "steps", "success"), at_most=3_400_000, stretch=True),
+            Bar(Held("success_rate"), at_least=0.987, stretch=True),
+        ),
+        paper=PAPER,
+        marks=MARKS,
         curve="success",
     ),
 )
