@@ -74,7 +74,11 @@ def rotate(q: Quaternion, v: Triple) -> Triple:
 
 def rotate_back(q: Quaternion, v: Triple) -> Triple:
     """`v` turned by the inverse of a unit quaternion."""
-    return rotate((-q[0], -q[1], -q[2], q[3]), v)
+    x, y, z, w = q
+    tx = 2.0 * (z * v[1] - y * v[2])
+    ty = 2.0 * (x * v[2] - z * v[0])
+    tz = 2.0 * (y * v[0] - x * v[1])
+    return (v[0] + w * tx - y * tz + z * ty, v[1] + w * ty - z * tx + x * tz, v[2] + w * tz - x * ty + y * tx)
 
 
 HERE: Frame = ((0.0, 0.0, 0.0), UPRIGHT)

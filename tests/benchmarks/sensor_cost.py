@@ -51,7 +51,7 @@ SENSORS = (
     ("orientation", f"{{type: orientation, {HERE}}}"),
     ("compass", f"{{type: compass, {HERE}}}"),
     ("gyro", f"{{type: gyro, {HERE}}}"),
-    ("accelerometer (in all 4 substeps)", f"{{type: accelerometer, {HERE}}}"),
+    ("accelerometer", f"{{type: accelerometer, {HERE}}}"),
     ("inclinometer", f"{{type: inclinometer, {HERE}}}"),
     ("touch, two links", "{type: touch, links: [bumper_left, bumper_right]}"),
     ("force, one link", "{type: force, link: bumper_left}"),

@@ -39,6 +39,7 @@ RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
 TASKS = (
     ("quadruped", 1.15, False, "quadruped, 10 substeps with springs in 12 joints"),
     ("find_ball", 1.25, True, "find_ball, beside physics and its 8 rays"),
+    ("pit_escape", 1.1, False, "pit_escape, 8 ticks of 8 substeps, gyro and accelerometer"),
 )
 UNTIMED = 3
 """First steps of an episode, so that commands which come late, too, have reached the motors."""
@@ -118,14 +119,19 @@ def whole(environment: Any, episodes: list[Episode]) -> Callable[[], float]:
 
 def bare(environment: Supervisor, episodes: list[Episode], reads: tuple[Callable[[], object], ...] = ()) -> Callable[[], float]:
     """Physics alone, and what of the world has to be read in every step whoever does it."""
-    substeps, advance = environment.scenario.world.substeps, environment.engine.step
+    advance = environment.engine.step
 
-    def advance_and_read(substeps: int) -> None:
-        advance(substeps)
+    def advance_and_read(count: int) -> None:
+        advance(count)
         for read in reads:
             read()
 
-    return lambda: timed(environment, episodes, advance_and_read if reads else advance, [substeps] * len(episodes))
+    return lambda: timed(environment, episodes, advance_and_read if reads else advance, [substeps(environment)] * len(episodes))
+
+
+def substeps(environment: Supervisor) -> int:
+    """Physics steps in a step of the agent."""
+    return environment.scenario.world.substeps * environment.scenario.agent.repeat
 
 
 def blind(environment: Supervisor) -> None:
@@ -144,7 +150,7 @@ def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) ->
             environment.step(episode.action)
     for _ in range(episode.steps):
         one.step(episode.action)
-        other.engine.step(other.scenario.world.substeps)
+        other.engine.step(substeps(other))
     ours, bare_side = (whereabouts(environment) for environment in (one, other))
     if ours != bare_side:
         raise RuntimeError(f"the two sides moved apart: {ours} and {bare_side}")
@@ -199,7 +205,8 @@ def main() -> None:
     rows += [against_physics(what, bar, RAIL, sets, given.steps, given.pairs) for what, bar, sets in rail]
     for name, bar, with_rays, what in TASKS:
         if shipped.scenario_path(name):
-            rows.append(against_physics(what, bar, name, (), given.steps // 2, given.pairs, with_rays=with_rays))
+            steps = given.steps // (2 * api.compile(name).ir.agent.repeat)
+            rows.append(against_physics(what, bar, name, (), steps, given.pairs, with_rays=with_rays))
     rows.append(csv_beside_struct(given.steps, given.pairs))
     rows += beside_layered(given.steps, given.pairs)
     show(rows, as_json=given.json)

@@ -9,7 +9,7 @@ from math import pi
 import pytest
 
 from deepbots_cli.engines import create
-from deepbots_cli.ir import Ground, ObjectBody, RobotBody, Sensor, WorldModel
+from deepbots_cli.ir import Faults, Ground, ObjectBody, RobotBody, Sensor, WorldModel
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
@@ -85,8 +85,8 @@ def scene() -> Iterator[Callable[..., Scene]]:
         engine.close()
 
 
-def on(kind: str, link: str, components: tuple[str, ...] = ("x", "y", "z"), mount: Pose = ORIGIN) -> Sensor:
-    return Sensor(kind, kind, (link,), components, "", mount=mount)
+def on(kind: str, link: str, components: tuple[str, ...] = ("x", "y", "z"), mount: Pose = ORIGIN, faults: Faults | None = None) -> Sensor:
+    return Sensor(kind, kind, (link,), components, "", mount=mount, faults=faults)
 
 
 DEGREE = pi / 180

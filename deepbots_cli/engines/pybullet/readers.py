@@ -51,7 +51,7 @@ def motion(client: int, owner: Body, index: int, moments: Moments) -> MotionRead
     read_velocity = partial(p.getBaseVelocity, number, client)
     if owner.centred:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
-        return lambda: (read_pose(), read_velocity())
+        return moments.kept(("motion", number, index), lambda: (read_pose(), read_velocity()))
     placed = _placed(client, owner, moments)
 
     def of_origin() -> Motion:

@@ -15,15 +15,19 @@ Reading = Sequence[Any]
 """One figure, truth value or picture per component; a single one for a sensor without components."""
 
 
-def _nothing(_generator: Any) -> None:
-    """What most instruments do at a reset."""
+def _nothing(_generator: Any = None) -> None:
+    """What most instruments do at a reset, and between two readings."""
 
 
 class Instrument(NamedTuple):
-    """What a sensor measures: `read` gives the true values at this moment, `restart` begins an episode with a random generator."""
+    """What a sensor measures: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
+
+    `follow` is called in the ticks without a reading.
+    """
 
     read: Callable[[], Reading]
     restart: Callable[[Any], None] = _nothing
+    follow: Callable[[], None] = _nothing
 
 
 class Device:
@@ -74,6 +78,8 @@ class Device:
                 self.reading, self.measured = reading, tick
                 return
             self._under_way.append((tick + self._delay, tick, reading))
+        else:
+            self._instrument.follow()
         while self._under_way and self._under_way[0][0] <= tick:
             _, self.measured, self.reading = self._under_way.popleft()
 

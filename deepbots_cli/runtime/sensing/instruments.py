@@ -45,8 +45,8 @@ def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) ->
         case "joint_torque":
             return Instrument(engine.joint_torques(robot, sensor.subjects))
         case "accelerometer":
-            imu = inertial.Accelerometer(engine, robot, sensor.subjects[0], mount, world.timestep / world.substeps)
-            return Instrument(imu.read, imu.restart)
+            imu = inertial.Accelerometer(engine, robot, sensor.subjects[0], mount, world.timestep)
+            return Instrument(imu.read, imu.restart, imu.follow)
         case "touch":
             return contacts.touch(engine, robot, sensor)
         case "force":
