@@ -16,6 +16,7 @@ import argparse
 import shutil
 import signal
 import sys
+import time
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from types import FrameType
 
@@ -28,7 +29,7 @@ from tests.results.experiment import Experiment
 from tests.results.measure import Chain
 from tests.results.parts import PARTS, Part
 from tests.results.places import Places
-from tests.results.progress import Progress
+from tests.results.progress import Progress, duration
 
 Subject = Experiment | Part
 
@@ -50,20 +51,23 @@ def forget(name: str, places: Places) -> None:
 def complete(chains: list[Chain], jobs: int) -> int:
     """Measure what is missing, `jobs` at a time; the exit code. A piece that fails does not keep the others from being measured."""
     commands, progress = Commands(), Progress(sum(chain.missing() for chain in chains))
-    code = 0
+    code, began = 0, time.monotonic()
     with ThreadPoolExecutor(jobs) as pool:
         try:
             for done in as_completed([pool.submit(chain.measure, commands, progress) for chain in chains]):
                 code = max(code, told(done, progress))
-        except KeyboardInterrupt:
-            progress.say("stopping; call again to go on")
+        except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
             commands.stop()
+            if not isinstance(error, KeyboardInterrupt):
+                raise
             code = INTERRUPTED
+    progress.say(f"{'stopped' if code == INTERRUPTED else 'ended'} after {duration(time.monotonic() - began)}")
     return code
 
 
 def told(done: Future[None], progress: Progress) -> int:
+    """What became of a chain, as an exit code."""
     try:
         done.result()
     except StoppedError:
@@ -107,7 +111,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
             for name in chosen:
                 forget(name, places)
         code = complete([chain for name in chosen for chain in chains_of(known[name], places)], max(1, given.jobs))
-    render.write(places, experiments())
+    print(render.write(places, experiments()), file=sys.stderr)
     return code
 
 

@@ -17,6 +17,8 @@ from tests.results.standing import Standing
 from tests.results.tables import measured_on, table, wrapped
 
 Experiments = Mapping[str, Experiment]
+Tables = Mapping[str, Mapping[str, Any]]
+"""What was measured of each part."""
 
 HEAD = """\
 # Results
@@ -33,16 +35,22 @@ Where a bar stands for several seeds, the worst counts unless it says otherwise.
 """
 
 
-def write(places: Places, experiments: Experiments) -> None:
-    """The page, and the pictures whose data have changed."""
+def write(places: Places, experiments: Experiments) -> str:
+    """The page, and the pictures whose data have changed; returns how many bars are met, in a sentence."""
+    standings, tables = _measured(places, experiments)
     write_text(places.page, page(places, experiments))
-    for name, experiment in experiments.items():
-        picture.write(Standing.of(experiment, records.read(places.record(name))), places.picture(name))
+    for standing in standings:
+        picture.write(standing, places.picture(standing.experiment.name))
+    return _headline(standings, tables)
+
+
+def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing], Tables]:
+    standings = [Standing.of(experiment, records.read(places.record(name))) for name, experiment in experiments.items()]
+    return standings, {part.name: records.read(places.record(part.name)).get("tables", {}) for part in PARTS}
 
 
 def page(places: Places, experiments: Experiments) -> str:
-    standings = [Standing.of(experiment, records.read(places.record(name))) for name, experiment in experiments.items()]
-    tables = {part.name: records.read(places.record(part.name)).get("tables", {}) for part in PARTS}
+    standings, tables = _measured(places, experiments)
     lines = [HEAD, "## Summary", "", *_summary(standings, tables), ""]
     for standing in standings:
         lines += lines_of(standing)
@@ -52,23 +60,32 @@ def page(places: Places, experiments: Experiments) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _summary(standings: Sequence[Standing], tables: Mapping[str, Any]) -> list[str]:
-    rows, words = [], []
+def _headline(standings: Sequence[Standing], tables: Tables) -> str:
+    words = [verdict.word for standing in standings for verdict in standing.verdicts()]
+    words += ["met" if met else "**missed**" for part in PARTS for met in _met(tables[part.name])]
+    counted = ", ".join(f"{words.count(word)} {word.strip('*')}" for word in ("met", "**missed**", "not measured"))
+    reached, measured = words.count("reached"), words.count("reached") + words.count("not reached")
+    return f"Of what is asked: {counted}. Of what would be more than that (stretch), {reached} of {measured} measured reached."
+
+
+def _met(tables: Mapping[str, Any]) -> list[bool]:
+    """Of the rows of a part that have bars."""
+    return [row["met"] for entry in tables.values() for row in entry["rows"] if row["met"] is not None]
+
+
+def _summary(standings: Sequence[Standing], tables: Tables) -> list[str]:
+    rows = []
     for standing in standings:
         note = ", earlier version" if any(standing.outdated()) else ""
         for index, verdict in enumerate(standing.verdicts()):
             link = "" if index else _link(standing.experiment.title)
             rows.append((link, verdict.what, verdict.asked, verdict.measured, verdict.word + (note if verdict.measured else "")))
-            words.append(verdict.word)
     for part in PARTS:
-        met = [row["met"] for entry in tables[part.name].values() for row in entry["rows"] if row["met"] is not None]
+        met = _met(tables[part.name])
         word = "not measured" if not met else "met" if all(met) else f"**{met.count(False)} missed**"
         rows.append((_link(part.title), f"{len(met)} bars" if met else "", "", f"{sum(met)} of {len(met)}" if met else "", word))
-        words += ["met" if each else "**missed**" for each in met]
-    counted = ", ".join(f"{words.count(word)} {word.strip('*')}" for word in ("met", "**missed**", "not measured"))
-    stretch = words.count("reached"), words.count("reached") + words.count("not reached")
-    head = f"Of what is asked, {counted}. Of what would be more than that (stretch), {stretch[0]} of {stretch[1]} measured reached."
-    return [*wrapped(head), "", *table(("scenario", "what", "asked", "measured", ""), rows)]
+    head = wrapped(_headline(standings, tables))
+    return [*head, "", *table(("scenario", "what", "asked", "measured", ""), rows)]
 
 
 def _link(title: str) -> str:

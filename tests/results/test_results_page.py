@@ -8,6 +8,7 @@ import pytest
 
 from deepbots_cli.source import shipped
 from tests.results import fingerprint, picture, records, render
+from tests.results.__main__ import main
 from tests.results.catalogue import experiments, reasons
 from tests.results.experiment import FIRST_SEED, Bar, Evaluation, Experiment, Training
 from tests.results.figures import Crossed, Held, Solved, Tried
@@ -56,6 +57,18 @@ def test_bars_look_at_what_is_measured(experiment: Experiment):
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
 def test_no_reported_seed_was_used_for_tuning(experiment: Experiment):
     assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
+
+
+def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_are(capsys: pytest.CaptureFixture[str]):
+    assert main(["cartpoel"]) == 2
+    assert capsys.readouterr().err.startswith("there is no cartpoel; there are: cartpole, cartpole_continuous, ")
+
+
+def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    places = Places(*(tmp_path / name for name in ("records", "page.md", "pictures", "runs")))
+    assert main(["--list", "cartpole", "costs"], places) == 0
+    assert capsys.readouterr().out.split() == ["cartpole", "11", "missing", "costs", "4", "missing"]
+    assert list(tmp_path.iterdir()) == []
 
 
 def hours(*values: float | None) -> dict[str, object]:
