@@ -116,8 +116,15 @@ class SeedChain:
 
     def missing(self) -> int:
         evaluations = self.unevaluated()
-        untrained = self.entry() is None or (evaluations and not self._is_done(self._run()))
-        return len(evaluations) + bool(untrained)
+        untrained = self.entry() is None or (evaluations and not self._is_on_disk())
+        return 1 + len(self.training.evaluations) if untrained else len(evaluations)
+
+    def _is_on_disk(self) -> bool:
+        """Whether there is a trained policy to evaluate."""
+        try:
+            return self._is_done(self._run())
+        except RunError:
+            return False
 
     def measure(self, commands: Commands, progress: Progress) -> None:
         if not self.missing():
@@ -125,10 +132,11 @@ class SeedChain:
         name = f"{self.experiment.name} {self.seed}" + ("" if self.training.name == "main" else f" ({self.training.name})")
         self._wait_for_others(commands, progress)
         run = self._run()
-        if run is None or not self._is_done(run):
+        done = self._is_done(run)
+        if not done:
             with progress.piece(f"{name}: {'training' if run is None else 'going on with the training'}"):
                 self._train(run, commands)
-        if self.entry() is None:
+        if not done or self.entry() is None:
             records.put(self._record, self._collected(), *self._keys)
         for evaluation in self.unevaluated():
             with progress.piece(f"{name}: evaluating, {evaluation.name}"):
@@ -149,11 +157,12 @@ class SeedChain:
                 commands.pause(POLL_SECONDS)
 
     def _run(self) -> Run | None:
-        """What there is of it on disk; a directory that a process was killed in while making it, or of another deepbots, is none."""
-        try:
-            return Run.open(self.folder)
-        except RunError:
-            return None
+        """What there is of it on disk; a directory that a process was killed in while making it is none.
+
+        Raises:
+            RunError: It is damaged, or of another deepbots; nobody but its owner should throw hours of training away.
+        """
+        return Run.open(self.folder) if (self.folder / "run.json").exists() else None
 
     def _is_done(self, run: Run | None) -> bool:
         """Whether nothing is left to train. (One that is killed in its last moments does not know so itself.)"""
@@ -167,8 +176,7 @@ class SeedChain:
         ledger = self._ledger
         if run is None:
             self.folder.parent.mkdir(parents=True, exist_ok=True)
-            for superseded in self.folder.parent.glob(f"{self.training.name}-{self.seed}-*/"):
-                shutil.rmtree(superseded)
+            shutil.rmtree(self.folder, ignore_errors=True)
             ledger.write_text("", encoding="utf-8")
             words = [self._scenario, "--seed", str(self.seed), *self.training.options, "--run", str(self.folder)]
         else:

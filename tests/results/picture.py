@@ -135,4 +135,4 @@ def _upright(axes: Any, mark: Mark, end: float, *, height: float) -> None:
         place = {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points"}
         axes.annotate(mark.words, (mark.hours, height), (-3, 0), ha="right", fontsize=8, **place)
     else:
-        axes.annotate(f"{mark.words} \u2192", (0.99, height), xycoords="axes fraction", ha="right", fontsize=8)
+        axes.annotate(f"{mark.words} \u2192", (0.94, height), xycoords="axes fraction", ha="right", fontsize=8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -85,7 +86,7 @@ def _episodes(standing: Standing) -> list[str]:
             rows.append((baseline.words or baseline.name.replace("_", " "), "", *_outcome(tried[baseline.name])))
     if not rows:
         return []
-    head = ("episodes", "seed", "number", "succeed", "mean return", "worst, best")
+    head = ("episodes", "seed", "number", "succeed", "mean return", "worst, best", "ended by")
     return [*table(head, rows), "", *wrapped(f"{', '.join(_commands(standing))}; RUN is the directory that the training made."), ""]
 
 
@@ -117,6 +118,7 @@ def _held_rows(name: str, held: Mapping[int, Entry]) -> Iterator[tuple[str, ...]
             "return_interval": None,
             "least_return": min(entry["least_return"] for entry in entries),
             "greatest_return": max(entry["greatest_return"] for entry in entries),
+            "endings": sum((Counter(entry["endings"]) for entry in entries), Counter()),
         }
         yield (name, "all", *_outcome(together))
 
@@ -130,4 +132,5 @@ def _outcome(result: Entry) -> tuple[str, ...]:
     if result["success_defined"]:
         low, high = result["success_interval"]
         share = f"{result['success_rate']:.1%} ({low:.1%} .. {high:.1%})".replace("%", " %")
-    return str(result["episodes"]), share, mean, f"{number(result['least_return'])}, {number(result['greatest_return'])}"
+    endings = ", ".join(f"{name} {times}" for name, times in result["endings"].items())
+    return str(result["episodes"]), share, mean, f"{number(result['least_return'])}, {number(result['greatest_return'])}", endings
