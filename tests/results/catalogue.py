@@ -9,7 +9,18 @@ from pathlib import Path
 from tests.results.experiment import Experiment
 from tests.results.experiments.not_measured import REASONS
 
-FIRST = ("cartpole", "cartpole_continuous", "pit_escape", "find_ball", "find_ball_random", "find_and_avoid", "panda_reach", "panda_push")
+FIRST = (
+    "cartpole",
+    "cartpole_continuous",
+    "multi_cartpole",
+    "pit_escape",
+    "find_ball",
+    "find_ball_random",
+    "find_and_avoid",
+    "find_and_avoid_unmasked",
+    "panda_reach",
+    "panda_push",
+)
 """The order on the page; the others follow by name."""
 
 

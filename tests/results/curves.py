@@ -38,6 +38,7 @@ class Point:
     mean_return: float
     success: float
     full: bool
+    stage: str
 
 
 def episodes(monitor: Path) -> list[Episode]:
@@ -71,7 +72,7 @@ def points(logged: Iterable[Episode]) -> list[Point]:
         recent.append(episode)
         mean = sum(e.total_return for e in recent) / len(recent)
         share = sum(e.success for e in recent) / len(recent)
-        found.append(Point(episode.episode, episode.steps, episode.simulated_hours, mean, share, len(recent) == WINDOW))
+        found.append(Point(episode.episode, episode.steps, episode.simulated_hours, mean, share, len(recent) == WINDOW, episode.stage))
     return found
 
 
@@ -87,9 +88,9 @@ def thinned(curve: list[Point]) -> dict[str, list[float]]:
     }
 
 
-def crossing(curve: list[Point], wanted: Crossed) -> dict[str, Any] | None:
-    """The first mean over 100 episodes that reaches the threshold; None if there is none."""
+def crossing(curve: list[Point], wanted: Crossed, stage: str = "") -> dict[str, Any] | None:
+    """The first mean over 100 episodes of the last `stage` that reaches the threshold; None if there is none."""
     for point in curve:
-        if point.full and (point.mean_return if wanted.metric == "return" else point.success) >= wanted.threshold:
+        if point.full and point.stage == stage and (point.mean_return if wanted.metric == "return" else point.success) >= wanted.threshold:
             return {"episode": point.episode, "steps": point.steps, "simulated_hours": point.simulated_hours}
     return None

@@ -77,7 +77,7 @@ class Solved:
 
 @dataclass(frozen=True)
 class Crossed:
-    """When the mean of 100 consecutive training episodes of one stage first was at least `threshold`."""
+    """When the mean of 100 consecutive training episodes first was at least `threshold`, in the last stage of a curriculum."""
 
     threshold: float
     when: When

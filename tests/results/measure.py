@@ -202,6 +202,7 @@ class SeedChain:
         if stages is not None:
             curriculum.restore(stages)
         curve = curves.points(curves.episodes(run.monitor))
+        last = run.ir.curriculum[-1].name if run.ir.curriculum else ""
         processes = [float(line) for line in self._ledger.read_text(encoding="utf-8").split()]
         ends = [asdict(end) | {"simulated_hours": round(end.steps * run.ir.period / 3600, 4)} for end in curriculum.ends]
         return {
@@ -216,7 +217,7 @@ class SeedChain:
             "solved_at": None if statistics.solved_at is None else asdict(statistics.solved_at),
             "stage": curriculum.name,
             "stages": ends,
-            "crossings": {wanted.key: curves.crossing(curve, wanted) for wanted in self._crossings()},
+            "crossings": {wanted.key: curves.crossing(curve, wanted, last) for wanted in self._crossings()},
             "curve": curves.thinned(curve),
             "evaluations": {},
         }

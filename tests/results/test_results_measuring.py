@@ -123,6 +123,11 @@ def test_a_threshold_is_crossed_by_the_mean_of_a_hundred_episodes_only():
     assert curves.crossing(curve, Crossed(1.1, "episode")) is None
 
 
+def test_a_threshold_that_is_crossed_in_an_easy_stage_is_not_crossed():
+    curve = curves.points(logged([1.0] * 100 + [0.0] * 100 + [1.0] * 100, ["easy"] * 100 + ["hard"] * 200))
+    assert curves.crossing(curve, Crossed(0.9, "episode"), "hard") == {"episode": 290, "steps": 2900, "simulated_hours": 2.9}
+
+
 def test_what_episodes_of_one_stage_came_to_does_not_count_in_the_next():
     curve = curves.points(logged([1.0] * 100 + [0.0, 1.0, 0.0], ["easy"] * 100 + ["hard", "easy", "hard"]))
     assert [point.mean_return for point in curve[-3:]] == [1.0, 0.0, 0.0]
