@@ -48,6 +48,17 @@ def forget(name: str, places: Places) -> None:
     shutil.rmtree(places.runs / name, ignore_errors=True)
 
 
+def measured(names: list[str], jobs: int, places: Places) -> int:
+    """Measure what is missing of these: the scenarios, `jobs` commands at a time, then the parts, each alone, since some are timed."""
+    known, code = subjects(), 0
+    scenarios = [name for name in names if name in experiments()]
+    for group, width in ((scenarios, jobs), ([name for name in names if name not in scenarios], 1)):
+        chains = [chain for name in group for chain in chains_of(known[name], places)]
+        if chains and code != INTERRUPTED:
+            code = max(code, complete(chains, width))
+    return code
+
+
 def complete(chains: list[Chain], jobs: int) -> int:
     """Measure what is missing, `jobs` at a time; the exit code. A piece that fails does not keep the others from being measured."""
     commands, progress = Commands(), Progress(sum(chain.missing() for chain in chains))
@@ -110,7 +121,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
         if given.anew:
             for name in chosen:
                 forget(name, places)
-        code = complete([chain for name in chosen for chain in chains_of(known[name], places)], max(1, given.jobs))
+        code = measured(chosen, max(1, given.jobs), places)
     print(render.write(places, experiments()), file=sys.stderr)
     return code
 
