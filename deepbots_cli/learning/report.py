@@ -70,8 +70,8 @@ def summary_text(summary: Summary, *, success_defined: bool) -> str:
 
 def _figures(result: EvaluationResult | Summary, *, success_defined: bool) -> list[Row]:
     rows = [
-        ("mean return", f"{result.mean_return:.2f}{_deviation(result)}"),
-        ("least, greatest", f"{result.least_return:.2f}, {result.greatest_return:.2f}"),
+        ("mean return", f"{_figure(result.mean_return)}{_deviation(result)}"),
+        ("least, greatest", f"{_figure(result.least_return)}, {_figure(result.greatest_return)}"),
         ("mean length", f"{result.mean_length:.1f} steps"),
         ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
     ]
@@ -110,7 +110,12 @@ def _deviation(result: EvaluationResult | Summary) -> str:
     if result.deviation is None or result.return_interval is None:
         return ""
     low, high = result.return_interval
-    return f", deviation {result.deviation:.2f} (95 % of the mean: {low:.2f} .. {high:.2f})"
+    return f", deviation {_figure(result.deviation)} (95 % of the mean: {_figure(low)} .. {_figure(high)})"
+
+
+def _figure(value: float) -> str:
+    """Two decimals; four where returns are small."""
+    return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
 
 
 def _aligned(rows: Iterable[Row]) -> list[str]:

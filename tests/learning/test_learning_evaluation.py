@@ -15,8 +15,10 @@ from deepbots_cli import canonical
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import Case, Solved
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
+from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import judge
-from deepbots_cli.learning.report import case_rows, evaluation_text, to_json
+from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
+from deepbots_cli.learning.summary import Summary
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
@@ -170,3 +172,9 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
         (run / "scenario.ir.json").write_text(canonical.to_json(forged.ir))
         with pytest.raises(RunError, match="figures or bodies"):
             evaluate(run, build=stand_in.build)
+
+
+def test_small_returns_are_shown_with_four_decimals() -> None:
+    done = [Episode(value, 10, False, "max_time") for value in (0.1423, 0.1431)]
+    assert "mean return      0.1427, deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
+    assert "mean return      14.27" in summary_text(Summary.of([Episode(14.27, 10, False, None)]), success_defined=False)
