@@ -100,7 +100,9 @@ def _lines_of_part(part: Part, measured: Mapping[str, Any]) -> list[str]:
         rows = [(row["what"], _counted(row), f"`{entry['command']}`") for entry, row in known]
         lines += table(("what", part.figure, "command"), rows)
     else:
-        rows = [(row["what"], row["bar_words"], f"{row['measured']:.3g} {row['unit']}".rstrip(), _verdict(row)) for _, row in known]
+        rows = [
+            (row["what"], row["bar_words"].rstrip(), f"{row['measured']:.3g} {row['unit']}".rstrip(), _verdict(row)) for _, row in known
+        ]
         lines += table(("what", "bar", part.figure, "met"), rows)
         lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
     if missing := [entry.command for entry in part.tables if entry.name not in measured]:
