@@ -56,7 +56,7 @@ def command(
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
-      deepbots eval runs/find_ball-0-1 --case many
+      deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """
     compiled = None
