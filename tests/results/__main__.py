@@ -81,7 +81,9 @@ def told(done: Future[None], progress: Progress) -> int:
     """What became of a chain, as an exit code."""
     try:
         done.result()
-    except StoppedError:
+    except StoppedError as stopped:
+        if stopped.args:
+            progress.say(str(stopped))
         return INTERRUPTED
     except (CommandFailedError, DeepbotsError) as failure:
         progress.say(str(failure))
@@ -117,7 +119,8 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
     code = 0
     if not given.render:
         for number in (signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, interrupt)
+            if signal.getsignal(number) != signal.SIG_IGN:  # `nohup` ignores SIGHUP, and means it
+                signal.signal(number, interrupt)
         if given.anew:
             for name in chosen:
                 forget(name, places)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,8 @@ class Commands:
         with self._lock:
             self._stopping.set()
             for process in self._running:
-                process.send_signal(signal.SIGTERM)
+                with suppress(ProcessLookupError):
+                    os.kill(process.pid, signal.SIGTERM)  # Popen's own way may take the end of it, and its CPU time, from `wait4`
 
     def pause(self, seconds: float) -> None:
         """Raises: StoppedError: It was asked for meanwhile."""
@@ -89,7 +91,9 @@ class Commands:
         if ledger is not None:
             with ledger.open("a", encoding="utf-8") as stream:
                 stream.write(f"{outcome.cpu_seconds:.2f}\n")
-        if outcome.code in (INTERRUPTED, -signal.SIGTERM, -signal.SIGKILL):
+        if outcome.code == -signal.SIGKILL:
+            raise StoppedError(f"killed outright, for want of memory perhaps: deepbots {shlex.join(words)}")
+        if outcome.code in (INTERRUPTED, -signal.SIGTERM):
             raise StoppedError
         if outcome.code:
             raise CommandFailedError(f"exit code {outcome.code} of: deepbots {shlex.join(words)}")

@@ -91,7 +91,7 @@ class Crossed:
 
     @property
     def words(self) -> str:
-        what = f"a mean return of {self.threshold:g}" if self.metric == "return" else f"{self.threshold:.0%} successes"
+        what = f"a mean return of {self.threshold:g}" if self.metric == "return" else f"{100 * self.threshold:.4g} % successes"
         return f"{_named(self.when)} until {what} over 100 episodes"
 
     @property

@@ -24,14 +24,19 @@ HEAD = """\
 # Results
 
 What deepbots reaches, with the commands that produce each figure. `make results` measures what is missing or stale and writes this
-page from the records in `docs/results`; nothing here is typed by hand. [Contributing](../CONTRIBUTING.md) says how a figure gets here.
+page from the records in `docs/results`; no figure in a table is typed by hand. [Contributing](../CONTRIBUTING.md) says how one gets here.
 
 Simulated hours are the steps of all copies of the environment times the timestep. A seed is solved when the mean over so many
 consecutive episodes, in order of completion, first reaches what the scenario asks for. CPU times are those of all processes of a
 training, from the start to the end of the evaluation that `deepbots train` makes; they vary with the machine by a tenth or two, and by
 more beside busy neighbours, while ratios and simulated hours do not. The seeds, from 101, were not used to choose any figure of a
 scenario. Held-out episodes start from seeds that no training uses. Intervals are of 95 %: Wilson's for a share, Student's for a mean.
-Where a bar stands for several seeds, the worst counts unless it says otherwise.
+They tell how well so many episodes show what the trained policies do, and not how another training would turn out: a row for all seeds
+puts their episodes together, and the rows above it show how far the seeds are apart. Where a bar stands for several seeds, the worst
+counts unless it says otherwise.
+
+Figures of a scenario that has changed since they were measured are marked. A change of deepbots itself is not: what each section has is
+of deepbots as it was on the date below it.
 """
 
 
@@ -65,7 +70,9 @@ def _headline(standings: Sequence[Standing], tables: Tables) -> str:
     words += ["met" if met else "**missed**" for part in PARTS for met in _met(tables[part.name])]
     counted = ", ".join(f"{words.count(word)} {word.strip('*')}" for word in ("met", "**missed**", "not measured"))
     reached, measured = words.count("reached"), words.count("reached") + words.count("not reached")
-    return f"Of what is asked: {counted}. Of what would be more than that (stretch), {reached} of {measured} measured reached."
+    old = sum(verdict.status != "not measured" for standing in standings if any(standing.outdated()) for verdict in standing.verdicts())
+    told = f"Of what is asked: {counted}. Of what would be more than that (stretch), {reached} of {measured} measured reached."
+    return f"{told} {old} of these verdicts {'is' if old == 1 else 'are'} of an earlier version of a scenario." if old else told
 
 
 def _met(tables: Mapping[str, Any]) -> list[bool]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.source import shipped
-from tests.results import fingerprint, picture, records, render
+from tests.results import asked, fingerprint, picture, records, render
 from tests.results.__main__ import main
 from tests.results.catalogue import experiments, reasons
 from tests.results.experiment import FIRST_SEED, Bar, Evaluation, Experiment, Training
@@ -51,6 +51,17 @@ def test_bars_look_at_what_is_measured(experiment: Experiment):
             found = fingerprint.compiled(held[figure.evaluation].scenario or experiment.scenario)
             assert figure.case is None or figure.case in {case.name for case in found.cases}
         assert figure.training is None or figure.training in {training.name for training in experiment.trainings}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
+def test_what_is_evaluated_and_tried_is_there_before_hours_of_training_are_over(experiment: Experiment):
+    for training in experiment.trainings:
+        for evaluation in training.evaluations:
+            assert asked.evaluation(experiment, training, evaluation)
+    for baseline in experiment.baselines:
+        assert asked.baseline(experiment, baseline)
+        option, name = baseline.options
+        assert option != "--script" or fingerprint.compiled(experiment.scenario).script(name)
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
@@ -117,13 +128,14 @@ def entry(digest: str) -> dict[str, object]:
 
 def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_path: Path):
     places = Places(*(tmp_path / name for name in ("records", "page.md", "pictures", "runs")))
-    chosen = {"cartpole": experiments()["cartpole"]}
+    bars = (Bar(Solved("simulated_hours"), at_most=0.5),)
+    chosen = {"cartpole": Experiment("cartpole", "CartPole", "", (Training(),), bars)}
     digest = fingerprint.of_training("cartpole", chosen["cartpole"].training("main"))
     for measured, marked in ((digest, False), ("of another world", True)):
         records.put(places.record("cartpole"), entry(measured), "trainings", "main", "101")
-        assert (
-            "**Measured on an earlier version of the scenario or of the experiment:** seed 101." in render.page(places, chosen)
-        ) == marked
+        page = " ".join(render.page(places, chosen).split())
+        assert ("**Measured on an earlier version of the scenario or of the experiment:** seed 101." in page) == marked
+        assert ("1 of these verdicts is of an earlier version of a scenario." in page) == marked
 
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
@@ -139,4 +151,8 @@ def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: 
 
 def test_crossings_are_of_a_metric_and_a_threshold():
     assert Crossed(0.9, "simulated_hours").key == "return 0.9"
-    assert Crossed(0.9, "steps", metric="success").words == "steps until 90% successes over 100 episodes"
+    assert Crossed(0.9, "steps", metric="success").words == "steps until 90 % successes over 100 episodes"
+
+
+def test_a_threshold_is_told_as_it_is_and_not_rounded_up():
+    assert Crossed(0.987, "steps", metric="success").words == "steps until 98.7 % successes over 100 episodes"
