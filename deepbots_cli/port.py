@@ -151,13 +151,10 @@ class Engine(Protocol):
     def set_light(self, brightness: float) -> None:
         """Of pictures; 1 is ordinary."""
 
-    # What acts or looks in every engine step; bound at build, called in the order of binding
+    # What acts in every engine step; bound at build, called in the order of binding
 
     def before_substep(self, act: Callable[[], object]) -> None:
         """Call `act` before each engine step of `step`."""
-
-    def after_substep(self, look: Callable[[], object]) -> None:
-        """Call `look` after each engine step of `step`."""
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         """Pushes a link in the next engine step alone, at its origin; the axes are those of the world or of the link."""

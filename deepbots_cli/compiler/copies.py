@@ -11,7 +11,7 @@ from deepbots_cli.lang.types import SPACE, Context
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path, descend
 
-_NOT_YET = "take it out for now; the language reference lists what each version runs"
+_NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
 _TOGETHER: tuple[tuple[Path, str], ...] = (
     (("goal",), "a goal"),
     (("world", "terrain"), "terrain"),

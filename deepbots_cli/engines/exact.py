@@ -63,7 +63,6 @@ class ExactEngine:
         self._models: dict[str, RobotModel] = {}
         self._ways_back: list[Callable[[], object]] = []
         self._acts: list[Callable[[], object]] = []
-        self._looks: list[Callable[[], object]] = []
         self._motions: dict[str, RigidBody | CartPole] = {}
         self._homes: dict[str, frames.Frame] = {}
         self._servos: dict[tuple[str, tuple[str, ...]], Servo] = {}
@@ -156,9 +155,6 @@ class ExactEngine:
     def before_substep(self, act: Callable[[], object]) -> None:
         self._acts.append(act)
 
-    def after_substep(self, look: Callable[[], object]) -> None:
-        self._looks.append(look)
-
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         raise _lacks("forces on links")
 
@@ -189,8 +185,6 @@ class ExactEngine:
                 servo.act()
             for motion in motions:
                 motion.advance(self._timestep)
-            for look in self._looks:
-                look()
 
     def require_finite(self) -> None:
         for name, motion in self._open().items():

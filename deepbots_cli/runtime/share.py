@@ -148,9 +148,6 @@ class Share:
     def before_substep(self, act: Callable[[], object]) -> None:
         self._engine.before_substep(act)
 
-    def after_substep(self, look: Callable[[], object]) -> None:
-        self._engine.after_substep(look)
-
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._engine.pusher(self._at(part), frame) if self._sets(part[0]) else _leave_it
 

@@ -48,10 +48,10 @@ def test_a_reading_is_that_of_a_world_that_nobody_has_read_before(change, worlds
     assert now != earlier
 
 
-def test_what_looks_after_every_engine_step_sees_a_new_pose_each_time(worlds, build):
+def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(worlds, build):
     engine = build("pybullet", worlds.crooked())
     pose, heights = engine.pose("robot"), []
-    engine.after_substep(lambda: heights.append(pose()[0][2]))
+    engine.before_substep(lambda: heights.append(pose()[0][2]))
     engine.step(10)
     assert len(set(heights)) == 10
     assert heights == sorted(heights, reverse=True)

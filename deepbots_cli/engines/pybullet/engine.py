@@ -177,9 +177,6 @@ class PyBulletEngine:
     def before_substep(self, act: Callable[[], object]) -> None:
         self._substeps.act(act)
 
-    def after_substep(self, look: Callable[[], object]) -> None:
-        self._substeps.look(look)
-
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._bound(part, lambda body, index: pushes.pusher(self._client, body, index, frame))
 

@@ -1,4 +1,4 @@
-"""What acts and looks around every engine step of `Engine.step`."""
+"""What acts before every engine step of `Engine.step`, and what watches after it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ Act = Callable[[], object]
 
 
 class Substeps:
-    """Acts, then drives (motors that renew their torque), then one step of physics, then watches, then looks.
+    """Acts, then drives (motors that renew their torque), then one step of physics, then watches.
 
-    Drives come after acts, so that they see the targets that those have just set; looks see what watches saw.
+    Drives come after acts, so that they see the targets that those have just set.
     """
 
     def __init__(self, moments: Moments) -> None:
@@ -21,8 +21,6 @@ class Substeps:
         self._begins: list[Act] = []
         self._acts: list[Act] = []
         self._drives: list[Act] = []
-        self._watches: list[Act] = []
-        self._looks: list[Act] = []
         self._before: list[Act] = []
         self._after: list[Act] = []
 
@@ -30,15 +28,10 @@ class Substeps:
         self._acts.append(act)
         self._arrange()
 
-    def look(self, look: Act) -> None:
-        self._looks.append(look)
-        self._arrange()
-
     def watch(self, begin: Act, look: Act) -> None:
         """`begin` is called once per `step`, before everything else."""
         self._begins.append(begin)
-        self._watches.append(look)
-        self._arrange()
+        self._after.append(look)
 
     def drive(self, drives: list[Act]) -> None:
         """Have these drives, and no others."""
@@ -54,10 +47,9 @@ class Substeps:
 
     def _arrange(self) -> None:
         self._before[:] = [*self._acts, *self._drives]
-        self._after[:] = [*self._watches, *self._looks]
 
     def stepper(self, client: int) -> Callable[[int], None]:
-        """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step."""
+        """`Engine.step`. In most worlds nothing acts or watches; asking costs 1 % of the cheapest step."""
         advance, before, after, begins, now = p.stepSimulation, self._before, self._after, self._begins, self._moments.now
 
         def step(substeps: int) -> None:
