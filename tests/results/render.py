@@ -29,11 +29,12 @@ page from the records in `docs/results`; no figure in a table is typed by hand. 
 Simulated hours are the steps of all copies of the environment times the timestep. A seed is solved when the mean over so many
 consecutive episodes, in order of completion, first reaches what the scenario asks for. CPU times are those of all processes of a
 training, from the start to the end of the evaluation that `deepbots train` makes; they vary with the machine by a tenth or two, and by
-more beside busy neighbours, while ratios and simulated hours do not. The seeds, from 101, were not used to choose any figure of a
-scenario. Held-out episodes start from seeds that no training uses. Intervals are of 95 %: Wilson's for a share, Student's for a mean.
-They tell how well so many episodes show what the trained policies do, and not how another training would turn out: a row for all seeds
-puts their episodes together, and the rows above it show how far the seeds are apart. Where a bar stands for several seeds, the worst
-counts unless it says otherwise.
+more beside busy neighbours, while ratios and simulated hours do not. A training that was stopped and resumed, which its row says,
+began new episodes then: its command in one go gives other figures, as another seed would. The seeds, from 101, were not used to choose
+any figure of a scenario. Held-out episodes start from seeds that no training uses. Intervals are of 95 %: Wilson's for a share,
+Student's for a mean. They tell how well so many episodes show what the trained policies do, and not how another training would turn
+out: a row for all seeds puts their episodes together, and the rows above it show how far the seeds are apart. Where a bar stands for
+several seeds, the worst counts unless it says otherwise.
 
 Figures of a scenario that has changed since they were measured are marked. A change of deepbots itself is not: what each section has is
 of deepbots as it was on the date below it.

@@ -59,7 +59,7 @@ def _seed_row(seed: int, entry: Entry) -> tuple[str, ...]:
         number(solved["simulated_hours"], 3) if solved else "",
         f"{count(entry['steps'])} steps, {count(entry['episodes'])} episodes",
         number(entry["simulated_hours"], 3),
-        f"{number(entry['cpu_seconds'], 3)} s" + (f", resumed {resumed} times" if resumed else ""),
+        f"{number(entry['cpu_seconds'], 3)} s" + (f", resumed {'once' if resumed == 1 else f'{resumed} times'}" if resumed else ""),
     )
 
 

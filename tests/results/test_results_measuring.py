@@ -82,6 +82,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(places: Plac
     page = places.page.read_text(encoding="utf-8")
     assert "| mean return, held out | at least 301 |" in page
     assert "| **missed** |" in page
+    assert " s, resumed once |" in page
     assert f"state {picture.state(Standing.of(TINY, record))}" in places.picture("rail").read_text(encoding="utf-8")
 
     forget_evaluation(places)
