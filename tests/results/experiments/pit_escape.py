@@ -1,7 +1,16 @@
 """The paper's second task: a ball rocks itself out of a pit."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Mark, Training, seeds
-from tests.results.figures import Crossed, Held, Solved, Trained, Tried
+from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Mark, Training, seeds
+from tests.results.figures import Crossed, Held, Trained, Tried
+
+_ELSEWHERE = tuple(
+    Evaluation(name=name, scenario=f"tests/pits/pit_escape_{name}.yaml", words=words)
+    for name, words in (
+        ("heightfield", "a pit from a picture of heights, with other lumps"),
+        ("mesh", "a smooth pit of larger triangles"),
+        ("half_step", "physics steps of 2 ms instead of 4"),
+    )
+)
 
 EXPERIMENTS = (
     Experiment(
@@ -9,28 +18,42 @@ EXPERIMENTS = (
         title="PitEscape",
         prose="A ball with a weight inside has to leave a pit whose wall is too steep for its motors, so it must rock. The return of "
         "an episode is half the share of the way out while it is inside, and from 0.5 to 1 the sooner it gets out. Two layers "
-        "of 60 ReLU units, PPO; it counts as solved when the mean of 100 consecutive training episodes is at least 0.8. The "
-        "second training goes on for three hours.",
+        "of 60 ReLU units, PPO. The paper asks for a mean of 0.8; the scenario counts as solved when the mean of 100 consecutive "
+        "training episodes is at least 0.89, and the training ends there. The second training goes on for three hours.",
         trainings=(
-            Training(seeds(5)),
-            Training(seeds(5), name="long", timesteps=42_000, full=True, words="three simulated hours, whether solved or not"),
+            Training(seeds(5), evaluations=(Evaluation(), *_ELSEWHERE)),
+            Training(seeds(5), name="long", full=True, words="three simulated hours, whether solved or not"),
         ),
         baselines=(
             RANDOM,
-            Baseline("forward", ("--actions", "forward"), episodes=200),
+            Baseline("forward", ("--script", "forward_only"), episodes=200),
             Baseline("rocking", ("--script", "rocking"), episodes=200),
         ),
         bars=(
-            Bar(Solved("simulated_hours"), at_most=1.3),
+            Bar(Crossed(0.8, "simulated_hours"), at_most=1.3),
             Bar(Trained("cpu_seconds"), at_most=60),
             Bar(Held("mean_return"), at_least=0.89),
             Bar(Held("success_rate"), at_least=1),
             Bar(Tried("forward", "successes"), at_most=0),
             Bar(Tried("rocking", "success_rate"), at_least=0.95),
             Bar(Crossed(0.9, "simulated_hours", training="long"), at_most=3, stretch=True),
+            *(
+                Bar(Held(what, evaluation), at_least=least, stretch=True)
+                for evaluation in ("heightfield", "mesh", "half_step")
+                for what, least in (("mean_return", 0.89), ("success_rate", 1.0))
+            ),
         ),
         paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8 from about episode 150 on,"
         " after some 3 simulated hours (500 episodes) altogether.",
-        marks=(Mark("solved: 0.8", value=0.8), Mark("the paper: 3 h", hours=3)),
+        marks=(Mark("the paper: 0.8", value=0.8), Mark("the paper: 3 h", hours=3)),
+    ),
+    Experiment(
+        scenario="pit_escape_as_printed",
+        title="PitEscapeAsPrinted",
+        prose="The same task with the sign of the reward as the paper prints it, which takes away what progress is worth. The agent "
+        "learns to sit still.",
+        trainings=(Training(seeds(2)),),
+        bars=(Bar(Held("successes"), at_most=0),),
+        paper="The paper prints the reward as the old value less the new one; its curve rises, so its agent was paid for progress.",
     ),
 )
