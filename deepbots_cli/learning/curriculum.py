@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
+from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import CompiledScenario, Criterion, Stage
 from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.learning.episodes import Episode
@@ -34,9 +35,18 @@ class Curriculum:
     episode of an earlier stage comes to does not count for a later one.
     """
 
-    def __init__(self, ir: CompiledScenario) -> None:
+    def __init__(self, ir: CompiledScenario, first: str | None = None) -> None:
+        """`first` names the stage to begin in, if not the first one.
+
+        Raises:
+            UsageError: The scenario has no such stage.
+        """
         self._ir = ir
         self.stages: Sequence[Stage] = ir.curriculum
+        names = [stage.name for stage in self.stages]
+        if first is not None and first not in names:
+            raise UsageError(f"{ir.name} has no stage '{first}'" + (f"; there are: {', '.join(names)}" if names else ", nor any other"))
+        self._skipped = 0 if first is None else names.index(first)
         self.ends: list[StageEnd] = []
         self._begin(0)
 
@@ -47,7 +57,7 @@ class Curriculum:
 
     @property
     def index(self) -> int:
-        return len(self.ends)
+        return self._skipped + len(self.ends)
 
     @property
     def name(self) -> str | None:
@@ -109,8 +119,9 @@ class Curriculum:
             RunError: It does not fit the stages of the scenario.
         """
         ends = state.objects("ends")
-        if len(ends) >= max(1, len(self.stages)):
+        stages = self.stages[self._skipped :]
+        if len(ends) >= max(1, len(stages)):
             raise state.misfit("ends", "a list of stages that are done")
-        self.ends = [StageEnd.read(end, stage.name) for end, stage in zip(ends, self.stages, strict=False)]
+        self.ends = [StageEnd.read(end, stage.name) for end, stage in zip(ends, stages, strict=False)]
         self._begin(state.count("first_step"))
         self._recent.extend(state.numbers("recent"))

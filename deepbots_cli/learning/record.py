@@ -39,6 +39,8 @@ class Record:
     seeds: Mapping[str, int]
     total_timesteps: int
     stop_when_solved: bool
+    first_stage: str | None
+    """The stage of the curriculum that the training began in, where it was not the first."""
     command: tuple[str, ...]
     versions: Mapping[str, str]
     platform: str
@@ -84,6 +86,7 @@ class Record:
             seeds=entries.counts("seeds"),
             total_timesteps=entries.count("total_timesteps"),
             stop_when_solved=entries.flag("stop_when_solved"),
+            first_stage=entries.text("first_stage") if entries.data.get("first_stage") is not None else None,
             command=tuple(str(word) for word in entries.items("command")),
             versions=entries.texts("versions"),
             platform=entries.text("platform"),

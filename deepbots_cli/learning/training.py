@@ -80,6 +80,7 @@ def train(
     seed: int = 0,
     total_timesteps: int | None = None,
     stop_when_solved: bool = True,
+    stage: str | None = None,
     progress: bool | Reporter = False,
     command: Sequence[str] = (),
     engine: str = "pybullet",
@@ -97,13 +98,14 @@ def train(
         total_timesteps: Steps over all copies of the environment; the scenario's figure by default. On-policy algorithms
             finish the update that they are in.
         stop_when_solved: Whether to end when the scenario's `solved` is first met.
+        stage: The stage of the curriculum to begin in, by name; by default the first.
         progress: Whether to tell how it goes on standard error, or who tells it.
         command: The command line, for the record.
         engine: The physics engine of the generated supervisor.
         build: Makes a world of the scenario in place of the generated supervisor.
 
     Raises:
-        UsageError: The directory exists, or the settings cannot be trained with.
+        UsageError: The directory exists, there is no such stage, or the settings cannot be trained with.
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world failed; names step and cause.
     """
@@ -112,6 +114,7 @@ def train(
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     build = build or default_build(engine, allow_code=compiled.allow_code)
+    curriculum = Curriculum(compiled.ir, stage)
     _rehearse(compiled.ir, training, build)
     path = new_directory(run, runs, compiled.ir.name, seed)
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
@@ -129,6 +132,7 @@ def train(
         seeds=seeds | {"policy": derive(seed, "policy"), "evaluation": derive(seed, "evaluation")},
         total_timesteps=training.total_timesteps,
         stop_when_solved=stop_when_solved,
+        first_stage=stage,
         command=tuple(command),
         versions=versions(),
         platform=platform.platform(),
@@ -140,7 +144,7 @@ def train(
     )
     with sole_trainer(path):
         new = Run.create(path, record, compiled)
-        statistics, curriculum = Statistics(compiled.ir.period, compiled.ir.solved), Curriculum(compiled.ir)
+        statistics = Statistics(compiled.ir.period, compiled.ir.solved)
         return _learn(new, training, Keeper(new, statistics, curriculum), build, reporter(progress))
 
 
@@ -185,7 +189,7 @@ def _go_on(
     record = known.record
     training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
     statistics = Statistics(known.ir.period, known.ir.solved)
-    curriculum, best = Curriculum(known.ir), None
+    curriculum, best = Curriculum(known.ir, record.first_stage), None
     if not known.stillborn:
         state = weights.read_state(known.checkpoint)
         statistics.restore(state)

@@ -12,7 +12,7 @@ import pytest
 import stand_in
 
 from deepbots_cli import canonical
-from deepbots_cli.errors import EngineError, RunError
+from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.ir import CompiledScenario, Criterion, Hyperparameter, Solved, Stage, Training
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.atomic import Entries
@@ -81,6 +81,31 @@ def test_a_resumed_training_goes_on_in_its_stage(tmp_path: Path) -> None:
     again = resume(result.run, total_timesteps=300, build=stand_in.build)
     assert {row["stage"] for row in rows(result.run)[before:]} == {"b"}
     assert again.stages == result.stages
+
+
+def test_a_training_may_begin_in_a_later_stage_and_stays_there_when_it_is_resumed(tmp_path: Path) -> None:
+    result = learned(tmp_path, staged(SHORT, LONG, None), stage="b", total_timesteps=96)
+    assert {row["stage"] for row in rows(result.run)} == {"b"}
+    assert (result.stage, result.stages) == ("b", ())
+    again = resume(result.run, total_timesteps=900, build=stand_in.build)
+    assert [row["stage"] for row in rows(result.run)][-1] == "c"
+    assert (again.stage, [end.name for end in again.stages]) == ("c", ["b"])
+
+
+def test_a_killed_training_that_had_learned_nothing_begins_anew_in_its_first_stage(tmp_path: Path) -> None:
+    run = learned(tmp_path, staged(SHORT, None), stage="b", total_timesteps=96).run
+    for path in (run / "checkpoint.npz", run / "models" / "best.npz", run / "models" / "last.npz", run / "monitor.csv"):
+        path.unlink()
+    (run / "run.json").write_text(json.dumps(json.loads((run / "run.json").read_text()) | {"status": "running"}))
+    resume(run, build=stand_in.build)
+    assert {row["stage"] for row in rows(run)} == {"b"}
+
+
+@pytest.mark.parametrize(("untils", "known"), [((SHORT, None), "there are: a, b"), ((), "nor any other")])
+def test_a_stage_that_does_not_exist_is_refused_before_there_is_a_run(tmp_path: Path, untils: tuple[Criterion, ...], known: str) -> None:
+    with pytest.raises(UsageError, match=f"has no stage 'z'.*{known}"):
+        learned(tmp_path, staged(*untils), stage="z")
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_same_seed_goes_the_same_way(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ def command(
     run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="The run directory to make; by default one in ./runs.")] = None,
     resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
     full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
+    stage: Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Begin in this stage of the curriculum.")] = None,
     engine: Annotated[
         str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet by default, or exact.")
     ] = None,
@@ -48,6 +49,7 @@ def command(
       deepbots train cartpole
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
       deepbots train cartpole --timesteps 200000 --full --run runs/long
+      deepbots train find_ball_random --stage crowded
       deepbots train --resume runs/cartpole-0-1
 
     Steps count over all copies of the environment. A resumed training takes up networks, optimiser and counts, and begins
@@ -55,7 +57,7 @@ def command(
     """
     told = not quiet
     if resume is not None:
-        if scenario is not None or sets or seed is not None or run is not None or engine is not None or allow_paths:
+        if scenario is not None or sets or seed is not None or run is not None or stage or engine is not None or allow_paths:
             raise UsageError(
                 "a resumed run keeps what it was made with; beside --resume go only --timesteps, --full, --quiet, --allow-code and --json"
             )
@@ -73,6 +75,7 @@ def command(
             seed=seed or 0,
             total_timesteps=timesteps,
             stop_when_solved=not full,
+            stage=stage,
             progress=told,
             command=["deepbots", *sys.argv[1:]],
             engine=engine or "pybullet",
