@@ -88,22 +88,25 @@ def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[
     return check(replace(read(path, sets, display=name, allow_paths=allow_paths), allow_code=allow_code))
 
 
-def lint(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False) -> list[Finding]:
-    """All findings of a scenario, sorted; suppressed ones are left out.
+def lint(
+    source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False, preview: bool = False
+) -> list[Finding]:
+    """All findings of a scenario, sorted; suppressed ones are left out, and those of rules in preview unless they are asked for.
 
     Raises:
         UsageError: There is no such file.
     """
-    return _review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code))
+    return _review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code), preview=preview)
 
 
-def _review(checked: Checked) -> list[Finding]:
+def _review(checked: Checked, *, preview: bool = False) -> list[Finding]:
     """What the passes and the rules found, without what comments suppress, and without warnings about robot files of packages.
 
     Those are not the user's to mend; `inspect` of the robot file shows them.
     """
     robots = (checked.robots or {}).values()
-    kept, unused = suppress([*checked.findings, *rules.run(checked)], (*checked.document.sources, *(robot.file.source for robot in robots)))
+    sources = (*checked.document.sources, *(robot.file.source for robot in robots))
+    kept, unused = suppress([*checked.findings, *rules.run(checked, preview=preview)], sources, preview=preview)
     packaged = {id(robot.file.source) for robot in robots if robot.spec.urdf.startswith("package://")}
     ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
     return sorted([*ours, *unused], key=lambda finding: finding.sort_key)

@@ -4,23 +4,26 @@
 
 keys.md      every key of a scenario, from the schema
 functions.md units, functions and built-in names, from the expression language
-rules.md     every finding, from the registry of rules
+rules.md     every finding, from the registry of rules and the docstrings of lint rules
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from inspect import cleandoc
 from pathlib import Path
+from textwrap import dedent
 
 from pydantic_core import PydanticUndefinedType
 
-from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.diagnostics.registry import RETIRED, RULES
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER, TIME
 from deepbots_cli.lang.examples import EXAMPLES
 from deepbots_cli.lang.functions import ALLOWED, Family, Function
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.types import Context, Kind
 from deepbots_cli.lang.units import UNITS
+from deepbots_cli.rules import code_of, everything
 from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
@@ -303,13 +306,31 @@ def _rules() -> str:
         _NOTE,
         "",
         "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. How findings look and what the exit codes"
-        " mean is said in [diagnostics](../diagnostics.md).",
+        " mean is said in [diagnostics](../diagnostics.md). A rule in preview may still misfire, and runs with `--preview`.",
         "",
         "| code | name | severity | what it is about |",
         "|---|---|---|---|",
     ]
-    lines += [f"| {rule.code} | `{rule.name}` | {rule.severity} | {_cell(rule.summary)} |" for rule in RULES.values()]
+    for rule in RULES.values():
+        severity = f"{rule.severity}, in preview" if rule.preview else rule.severity
+        lines.append(f"| {rule.code} | `{rule.name}` | {severity} | {_cell(rule.summary)} |")
+    lines += ["", "## Retired", "", "Mistakes that the language leaves no room for, or that another finding tells of.", ""]
+    lines += ["| code | name | why |", "|---|---|---|"]
+    lines += [f"| {entry.code} | `{entry.name}` | {_cell(entry.reason)} |" for entry in RETIRED.values()]
+    for rule_ in sorted(everything(), key=code_of):
+        lines += _rule_page(rule_.__doc__ or "")
     return "\n".join(lines) + "\n"
+
+
+def _rule_page(docstring: str) -> Iterator[str]:
+    """What the docstring of a lint rule says; its examples are laid upon CartPole by the tests."""
+    code, _, text = cleandoc(docstring).partition(": ")
+    rule = RULES[code]
+    yield from ["", f"## {code} {rule.name}", ""]
+    told, _, rest = text.partition("\n\nExample::\n\n")
+    example, _, instead = rest.partition("\n\nInstead::\n\n")
+    yield told[0].upper() + told[1:]
+    yield from ["", f"```yaml wrong {code}", dedent(example), "```", "", "Instead:", "", "```yaml fragment", dedent(instead), "```"]
 
 
 def main() -> None:

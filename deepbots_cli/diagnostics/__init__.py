@@ -8,6 +8,6 @@ render.py    findings to text: full, concise, json
 """
 
 from deepbots_cli.diagnostics.finding import Finding, Findings, Label, Position, Severity, Source, Span
-from deepbots_cli.diagnostics.registry import RULES, Rule, rule
+from deepbots_cli.diagnostics.registry import RETIRED, RULES, Rule, rule
 
-__all__ = ["RULES", "Finding", "Findings", "Label", "Position", "Rule", "Severity", "Source", "Span", "rule"]
+__all__ = ["RETIRED", "RULES", "Finding", "Findings", "Label", "Position", "Rule", "Severity", "Source", "Span", "rule"]

@@ -12,12 +12,22 @@ from deepbots_cli.diagnostics.finding import Severity
 
 @dataclass(frozen=True)
 class Rule:
-    """One entry of the catalogue."""
+    """One entry of the catalogue. What is in `preview` may still misfire, and runs where it is asked for."""
 
     code: str
     name: str
     severity: Severity
     summary: str
+    preview: bool = False
+
+
+@dataclass(frozen=True)
+class Retired:
+    """A code that no finding has any more, and why."""
+
+    code: str
+    name: str
+    reason: str
 
 
 _CATALOGUE = (
@@ -64,15 +74,46 @@ _CATALOGUE = (
     Rule("DB503", "dimension-mismatch", "error", "quantities of different dimension are combined"),
     Rule("DB504", "degrees-as-radians", "warning", "a value in radians that was probably meant in degrees"),
     Rule("DB505", "implausible-magnitude", "warning", "a figure far outside what its field usually holds"),
+    Rule("DB601", "observation-unbounded", "warning", "an observation that is not clipped, and that nothing bounds", preview=True),
+    Rule("DB602", "bounds-mismatch", "error", "a value that can never lie in its range"),
+    Rule("DB603", "saturates-before-termination", "warning", "the policy sees the same value long before that value ends the episode"),
     Rule("DB609", "privileged-observation", "warning", "the policy sees what no robot measures, and what `augment` does not grant"),
+    Rule("DB611", "observation-saturates", "warning", "a value at the end of its range in ordinary operation"),
     Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm or its network that does not suit what the agent sees and does"),
     Rule("DB613", "case-changes-interface", "error", "a case or stage in which the policy would see, do or send something else"),
+    Rule("DB701", "reward-unbounded", "warning", "a term of the reward that grows beyond all bounds"),
+    Rule("DB702", "term-dominates", "warning", "a term beside which what endings pay cannot be seen"),
+    Rule("DB703", "suspicious-sign", "warning", "a reward for the opposite of what the endings ask for"),
+    Rule("DB704", "inactive-term", "warning", "a term of the reward that is always zero"),
+    Rule("DB705", "rewards-early-death", "warning", "failing at once costs less than going on"),
+    Rule("DB706", "hidden-state-reward", "warning", "a reward that depends on what the policy cannot see", preview=True),
+    Rule("DB708", "hovering-pays", "warning", "staying just short of the goal pays more than reaching it"),
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
+    Rule("DB801", "never-true", "warning", "an ending that can never hold"),
+    Rule("DB802", "always-true", "error", "an ending that holds in every step"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),
+    Rule("DB804", "shadowed-limit", "warning", "a limit that another one always comes before"),
+    Rule("DB805", "timeout-as-termination", "warning", "a time limit that counts as the end of the task"),
+    Rule("DB806", "ends-at-reset", "error", "an ending that already holds when an episode begins"),
+    Rule("DB807", "unreachable-goal", "warning", "a success that asks for more nearness than there can be"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
 )
 
+_RETIRED = (
+    Retired(
+        "DB604", "action-dims-mismatch", "the space follows from `action`; a command of the wrong length is DB404, a choice left open DB102"
+    ),
+    Retired("DB605", "action-not-normalised", "the agent acts in [-1, 1] in every scenario; `action` says what that means"),
+    Retired(
+        "DB606", "message-layout-mismatch", "both ends take their layout from the same `emit` and `receive`; what is not sent is DB407"
+    ),
+    Retired(
+        "DB610", "undeclared-delay", "there is no delay but what `latency`, `delay`, `period` and `timing` say; none comes with the loop"
+    ),
+)
+
 RULES = {entry.code: entry for entry in _CATALOGUE}
+RETIRED = {entry.code: entry for entry in _RETIRED}
 
 
 def rule(code: str) -> Rule:

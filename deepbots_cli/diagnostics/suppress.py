@@ -1,4 +1,4 @@
-"""Suppression comments: `# deepbots: ignore[DB604]` at the end of a line, or on a line of its own above.
+"""Suppression comments: `# deepbots: ignore[DB603]` at the end of a line, or on a line of its own above.
 
 Only warnings can be suppressed; what an error speaks of would not run. A comment that suppresses nothing is itself
 a finding (DB901), so none outlives its reason.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from deepbots_cli.diagnostics.finding import Finding, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.diagnostics.registry import RETIRED, RULES
 
 # `<!--` is how a comment begins in a robot file.
 _COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE)
@@ -27,8 +27,11 @@ class _Suppression:
     line: int
 
 
-def suppress(findings: Iterable[Finding], sources: Iterable[Source]) -> tuple[list[Finding], list[Finding]]:
-    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that is of no use."""
+def suppress(findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False) -> tuple[list[Finding], list[Finding]]:
+    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that is of no use.
+
+    What a comment says of a rule in preview is of use whenever those rules do not run.
+    """
     wanted: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
     for source in sources:
@@ -46,7 +49,7 @@ def suppress(findings: Iterable[Finding], sources: Iterable[Source]) -> tuple[li
             used.add(key)
         else:
             kept.append(finding)
-    unused.extend(_unused(entry) for key, entry in wanted.items() if key not in used)
+    unused.extend(_unused(entry) for key, entry in wanted.items() if key not in used and (preview or not _is_preview(entry.code)))
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
@@ -56,15 +59,21 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
         alone = not source.line(line)[: source.position(comment.start()).column - 1].strip()
         if comment[1] is None or not comment[1].strip():
             span = Span(source, *comment.span())
-            yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB604]")
+            yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB603]")
             continue
         for code in re.finditer(r"[^\s,]+", comment[1]):
             span = Span(source, comment.start(1) + code.start(), comment.start(1) + code.end())
             yield _Suppression(code.group(), span, line + 1 if alone else line)
 
 
+def _is_preview(code: str) -> bool:
+    return code in RULES and RULES[code].preview
+
+
 def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
+    if entry.code in RETIRED:
+        return Finding("DB901", entry.span, f"{entry.code} is retired", help=f"remove the comment: {RETIRED[entry.code].reason}")
     if rule is None:
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=_similar(entry.code))
     if rule.severity == "error":
@@ -74,4 +83,4 @@ def _unused(entry: _Suppression) -> Finding:
 
 def _similar(code: str) -> str:
     near = nearest(code, RULES)
-    return f"did you mean {near}?" if near else "codes look like DB604"
+    return f"did you mean {near}?" if near else "codes look like DB603"

@@ -1,27 +1,97 @@
 """Lint rules: what is allowed but probably not meant.
 
 A rule is a small pure generator that reads a checked scenario and yields findings; it knows no other
-rule. What the compiler needs to know anyway, it reports itself.
+rule. What the compiler needs to know anyway, it reports itself. The docstring of a rule is its page in
+the reference: after the code what is found and why it matters, an example, and what to write instead.
 
-names.py   definitions that nothing uses
-spaces.py  what the policy sees
+names.py        definitions that nothing uses
+observation.py  what the policy sees
+reward.py       the size of a reward and its terms; progress.py its direction
+endings.py      when episodes end; goals.py whether goals can be reached
+
+What rules ask:
+
+meaning.py      what names stand for, and which expressions mean the same
+reach.py        how far values reach in an episode; start.py right after a reset
+payments.py     what a step and an ending are worth
+thresholds.py   beyond which value of a quantity a condition holds
+wording.py      figures in findings
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib import import_module
 
 from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.rules.names import unused_definition, unused_part
-from deepbots_cli.rules.spaces import privileged_observation
+from deepbots_cli.task import Task
 
 Rule = Callable[[Checked], Iterator[Finding]]
-RULES: tuple[Rule, ...] = (unused_definition, unused_part, privileged_observation)
+
+_DOUBTS = frozenset({"DB304", "DB504", "DB505"})
+"""A figure that is probably mistaken: what episodes are like, and so the families from DB6 on, would follow from it."""
 
 
-def run(checked: Checked) -> Iterator[Finding]:
-    """The findings of all rules; none for a scenario that cannot be understood as a whole."""
-    if not checked.findings.errors:
-        for rule in RULES:
-            yield from rule(checked)
+def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
+    """The findings of all rules, those in preview only if asked for; none for a scenario that cannot be understood as a whole."""
+    if checked.findings.errors or checked.task is None:
+        return
+    is_doubtful = any(finding.code in _DOUBTS for finding in checked.findings)
+    for module, concerns in _MODULES.items():
+        for rule in rules_of(module) if concerns(checked.task) else ():
+            code = code_of(rule)
+            if (preview or not CATALOGUE[code].preview) and not (is_doubtful and code >= "DB6"):
+                try:
+                    yield from rule(checked)
+                except RecursionError:  # definitions upon definitions, deeper than a rule can follow: nothing is said of them
+                    continue
+
+
+def rules_of(module: str) -> tuple[Rule, ...]:
+    """The rules of one module of this package."""
+    found: tuple[Rule, ...] = import_module(f"{__name__}.{module}").RULES
+    return found
+
+
+def everything() -> tuple[Rule, ...]:
+    """Every rule there is."""
+    return tuple(rule for module in _MODULES for rule in rules_of(module))
+
+
+def code_of(rule: Rule) -> str:
+    """The code that the page of a rule begins with."""
+    return (rule.__doc__ or "").partition(":")[0]
+
+
+# What a task must have in it for a module to find something. Importing one costs about a millisecond of CPU, which
+# linting a small scenario can do without.
+
+
+def _always(_task: Task) -> bool:
+    return True
+
+
+def _ends(task: Task) -> bool:
+    return bool(task.endings) or (task.truncation.max_steps is not None and task.truncation.max_time is not None)
+
+
+def _succeeds(task: Task) -> bool:
+    return any(ending.outcome == "success" for ending in task.endings)
+
+
+def _may_cost(task: Task) -> bool:
+    """Whether the reward is more than a sum of what is always paid, and never more than so much."""
+    known = (term.typed.type.interval for term in task.reward)
+    return _succeeds(task) or not all(interval.low > 0.0 and interval.finite for interval in known)
+
+
+_MODULES: dict[str, Callable[[Task], bool]] = {
+    "names": _always,
+    "observation": _always,
+    "reward": _may_cost,
+    "progress": _may_cost,
+    "endings": _ends,
+    "goals": _succeeds,
+}

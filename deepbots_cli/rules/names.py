@@ -19,6 +19,15 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
     """DB205: a parameter, action variable, field or signal is defined and never used.
 
     Most often it is a misspelling elsewhere, or what remains of an earlier version.
+
+    Example::
+
+        signals: {away: abs(x)}
+
+    Instead::
+
+        signals: {away: abs(x)}
+        reward: {centred: -away / m}
     """
     if checked.namespace is None:
         return
@@ -34,6 +43,18 @@ def unused_part(checked: Checked) -> Iterator[Finding]:
 
     Such an actuator is left alone: the joint swings as if there were no motor. What an included robot file offers
     besides may stay unused: it describes the robot, not the task.
+
+    Example::
+
+        robots: {cart: {sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}}}
+
+    Instead::
+
+        robots:
+          cart:
+            sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}
+            emit: [pole_angle, rolling]
+        observation: {cart.rolling: -10 .. 10 rad/s}
     """
     if checked.task is None or checked.namespace is None:
         return
@@ -86,3 +107,6 @@ def _names(value: Typed) -> Iterator[str]:
         yield value.symbol.name
     for part in children(value):
         yield from _names(part)
+
+
+RULES = (unused_definition, unused_part)

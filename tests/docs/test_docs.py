@@ -57,7 +57,7 @@ def _blocks(page: Path) -> Iterator[Block]:
 
 def findings_of(text: str) -> list[Finding]:
     checked = check(loads(text, base=ROOT / "scenarios"))
-    kept, unused = suppress([*checked.findings, *run_rules(checked)], checked.document.sources)
+    kept, unused = suppress([*checked.findings, *run_rules(checked, preview=True)], checked.document.sources, preview=True)
     return [*kept, *unused]
 
 

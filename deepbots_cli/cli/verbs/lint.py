@@ -41,6 +41,7 @@ def command(
     format: Annotated[Format, typer.Option("--format", help="With the lines in question, one line each, or for programs.")] = Format.full,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     fail_on: Annotated[FailOn, typer.Option("--fail-on", help="What makes the exit code 1.")] = FailOn.error,
+    preview: Annotated[bool, typer.Option("--preview", help="Also the rules that may still misfire.")] = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -54,13 +55,15 @@ def command(
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
 
-    A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB604]
+    A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB603]
     """
     names = list(dict.fromkeys(name for given in scenarios for name in _expanded(given)))
     for name in names:
         api.locate(name)
     findings = [
-        finding for name in names for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+        finding
+        for name in names
+        for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code, preview=preview)
     ]
     _show(findings, names, Format.json if as_json else format)
     if _fails(findings, fail_on):

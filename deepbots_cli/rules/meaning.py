@@ -1,0 +1,190 @@
+"""What names stand for: every named value of a task as scalar trees, and which trees mean the same.
+
+Rules ask whether an ending, a reward and the observation speak of one quantity, by whatever names. So names are followed
+to their definitions, message fields to the sensors behind them, and sensors to the facts that they measure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
+from deepbots_cli.ir import Sensor
+from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.lower import lower
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.lang.typed import Invocation, Operation, Reference, Typed, children
+from deepbots_cli.task import Task, TaskRobot, Valued
+from deepbots_cli.urdf.model import Pose
+
+COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
+
+
+class Comparison(NamedTuple):
+    """One comparison inside of a condition, and the named value in whose text it stands."""
+
+    value: Valued
+    node: Operation
+
+
+class Book:
+    """The definitions of one task.
+
+    With `ideal`, a sensor is what it measures, whatever its faults; without, only where reading it is reading the world.
+    """
+
+    def __init__(self, task: Task, *, ideal: bool = False) -> None:
+        self.task = task
+        self.leaves: dict[str, Interval] = {}
+        """The intervals of names that nothing defines, such as action variables and readings."""
+        self._ideal = ideal
+        self._robots: Mapping[str, TaskRobot] = {robot.name: robot for robot in task.robots}
+        self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in task.world.robots}
+        self._defined: dict[str, tuple[Valued, str]] = {value.name: (value, "") for value in (*task.parameters, *task.order)}
+        self._defined |= {ending.value.name: (ending.value, "") for ending in task.endings}
+        self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in task.robots for value in robot.emit}
+        if task.goal is not None:
+            self._defined |= {"achieved": (task.goal.achieved, ""), "desired": (task.goal.desired, "")}
+        self._scalars: dict[str, dict[str | None, Scalar]] = {}
+        self._numbers: dict[tuple[object, ...], int] = {}
+        self._of_names: dict[Name, int] = {}
+        self.period = task.world.timestep * task.agent.repeat
+        """Of a step of the agent, s."""
+        self.last = task.truncation.most_steps(self.period)
+        """The step at which an episode is cut short at the latest."""
+
+    def named(self, name: str) -> Valued | None:
+        """The definition of a name, where it has one."""
+        found = self._defined.get(name)
+        return found[0] if found else None
+
+    def scalars(self, value: Valued) -> tuple[Scalar, ...]:
+        """What a value of the supervisor computes, per component; of one in Python only its type is known."""
+        return self.lowered(value.typed, value.owner)
+
+    def lowered(self, typed: Typed, owner: str) -> tuple[Scalar, ...]:
+        self._learn(typed, "")
+        return lower(typed, owner)
+
+    def meaning(self, node: Scalar) -> Scalar:
+        """What a name stands for, through all names that only rename; any other tree is what it is."""
+        for _ in range(len(self._defined) + 1):
+            found = self._definition(node) if isinstance(node, Name) else None
+            if found is None:
+                break
+            node = found
+        return node
+
+    def _definition(self, node: Name) -> Scalar | None:
+        """One name further; None for a leaf."""
+        if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
+            return None
+        if node.name not in self._scalars:
+            value, robot = self._defined[node.name]
+            self._learn(value.typed, robot)
+            found = lower(value.typed, value.owner)
+            parts = [self._on_board(part, robot) for part in found] if robot else found
+            names = value.components if len(found) > 1 else (None,)
+            self._scalars[node.name] = dict(zip(names, parts, strict=False))
+        known = self._scalars[node.name]
+        return known[node.component] if node.component in known else next(iter(known.values()))
+
+    def _learn(self, typed: Typed, robot: str) -> None:
+        """Note the intervals of the names in a tree."""
+        if isinstance(typed, Reference):
+            name = f"{robot}:{typed.symbol.name}" if robot else typed.symbol.name
+            self.leaves[name] = typed.type.interval
+        for part in children(typed):
+            self._learn(part, robot)
+
+    def _on_board(self, node: Scalar, robot: str) -> Scalar:
+        """The same where names are those on board of a robot: its sensors, and what is sent to it."""
+        match node:
+            case Name(name, component):
+                sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
+                if sensor is not None and self._is_read(sensor):
+                    return reading(robot, sensor, component)
+                return node if name in self._defined else Name(f"{robot}:{name}", component)
+            case Op(op, args):
+                return Op(op, tuple(self._on_board(arg, robot) for arg in args))
+            case State(function, args, slot):
+                return State(function, tuple(self._on_board(arg, robot) for arg in args), slot)
+            case _:
+                return node
+
+    def _is_read(self, sensor: Sensor) -> bool:
+        return (self._ideal and SENSOR_KINDS[sensor.kind].fact is not None and sensor.mount == Pose()) or is_fact(sensor)
+
+    def sensor(self, leaf: Scalar) -> tuple[str, Sensor] | None:
+        """The robot and the sensor whose reading a leaf is."""
+        robot, _, name = leaf.name.partition(":") if isinstance(leaf, Name) else ("", "", "")
+        sensors = self._robots[robot].sensors if name and robot in self._robots else ()
+        return next(((robot, sensor) for sensor in sensors if sensor.name == name), None)
+
+    # Which trees mean the same
+
+    def identity(self, node: Scalar) -> int:
+        """A number that two trees share if they mean the same quantity."""
+        if isinstance(node, Name):
+            if node not in self._of_names:
+                meaning = self.meaning(node)
+                key: tuple[object, ...] = ("name", meaning.name, meaning.component) if isinstance(meaning, Name) else ()
+                self._of_names[node] = self._number(key) if key else self.identity(meaning)
+            return self._of_names[node]
+        match node:
+            case Const(value):
+                return self._number(("const", value))
+            case World(function, subjects, component):
+                return self._number(("world", function, subjects, component))
+            case Op(op, args):
+                return self._number((op, *(self.identity(arg) for arg in args)))
+            case State(function, args, _):
+                return self._number((function, *(self.identity(arg) for arg in args)))
+            case Draw(_, _, stream):
+                return self._number(("draw", stream))
+
+    def _number(self, key: tuple[object, ...]) -> int:
+        return self._numbers.setdefault(key, len(self._numbers))
+
+    def pair(self, node: Scalar) -> frozenset[str] | None:
+        """The two bodies whose distance this is, by any measure of it: between origins, surfaces, or around what is in the way."""
+        match self.meaning(node):
+            case World("gap" | "path_distance", subjects):
+                return frozenset(self._roots.get(subject, subject) for subject in subjects)
+            case Op("hypot", args):
+                sides = [self._apart(arg) for arg in args]
+                return sides[0] if len(set(sides)) == 1 else None
+            case _:
+                return None
+
+    def _apart(self, node: Scalar) -> frozenset[str] | None:
+        match node:
+            case Op("sub", (World("position", (a,), axis), World("position", (b,), other))) if axis == other:
+                return frozenset({self._roots.get(a, a), self._roots.get(b, b)})
+            case _:
+                return None
+
+    # Conditions
+
+    def comparisons(self, value: Valued) -> Iterator[Comparison]:
+        """Comparisons of which one at least must hold for the condition to hold, also for some time."""
+        if value.foreign is None:
+            yield from self._compared(value, value.typed)
+
+    def _compared(self, value: Valued, node: Typed) -> Iterator[Comparison]:
+        match node:
+            case Operation(operator=operator) if operator in COMPARISONS:
+                held = self._held_for(node)
+                yield from self._compared(value, held) if held else (Comparison(value, node),)
+            case Operation(operator="and" | "or", args=args):
+                for arg in args:
+                    yield from self._compared(value, arg)
+            case Reference(symbol=symbol) if (meant := self.named(symbol.name)) is not None and meant.typed.type.boolean:
+                yield from self.comparisons(meant)
+
+    def _held_for(self, node: Operation) -> Typed | None:
+        """The condition of `duration(condition) > 1 s`."""
+        long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
+        is_long = isinstance(long, Invocation) and long.function == "duration" and not isinstance(short, Invocation)
+        return long.args[0] if is_long and isinstance(long, Invocation) else None

@@ -1,0 +1,65 @@
+"""What the reward is worth: in a step of an episode that goes on, and in the step that ends it, by term."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.lang import intervals as iv
+from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.rules.meaning import Book
+from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach
+from deepbots_cli.task import Task, TaskEnding, Valued
+
+
+class Payments:
+    """The terms of a reward whose values can be known. `is_whole` says that these are all."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.book = Book(task)
+        self.terms = tuple((term, self.book.scalars(term)[0]) for term in task.reward if term.foreign is None)
+        self.is_whole = len(self.terms) == len(task.reward)
+        self._steps = (1.0, float(self.book.last))
+
+    def running(self, steps: tuple[float, float] | None = None) -> Reach:
+        """In a step that ends nothing."""
+        return Reach(self.book, self._holding(None, False), steps or self._steps)
+
+    def at(self, ending: TaskEnding | None) -> Reach:
+        """In the step in which this ending holds, and no other; None for the limit that cuts an episode short."""
+        return Reach(self.book, self._holding(ending, ending is None), self._steps)
+
+    def _holding(self, ending: TaskEnding | None, truncated: bool) -> dict[str, Interval]:
+        holds = {entry.value.name: ALWAYS if entry is ending else NEVER for entry in self.task.endings}
+        flags = {"terminated": ending is not None, "truncated": truncated, "ended": truncated or ending is not None}
+        return holds | {name: ALWAYS if flag else NEVER for name, flag in flags.items()}
+
+    def split(self) -> tuple[list[tuple[Valued, Scalar]], list[tuple[Valued, Scalar]]]:
+        """The terms that are paid in ordinary steps, and those that are paid by endings and limits alone."""
+        running = self.running()
+        ordinary: list[tuple[Valued, Scalar]] = []
+        final: list[tuple[Valued, Scalar]] = []
+        for term, node in self.terms:
+            (final if running.of(node) == NEVER and self._is_paid_at_an_end(node) else ordinary).append((term, node))
+        return ordinary, final
+
+    def _is_paid_at_an_end(self, node: Scalar) -> bool:
+        return any(self.at(ending).of(node) != NEVER for ending in (*self.task.endings, None))
+
+    @staticmethod
+    def total(terms: list[tuple[Valued, Scalar]], reach: Reach) -> Interval:
+        """Of one step."""
+        found = NEVER
+        for _, node in terms:
+            found = iv.add(found, reach.of(node))
+        return found
+
+
+def versions(checked: Checked) -> Iterator[Task]:
+    """The task, and what it is in each case and each stage."""
+    if checked.task is not None:
+        yield checked.task
+        yield from (case.task for case in checked.task.cases)
+        yield from (stage.task for stage in checked.task.curriculum)

@@ -1,0 +1,153 @@
+"""How far values reach: intervals of scalar trees, sharper than those of their types.
+
+A type knows an expression apart from where it stands. Here names are followed to their definitions, component by component,
+and leaves are narrowed by what a scenario says of its episodes: their limits, their start, which endings hold. Truth values
+are 0 and 1, so that [0, 0] is never true and [1, 1] always. What is infinite is not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+from deepbots_cli.lang import intervals as iv
+from deepbots_cli.lang.intervals import EVERYTHING, INF, TRUTH, Interval, exact, hull
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.rules.meaning import Book
+
+NEVER, ALWAYS = exact(0.0), exact(1.0)
+_NOTHING: Mapping[str, Interval] = MappingProxyType({})
+
+
+class Reach:
+    """What values can be in the given steps of an episode, where the names in `given` have these values."""
+
+    def __init__(self, book: Book, given: Mapping[str, Interval] = _NOTHING, steps: tuple[float, float] | None = None) -> None:
+        self.book = book
+        first, last = steps or (0.0, float(book.last))
+        before = max(0.0, first - 1.0) * book.period + (book.task.world.timestep if first else 0.0)
+        self._time = Interval(before, last * book.period)
+        self.given = {"step": Interval(first, last), "time": self._time, **given}
+        self._known: dict[Name, Interval] = {}
+
+    def of(self, node: Scalar) -> Interval:
+        match node:
+            case Const(value):
+                return exact(float(value))
+            case Name():
+                return self._name(node)
+            case World():
+                return self._world(node)
+            case State():
+                return self._state(node)
+            case Draw(distribution, args):
+                return FUNCTIONS[distribution].interval([self.of(arg) for arg in args], 1)
+            case Op(op, args):
+                return self._op(op, args)
+
+    def _name(self, node: Name) -> Interval:
+        if node.name in self.given:
+            return self.given[node.name]
+        if node not in self._known:
+            meaning = self.book.meaning(node)
+            self._known[node] = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
+        return self._known[node]
+
+    def _leaf(self, node: Name) -> Interval:
+        if node.name in self.given:
+            return self.given[node.name]
+        foreign = self.book.named(node.name)
+        return foreign.typed.type.interval if foreign is not None else self.book.leaves.get(node.name, EVERYTHING)
+
+    def _world(self, node: World) -> Interval:
+        """What is so of a fact wherever and whenever it is asked for."""
+        if node.function == "joint_position":
+            return self._travel(node.subjects[0])
+        function = FUNCTIONS.get(node.function)
+        if function is None or function.boolean:
+            return TRUTH
+        return function.interval((), 1)
+
+    def _travel(self, joint: str) -> Interval:
+        """Between the stops of a joint."""
+        robot, _, name = joint.partition(".")
+        model = next(body.model for body in self.book.task.world.robots if body.name == robot)
+        limit = model.joint(name).limit
+        return EVERYTHING if limit.lower is None or limit.upper is None else Interval(limit.lower, limit.upper)
+
+    def _state(self, node: State) -> Interval:
+        args = [self.of(arg) for arg in node.args]
+        match node.function:
+            case "duration":
+                return NEVER if args[0] == NEVER else Interval(0.0, self._time.high)
+            case "integral":
+                return hull((NEVER, iv.multiply(args[0], Interval(0.0, self._time.high))))
+            case "rising":
+                return NEVER if args[0] == NEVER else TRUTH
+            case function:
+                return FUNCTIONS[function].interval(args, 1)
+
+    def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
+        if op == "where":
+            condition = self.of(args[0])
+            chosen = args[1:2] if condition.low > 0.0 else args[2:] if condition.high <= 0.0 else args[1:]
+            return hull([self.of(arg) for arg in chosen])
+        if op == "mul" and args[0] == args[1]:
+            return iv.power(self.of(args[0]), exact(2.0))
+        values = [self.of(arg) for arg in args]
+        rule = _OPERATORS.get(op)
+        return rule(*values) if rule else FUNCTIONS[op].interval(values, 1)
+
+
+def _sum(*terms: Interval) -> Interval:
+    total = terms[0]
+    for term in terms[1:]:
+        total = iv.add(total, term)
+    return total
+
+
+def _angle(y: Interval, x: Interval) -> Interval:
+    """Of the point (x, y): all round, but for half planes that it cannot lie in."""
+    if y.low < 0.0:
+        return iv.QUARTER_TURNS if x.low >= 0.0 else iv.TURN
+    if y == NEVER and x.low >= 0.0:
+        return NEVER
+    return Interval(0.0, math.pi / 2) if x.low >= 0.0 else iv.HALF_TURN
+
+
+def _truth(sure: bool, out: bool) -> Interval:
+    return ALWAYS if sure else NEVER if out else TRUTH
+
+
+def _less(a: Interval, b: Interval) -> Interval:
+    return _truth(a.high < b.low, a.low >= b.high)
+
+
+def _less_equal(a: Interval, b: Interval) -> Interval:
+    return _truth(a.high <= b.low, a.low > b.high)
+
+
+def _equal(a: Interval, b: Interval) -> Interval:
+    return _truth(a.single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)
+
+
+_OPERATORS: dict[str, Callable[..., Interval]] = {
+    "neg": iv.negate,
+    "add": _sum,
+    "sub": iv.subtract,
+    "mul": iv.multiply,
+    "div": iv.divide,
+    "pow": iv.power,
+    "atan2": _angle,
+    "less": _less,
+    "less_equal": _less_equal,
+    "greater": lambda a, b: _less(b, a),
+    "greater_equal": lambda a, b: _less_equal(b, a),
+    "equal": _equal,
+    "not_equal": lambda a, b: iv.subtract(ALWAYS, _equal(a, b)),
+    "not": lambda a: iv.subtract(ALWAYS, a),
+    "and": lambda *terms: iv.lesser(terms),
+    "or": lambda *terms: iv.greater(terms),
+}

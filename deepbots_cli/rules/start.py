@@ -1,0 +1,112 @@
+"""What values can be right after a reset: where bodies stand, how joints are set, what memories begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import cos, sin
+
+from deepbots_cli import ir
+from deepbots_cli.lang import intervals as iv
+from deepbots_cli.lang.intervals import EVERYTHING, TURN, Interval, exact, hull
+from deepbots_cli.lang.lower import lower
+from deepbots_cli.lang.scalar import State, World
+from deepbots_cli.rules.meaning import Book
+from deepbots_cli.rules.reach import NEVER, Reach
+from deepbots_cli.task import Placement
+
+_PLANE = ("x", "y")
+_TURNS = ("roll", "pitch", "yaw")
+_BEFORE = {"episode_return": NEVER, "previous_reward": NEVER}
+
+
+class AtStart(Reach):
+    """The first values of an episode. Where the world settles, and of copies of a robot, nothing is known of places."""
+
+    def __init__(self, book: Book) -> None:
+        super().__init__(book, _BEFORE, (0.0, 0.0))
+        task = book.task
+        self._is_placed = not task.settle and task.agent.each is None
+        self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in task.world.robots}
+        self._bodies |= {thing.name: thing.name for thing in task.world.objects}
+
+    def _world(self, node: World) -> Interval:
+        found = self.standing(node)
+        return super()._world(node) if found is None else found
+
+    def standing(self, node: World) -> Interval | None:
+        """What a fact about a place is drawn from, no wider; None where the scenario does not say it."""
+        if not self._is_placed:
+            return None
+        subject = node.subjects[0]
+        match node.function:
+            case "joint_position":
+                return self._joint(subject)
+            case "position":
+                places = list(self._places(self._bodies.get(subject, "")))
+                return hull([self._coordinate(place, node.component or "") for place in places]) if places else None
+            case "orientation":
+                places = list(self._places(self._bodies.get(subject, "")))
+                return hull([self._attitude(place)["xyzw".index(node.component or "")] for place in places]) if places else None
+            case _:
+                return None
+
+    def _joint(self, joint: str) -> Interval | None:
+        """Where a joint is set; None for one that nothing sets."""
+        robot, _, name = joint.partition(".")
+        for start in self.book.task.joint_starts:
+            if start.robot == robot and name in start.joints:
+                parts = lower(start.position.typed, start.position.owner)
+                return self.of(parts[start.joints.index(name)] if len(parts) > 1 else parts[0])
+        return None
+
+    def _places(self, body: str) -> Iterator[Placement]:
+        begins = self.book.task.beginnings
+        placements = (*begins.placements, *(place for layout in begins.layouts for place in layout.placements))
+        return (place for place in placements if place.body == body)
+
+    def _coordinate(self, place: Placement, key: str) -> Interval:
+        if key in _PLANE and place.spot is not None:
+            axis = _PLANE.index(key)
+            if isinstance(place.spot, ir.Region):
+                return Interval(place.spot.low[axis], place.spot.high[axis])
+            return hull([exact(spot[axis]) for spot in place.spot.spots])
+        coordinate = place.coordinates.get(key)
+        if coordinate is None:
+            return EVERYTHING if key == "z" and place.rests else exact(0.0)
+        if coordinate.typed is None:
+            return TURN
+        owner, _, index = coordinate.owner.partition("[")
+        parts = lower(coordinate.typed, owner)
+        return self.of(parts[int(index.rstrip("]"))] if index and len(parts) > 1 else parts[0])
+
+    def _attitude(self, place: Placement) -> tuple[Interval, ...]:
+        """The quaternion of a body turned by roll, pitch and yaw, about fixed axes in this order."""
+        halves = [iv.multiply(self._coordinate(place, key), exact(0.5)) for key in _TURNS]
+        halves[2] = iv.add(halves[2], exact(place.heading / 2))
+        (cr, cp, cy), (sr, sp, sy) = [_through(cos, half) for half in halves], [_through(sin, half) for half in halves]
+        return (
+            iv.subtract(_product(sr, cp, cy), _product(cr, sp, sy)),
+            iv.add(_product(cr, sp, cy), _product(sr, cp, sy)),
+            iv.subtract(_product(cr, cp, sy), _product(sr, sp, cy)),
+            iv.add(_product(cr, cp, cy), _product(sr, sp, sy)),
+        )
+
+    def _state(self, node: State) -> Interval:
+        args = [self.of(arg) for arg in node.args]
+        match node.function:
+            case "delta" | "integral" | "duration" | "rising":
+                return NEVER
+            case "previous":
+                return args[-1]
+            case "accumulate":
+                return args[3]
+            case _:
+                return args[0]
+
+
+def _through(function: object, angle: Interval) -> Interval:
+    return iv.cosine(angle) if function is cos else iv.sine(angle)
+
+
+def _product(a: Interval, b: Interval, c: Interval) -> Interval:
+    return iv.multiply(iv.multiply(a, b), c)

@@ -1,0 +1,88 @@
+"""Beyond which value of a quantity a condition can hold: `abs(x) > 0.4 m` asks for x above 0.4 m, or below -0.4 m."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from deepbots_cli.lang import intervals as iv
+from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.lang.scalar import Name, Op, Scalar, State
+from deepbots_cli.rules.meaning import Book, Comparison
+from deepbots_cli.rules.reach import Reach
+
+FOLLOWING = frozenset({"running_max", "running_min", "smooth", "hold"})
+"""Functions with a memory that rise where their argument does."""
+
+
+_CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
+
+
+class Threshold(NamedTuple):
+    """The condition needs `quantity` above (or below) some value in `bound`."""
+
+    quantity: Scalar
+    above: bool
+    bound: Interval
+
+
+def is_clock(book: Book, quantity: Scalar) -> bool:
+    """Whether it is the time or the account, which go on by themselves."""
+    meaning = book.meaning(quantity)
+    return isinstance(meaning, Name) and meaning.name in _CLOCK
+
+
+def thresholds(comparison: Comparison, book: Book, reach: Reach) -> Iterator[Threshold]:
+    """What a comparison asks of each quantity that either side is made of, for each component."""
+    node = comparison.node
+    left, right = (book.lowered(arg, comparison.value.owner) for arg in node.args)
+    count = max(len(left), len(right))
+    rising = node.operator.startswith("greater")
+    for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
+        for side, other, above in ((a, b, rising), (b, a, not rising)):
+            bound = reach.of(other)
+            if bound.finite:
+                yield from _asked(Threshold(side, above, bound), book, reach)
+
+
+def _asked(asked: Threshold, book: Book, reach: Reach) -> Iterator[Threshold]:
+    """What is asked of a side, and of what that is made of."""
+    yield asked
+    meaning = book.meaning(asked.quantity)
+    match meaning:
+        case Op("abs", (inner,)) if asked.above or reach.of(inner).low >= 0.0:
+            yield from _asked(Threshold(inner, asked.above, asked.bound), book, reach)
+            if asked.above:
+                yield from _asked(Threshold(inner, False, iv.negate(asked.bound)), book, reach)
+        case Op("neg", (inner,)):
+            yield from _asked(Threshold(inner, not asked.above, iv.negate(asked.bound)), book, reach)
+        case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
+            yield from _balanced(op, a, b, asked, book, reach)
+        case State(function, (inner, *_)) if function in FOLLOWING:
+            yield from _asked(Threshold(inner, asked.above, asked.bound), book, reach)
+        case Name() if meaning != asked.quantity:
+            yield Threshold(meaning, asked.above, asked.bound)
+        case _:
+            return
+
+
+def _balanced(op: str, a: Scalar, b: Scalar, asked: Threshold, book: Book, reach: Reach) -> Iterator[Threshold]:
+    """`a + b > c` asks a > c - b, where b is known."""
+    known, unknown = (reach.of(b), a) if reach.of(b).finite else (reach.of(a), b)
+    if not known.finite or reach.of(unknown).single:
+        return
+    if op in ("mul", "div") and (known.low <= 0.0 <= known.high or (op == "div" and unknown is b)):
+        return
+    above = asked.above
+    match op:
+        case "add":
+            bound = iv.subtract(asked.bound, known)
+        case "sub" if unknown is a:
+            bound = iv.add(asked.bound, known)
+        case "sub":
+            bound, above = iv.subtract(known, asked.bound), not above
+        case "mul":
+            bound, above = iv.divide(asked.bound, known), above == (known.low > 0.0)
+        case _:
+            bound, above = iv.multiply(asked.bound, known), above == (known.low > 0.0)
+    yield from _asked(Threshold(unknown, above, bound), book, reach)
