@@ -1,6 +1,6 @@
 """Push a block to a mark."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Training, seeds
+from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Training, seeds
 from tests.results.figures import Ahead, Held
 
 EXPERIMENTS = (
@@ -9,7 +9,7 @@ EXPERIMENTS = (
         title="PandaPush",
         prose="An arm pushes a block to a mark on a table. The reward is paid at the mark only; SAC with hindsight replay.",
         trainings=(Training(seeds(1)),),
-        baselines=(RANDOM,),
+        baselines=(RANDOM, Baseline("by_hand", ("--script", "by_hand"), words="gets behind the block and pushes")),
         bars=(
             Bar(Ahead("random"), at_least=0),
             Bar(Held("success_rate"), at_least=0.9),
