@@ -112,6 +112,12 @@ def test_a_bar_is_open_until_all_seeds_are_measured():
     assert verdict(Bar(Solved("simulated_hours"), at_most=0.5), hours(0.1, 0.2)) == ("not measured", "2 of 3 seeds")
 
 
+def test_one_seed_that_fails_is_a_miss_before_the_others_are_measured():
+    told = ("**missed**", "0.6 h, the worst; 1 of 3 seeds, 2 measured")
+    assert verdict(Bar(Solved("simulated_hours"), at_most=0.5), hours(0.1, 0.6)) == told
+    assert verdict(Bar(Solved("simulated_hours"), at_most=0.5, over="mean"), hours(0.1, 0.6))[0] == "not measured"
+
+
 def test_a_stretch_bar_is_reached_or_not_and_never_missed():
     bar = Bar(Solved("simulated_hours"), at_most=0.5, stretch=True)
     assert verdict(bar, hours(0.6), seeds=1)[0] == "not reached"

@@ -37,13 +37,14 @@ def judge(experiment: Experiment, bar: Bar, record: Mapping[str, Any]) -> Verdic
     seeds = len(experiment.training(bar.figure.training).seeds) if bar.figure.training else 1
     values = bar.figure.values(record)
     what = bar.words or bar.figure.words
-    if len(values) < seeds:
+    if len(values) < seeds and not (bar.over == "all" and any(not _holds(bar, value) for value in values)):
         told = f"{len(values)} of {seeds} seeds" if values and seeds > 1 else ""
         return Verdict(bar, what, _asked(bar, seeds), told, "not measured")
-    if bar.over == "all":
+    if bar.over == "all":  # one seed that fails is a miss, however many are still to come
         good = sum(_holds(bar, value) for value in values)
         worst = max(values) if bar.at_most is not None else min(values)
-        measured = _figure(worst, bar.figure.unit) + (f", the worst; {good} of {seeds} seeds" if seeds > 1 else "")
+        so_far = f", {len(values)} measured" if len(values) < seeds else ""
+        measured = _figure(worst, bar.figure.unit) + (f", the worst; {good} of {seeds} seeds{so_far}" if seeds > 1 else "")
         return Verdict(bar, what, _asked(bar, seeds), measured, "met" if good == seeds else "missed")
     value = fmean(values) if bar.over == "mean" else median(values)
     return Verdict(bar, what, _asked(bar, seeds), _figure(value, bar.figure.unit), "met" if _holds(bar, value) else "missed")
