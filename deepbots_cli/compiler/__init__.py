@@ -90,7 +90,8 @@ class Checked:
     @property
     def inputs(self) -> Inputs:
         """Every file that was read."""
-        return Inputs(self.document, self.robots or {}, self.namespace.files if self.namespace else {})
+        files = self.namespace.files if self.namespace else {}
+        return Inputs(self.document, self.robots or {}, files, tuple(variant.inputs for variant in self.variants))
 
 
 def check(document: Document) -> Checked:

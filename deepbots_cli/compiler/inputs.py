@@ -9,36 +9,49 @@ from functools import cached_property
 from pathlib import Path, PurePath
 
 from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import Document, Entry, Node, Scalar, descend, shipped
 from deepbots_cli.source.merge import replace
 from deepbots_cli.source.nodes import Path as NodePath
+from deepbots_cli.source.nodes import walk
 from deepbots_cli.source.text import write as to_yaml
 
 FOLDER = "inputs"
 """Where the copies lie, beside the resolved scenario."""
 
+_SETTINGS = (("evaluation",), ("curriculum",))
+
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files of one scenario: texts, robots, meshes and pictures; `files` are those of the world, by where they are named."""
+    """The files of one scenario: texts, robots, meshes and pictures; `files` are those of the world, by where they are named.
+
+    `variants` are the same for the scenario under the settings of each case and stage, which may name other files.
+    """
 
     document: Document
     robots: Mapping[str, RobotScene]
     files: Mapping[NodePath, Path] = field(default_factory=dict)
+    variants: tuple[Inputs, ...] = ()
 
     @cached_property
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
-        meshes = [Path(mesh) for robot in self.robots.values() for mesh in robot.file.meshes]
-        packages = [robot.path.parent for robot in self.robots.values()]  # one from a package has its meshes below it
-        return copy_names([*self._texts, *meshes, *self.files.values()], (shipped.data_dir(), *self.document.roots, *packages))
+        meshes = [Path(mesh) for robot in self._all_robots for mesh in robot.file.meshes]
+        packages = [robot.path.parent for robot in self._all_robots]  # one from a package has its meshes below it
+        files = [file for each in (self, *self.variants) for file in each.files.values()]
+        return copy_names([*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages))
+
+    @property
+    def _all_robots(self) -> list[RobotScene]:
+        return [robot for each in (self, *self.variants) for robot in each.robots.values()]
 
     @property
     def _texts(self) -> dict[Path, str]:
         main, files = self.document.source, self.document.files
         first = next((path for path, source in files.items() if source is main), self.document.base / main.name)
-        robots = {robot.path: robot.file.source.text for robot in self.robots.values()}
+        robots = {robot.path: robot.file.source.text for robot in self._all_robots}
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 
     def contents(self) -> dict[str, bytes]:
@@ -55,13 +68,27 @@ class Inputs:
         if self.document.root is None:
             return ""
         root: Node = self.document.root
-        named: dict[NodePath, Path] = {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()}
-        for path, file in (named | dict(self.files)).items():
+        for path, file in (self._named | self._set()).items():
             written, key, _ = descend(root, path)
             if isinstance(written, Scalar) and key is not None:
                 text = f"{FOLDER}/{self.names[file]}"
                 root = replace(root, path, Entry(key, Scalar(written.span, text, text)))
         return to_yaml(root)
+
+    @property
+    def _named(self) -> dict[NodePath, Path]:
+        """Every file that is named in the scenario, by where."""
+        return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(self.files)
+
+    def _set(self) -> dict[NodePath, Path]:
+        """The same for files that only the settings of a case or a stage name: found again by their place in the text."""
+        assert self.document.root is not None
+        files: dict[Span, Path] = {}
+        for variant in self.variants:
+            if variant.document.root is not None:
+                files |= {descend(variant.document.root, path)[0].span: file for path, file in variant._named.items()}
+        places = walk(self.document.root) if files else ()
+        return {path: files[node.span] for path, node in places if path[:1] in _SETTINGS and node.span in files}
 
 
 def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:

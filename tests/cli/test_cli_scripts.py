@@ -22,6 +22,7 @@ scripts:
   onward: {drive: forward}
   catch: {drive: {forward: cart.pole_angle > 0 rad, backward: true}}
 evaluation: {cases: {back: {set: {scripts.onward.drive: backward}}}}
+reward: {far: 300 when far}
 termination: {success: {far: x > 0.1 m}}
 """
 

@@ -10,6 +10,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.frames import cross, dot, scaled, subtract
 from deepbots_cli.port import View
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.share import copy_name
 from deepbots_cli.runtime.view import around, overview
 from deepbots_cli.source import shipped
 
@@ -49,10 +51,18 @@ def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> N
         view = overview(environment.scenario)
         for seed in range(5):
             environment.reset(seed=seed)
-            for robot in environment.scenario.world.robots:
-                x, y = seen_at(view, environment.engine.pose(robot.name)()[0])
+            for name in robot_bodies(environment):
+                x, y = seen_at(view, environment.engine.pose(name)()[0])
                 assert abs(x) < 1.0
                 assert abs(y) < 1.0
+
+
+def robot_bodies(environment: Supervisor) -> list[str]:
+    """The bodies of the robots in the engine; of a team, those of every copy."""
+    copies = environment.scenario.agent.each
+    if copies is None:
+        return [robot.name for robot in environment.scenario.world.robots]
+    return [copy_name(copies, number + 1) for number in range(copies.count)]
 
 
 def test_every_copy_of_a_row_begins_in_the_picture() -> None:
