@@ -50,8 +50,8 @@ EXPERIMENTS = (
     Experiment(
         scenario="pit_escape_as_printed",
         title="PitEscapeAsPrinted",
-        prose="The same task with the sign of the reward as the paper prints it, which takes away what progress is worth. The agent "
-        "learns to sit still.",
+        prose="The same task with the sign of the reward as the paper prints it, which takes away what progress is worth. What "
+        "pays best is to sit still.",
         trainings=(Training(seeds(2)),),
         bars=(Bar(Held("successes"), at_most=0),),
         paper="The paper prints the reward as the old value less the new one; its curve rises, so its agent was paid for progress.",
