@@ -4,7 +4,7 @@
 
 writes `pit.png` and `pit.obj` beside this file. Both follow the formula of the paper's world (Kirtas et al., AIAI 2020),
 `height * g * (1 - g)` with a bell g of width 2.7 m around the origin, and are as high on average as the terrain `pit` is with
-a height of 2.8 m and a noise of 0.15.
+a height of 2.5 m and a noise of 0.15.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 HERE = Path(__file__).parent
-HEIGHT, NOISE, WIDTH = 2.8, 0.15, 2.7
+HEIGHT, NOISE, WIDTH = 2.5, 0.15, 2.7
 SIDE, CELLS = 8.0, 80
 """Of the picture: m, and cells of 0.1 m along either side."""
 WHITE = 0.75
