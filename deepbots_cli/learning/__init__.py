@@ -15,6 +15,7 @@ curriculum.py    the stages of a training
 episodes.py      what an episode leaves behind: log, statistics, solved
 summary.py       what several come to
 callbacks.py     what happens during training: best model, checkpoints, logging
+trials.py        what the networks of a moment do: they choose the best model, and confirm that a task is solved
 interruption.py  Ctrl-C and SIGTERM end a training between two steps
 intervals.py     confidence intervals
 progress.py      a bar on a terminal, plain lines elsewhere

@@ -12,10 +12,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import weights
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.episodes import Statistics
+from deepbots_cli.learning.episodes import Statistics, meets
 from deepbots_cli.learning.interruption import Interruption
 from deepbots_cli.learning.progress import Reporter, Standing
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.summary import Summary
+from deepbots_cli.learning.trials import AT_ONCE, OVERTIME_SHARE, SHARE, Trials
 
 CHECKPOINT_SECONDS = 10.0
 """Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare. A small one takes about 3 ms."""
@@ -24,12 +26,17 @@ CHECKPOINT_SECONDS = 10.0
 class Keeper:
     """Keeps models in the run's directory; one with a number that is not finite is refused, so the last good one stays."""
 
-    def __init__(self, run: Run, statistics: Statistics, curriculum: Curriculum, best_return: float | None = None) -> None:
+    def __init__(self, run: Run, statistics: Statistics, curriculum: Curriculum, trials: Trials, best_return: float | None = None) -> None:
         self.run = run
         self.statistics = statistics
         self.curriculum = curriculum
+        self.trials = trials
         self.best_return = best_return
+        """Mean return of the best model in its trial."""
+        self.proven = False
+        """Whether the task was solved and a trial since then has shown that the networks of that moment solve it."""
         self.digest = ""
+        self._tried_at = -1
 
     def begin_stage(self) -> None:
         """Returns of one stage say nothing in another: the best is sought anew."""
@@ -37,13 +44,28 @@ class Keeper:
         self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last
 
-    def keep_best(self, model: BaseAlgorithm) -> None:
-        """Keep the networks as best if the mean return of the recent episodes, once there are enough, is a new high."""
+    def keep_best(self, model: BaseAlgorithm, interruption: Interruption, share: float) -> Summary | None:
+        """Try the networks, once there are enough episodes, and keep them as best if none did better in a trial.
+
+        None are held beyond their `share` of the steps. Returns what the trial showed.
+        """
         networks = self._finite(weights.networks(model))
-        mean = self.statistics.mean_return
-        if self.statistics.full and mean is not None and (self.best_return is None or mean > self.best_return):
-            self.best_return = mean
+        steps = self.statistics.steps
+        due = self.statistics.full and steps > self._tried_at and self.trials.due(steps, self.statistics.mean_length, share)
+        if not due:
+            return None
+        shown = self.trials.hold(model, self.curriculum.scenario, interruption)
+        if shown is None:
+            return None
+        self._tried_at = steps
+        solved = self.statistics.solved
+        # Of equals the later one, which has seen more.
+        if self.best_return is None or shown.mean_return >= self.best_return:
+            self.best_return = shown.mean_return
             weights.write(self.run.model("best"), networks, self._state())
+        if solved is not None and self.statistics.solved_at is not None:
+            self.proven = meets(solved, shown.mean_return, shown.success_rate)
+        return shown
 
     def keep_last(self, model: BaseAlgorithm) -> None:
         """Write the last model and a checkpoint; until there are enough episodes to tell, the last is the best too."""
@@ -55,7 +77,11 @@ class Keeper:
         weights.write(self.run.checkpoint, arrays, self._state())
 
     def _state(self) -> dict[str, Any]:
-        return self.statistics.to_json() | {"best_return": self.best_return, "curriculum": self.curriculum.to_json()}
+        return self.statistics.to_json() | {
+            "best_return": self.best_return,
+            "trial_steps": self.trials.steps,
+            "curriculum": self.curriculum.to_json(),
+        }
 
     def _finite(self, arrays: dict[str, weights.Array]) -> dict[str, weights.Array]:
         name = weights.not_finite(arrays)
@@ -86,6 +112,7 @@ class Watch(BaseCallback):
         self.interruption = interruption
         self.total = total
         self._has_success = run.ir.defines_success
+        self._tried_solved = False
         # A task that an earlier part of this run has solved is trained on for its own sake.
         self._until_solved = run.record.stop_when_solved and self.statistics.solved_at is None
         self._beat = max(1, min(2_000, total // 100))
@@ -102,14 +129,21 @@ class Watch(BaseCallback):
         return Standing(s.steps, self.total, s.episodes, s.mean_return, s.success_rate, s.simulated_hours, stage)
 
     def _on_step(self) -> bool:
-        if self.statistics.steps >= self._next_beat:
+        solved = self._until_solved and self.statistics.solved_at is not None
+        just_solved = solved and not self._tried_solved
+        if self.statistics.steps >= self._next_beat or just_solved:
+            self._tried_solved = solved
             self._next_beat = self.statistics.steps + self._beat
-            self._look_after()
-        return not (self.interruption.requested or (self._until_solved and self.statistics.solved_at is not None))
+            self._look_after(AT_ONCE if just_solved else OVERTIME_SHARE if solved else SHARE)
+        return not (self.interruption.requested or (solved and self.keeper.proven))
 
-    def _look_after(self) -> None:
+    def _look_after(self, share: float) -> None:
         self.told.update(self.standing())
-        self.keeper.keep_best(self.model)
+        shown = self.keeper.keep_best(self.model, self.interruption, share)
+        if shown is not None:
+            self.logger.record("trial/mean_return", shown.mean_return)
+            if self._has_success:
+                self.logger.record("trial/success_rate", shown.success_rate)
         began = time.monotonic()
         if began >= self._next_checkpoint:
             self.keeper.keep_last(self.model)

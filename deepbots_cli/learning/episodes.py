@@ -117,6 +117,11 @@ class Statistics:
     def success_rate(self) -> float | None:
         return sum(e.is_success for e in self.recent) / len(self.recent) if self.recent else None
 
+    @property
+    def mean_length(self) -> float:
+        """Of the recent episodes, in steps."""
+        return sum(e.length for e in self.recent) / max(1, len(self.recent))
+
     def term_means(self) -> dict[str, float]:
         """The mean per episode of every reward term, over the recent episodes that carry terms."""
         carriers = [e for e in self.recent if e.terms]

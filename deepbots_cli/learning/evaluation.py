@@ -83,7 +83,7 @@ def evaluate(
         episodes: The scenario's figure by default.
         seed: The root of the stream, from 0; the training's by default.
         deterministic: Whether the policy takes its likeliest action; else it samples, from seeded streams too.
-        model: `best` by the mean return in training, or `last`.
+        model: `best` by its trial during the training, or `last`.
         scenario: Another scenario to evaluate in; its observation, action and messages must be those of the run.
         case: One of the scenario's cases to evaluate in, by name.
         video_to: Where to write the first episode as mp4.

@@ -30,6 +30,7 @@ from deepbots_cli.learning.interruption import listening
 from deepbots_cli.learning.progress import Reporter, reporter
 from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
 from deepbots_cli.learning.run import Compiled, Run, input_digests, new_directory
+from deepbots_cli.learning.trials import AT_ONCE, Trials
 from deepbots_cli.runtime.streams import derive
 
 _KEPT = (
@@ -47,8 +48,10 @@ class TrainingResult:
     """How a training ended.
 
     `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
-    Steps count over all copies of the environment; the means are over the recent episodes (None: none has ended). `stage` is
-    the one of the curriculum that it ended in, `stages` are those before.
+    Steps count over all copies of the environment; the means are over the recent episodes (None: none has ended).
+    `best_return` is the mean return of the best model in its trial (None: too few episodes for one); `trial_steps` are those
+    of all trials, from which nothing is learned and which are not among `steps`. `stage` is the one of the curriculum that it
+    ended in, `stages` are those before.
     """
 
     run: Path
@@ -60,6 +63,7 @@ class TrainingResult:
     success_rate: float | None
     best_return: float | None
     simulated_hours: float
+    trial_steps: int
     solved_at: SolvedAt | None
     cpu_seconds: float
     wall_seconds: float
@@ -97,7 +101,7 @@ def train(
         seed: The root of every random stream, from 0. The same seed on the same machine gives the same weights.
         total_timesteps: Steps over all copies of the environment; the scenario's figure by default. On-policy algorithms
             finish the update that they are in.
-        stop_when_solved: Whether to end when the scenario's `solved` is first met.
+        stop_when_solved: Whether to end when the scenario's `solved` is met by the episodes of the training and then by a trial.
         stage: The stage of the curriculum to begin in, by name; by default the first.
         progress: Whether to tell how it goes on standard error, or who tells it.
         command: The command line, for the record.
@@ -145,7 +149,7 @@ def train(
     with sole_trainer(path):
         new = Run.create(path, record, compiled)
         statistics = Statistics(compiled.ir.period, compiled.ir.solved)
-        return _learn(new, training, Keeper(new, statistics, curriculum), build, reporter(progress))
+        return _learn(new, training, Keeper(new, statistics, curriculum, Trials(build, seed)), build, reporter(progress))
 
 
 def resume(
@@ -183,13 +187,11 @@ def resume(
         return _go_on(known, total_timesteps, stop_when_solved, reporter(progress), build)
 
 
-def _go_on(
-    known: Run, total_timesteps: int | None, stop_when_solved: bool | None, told: Reporter, build: BuildWorld | None
-) -> TrainingResult:
+def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | None, told: Reporter, build: BuildWorld) -> TrainingResult:
     record = known.record
     training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
     statistics = Statistics(known.ir.period, known.ir.solved)
-    curriculum, best = Curriculum(known.ir, record.first_stage), None
+    curriculum, best, tried = Curriculum(known.ir, record.first_stage), None, 0
     if not known.stillborn:
         state = weights.read_state(known.checkpoint)
         statistics.restore(state)
@@ -197,6 +199,7 @@ def _go_on(
         if stages is not None:
             curriculum.restore(stages)
         best = None if state.data.get("best_return") is None else state.number("best_return")
+        tried = state.count("trial_steps")
     if statistics.steps >= training.total_timesteps:
         raise UsageError(
             f"{known.path} has trained {statistics.steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
@@ -207,7 +210,7 @@ def _go_on(
         total_timesteps=training.total_timesteps,
         stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
     )
-    return _learn(known, training, Keeper(known, statistics, curriculum, best), build, told)
+    return _learn(known, training, Keeper(known, statistics, curriculum, Trials(build, record.seed, tried), best), build, told)
 
 
 def _compiled(scenario: Compiled | str | Path) -> Compiled:
@@ -255,7 +258,7 @@ def _longest_episode(ir: CompiledScenario) -> int:
     return max(stage.truncation.most_steps(stage.period) for stage in stages)
 
 
-def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | None, told: Reporter) -> TrainingResult:
+def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld, told: Reporter) -> TrainingResult:
     """One process's share in a run, from the statistics that `keeper` holds to the goal."""
     # One thread: networks of this size only lose by handing work around.
     torch.set_num_threads(1)
@@ -265,14 +268,15 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | Non
     status: Status = "failed"
     try:
         with ExitStack() as stack:
-            copies = _copies(stack, run, training, build or default_build(run.record.engine), keeper)
+            stack.callback(keeper.trials.close)
+            copies = _copies(stack, run, training, build, keeper)
             model = _model(run, training, copies, statistics)
             interruption = stack.enter_context(listening())
             watch = Watch(run, keeper, told, interruption, training.total_timesteps)
             told.start(watch.standing())
             stack.callback(told.stop)
             status = _drive(model, watch, run)
-            keeper.keep_best(model)
+            keeper.keep_best(model, interruption, AT_ONCE)
             keeper.keep_last(model)
             told.update(watch.standing())
     except KeyboardInterrupt:
@@ -289,6 +293,7 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld | Non
             success_rate=statistics.success_rate,
             best_return=keeper.best_return,
             simulated_hours=statistics.simulated_hours,
+            trial_steps=keeper.trials.steps,
             solved_at=statistics.solved_at,
             cpu_seconds=statistics.cpu_seconds,
             wall_seconds=time.perf_counter() - began,

@@ -12,6 +12,9 @@ _ELSEWHERE = tuple(
     )
 )
 
+FRESH = (111, 112, 113, 114, 115)
+"""101 and 102 were trained in the deeper pit of before, and by them it was found wanting."""
+
 EXPERIMENTS = (
     Experiment(
         scenario="pit_escape",
@@ -21,8 +24,8 @@ EXPERIMENTS = (
         "of 60 ReLU units, PPO. The paper asks for a mean of 0.8; the scenario counts as solved when the mean of 100 consecutive "
         "training episodes is at least 0.89, and the training ends there. The second training goes on for three hours.",
         trainings=(
-            Training(seeds(5), evaluations=(Evaluation(), *_ELSEWHERE)),
-            Training(seeds(5), name="long", full=True, words="three simulated hours, whether solved or not"),
+            Training(FRESH, evaluations=(Evaluation(), *_ELSEWHERE)),
+            Training(FRESH, name="long", full=True, words="three simulated hours, whether solved or not"),
         ),
         baselines=(
             RANDOM,

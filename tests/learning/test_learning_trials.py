@@ -1,0 +1,142 @@
+"""Trials of the networks of a moment: they decide what is kept as the best and when a solved task ends the training."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import stand_in
+import torch
+
+from deepbots_cli.ir import CompiledScenario, Hyperparameter, Solved, Training
+from deepbots_cli.learning import TrainingResult, algorithms, callbacks, evaluate, resume, train, trials, weights
+from deepbots_cli.learning.environments import copies_over
+from deepbots_cli.learning.interruption import Interruption
+from deepbots_cli.learning.trials import Trials
+from deepbots_cli.runtime.streams import derive
+
+TRIAL_SEEDS = [derive(0, "trial", k) for k in range(trials.EPISODES)]
+EASY = Solved(2, mean_return=5.0)
+
+
+class Paying(stand_in.CartPole):
+    """Pays 1 per step, and in trials what `wage` says for the trial's number."""
+
+    def __init__(self, ir: CompiledScenario, wage: Callable[[int], float], render_mode: str | None = None) -> None:
+        super().__init__(ir, render_mode)
+        self.wage = wage
+        self.seeds: list[int] = []
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        if seed is not None:
+            self.seeds.append(seed)
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = super().step(action)
+        if self.seeds and self.seeds[-1] in TRIAL_SEEDS:
+            reward = self.wage((len(self.seeds) - 1) // trials.EPISODES)
+        return observation, reward, terminated, truncated, info
+
+
+class Builder:
+    """Builds worlds and remembers them."""
+
+    def __init__(self, wage: Callable[[int], float]) -> None:
+        self.wage = wage
+        self.worlds: list[Paying] = []
+
+    def __call__(self, ir: CompiledScenario, *, render_mode: str | None = None) -> Paying:
+        self.worlds.append(Paying(ir, self.wage, render_mode))
+        return self.worlds[-1]
+
+    @property
+    def tried(self) -> int:
+        """Trials that were held."""
+        return sum(seed == TRIAL_SEEDS[0] for world in self.worlds for seed in world.seeds)
+
+
+def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, **settings: Any) -> TrainingResult:
+    figures = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
+    hyperparameters = tuple(Hyperparameter(name, figure) for name, figure in figures.items())
+    task = stand_in.compiled(training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=EASY, **settings)
+    return train(task, runs=folder, build=build)
+
+
+def test_a_training_does_not_end_while_the_policy_by_itself_does_not_solve_the_task(tmp_path: Path) -> None:
+    result = learned(tmp_path, Builder(lambda trial: 0.0))
+    assert result.solved_at is not None
+    assert result.solved_at.steps < 200  # by the episodes of the training
+    assert (result.status, result.steps >= 1_500) == ("finished", True)
+
+
+def test_a_training_ends_at_the_first_trial_that_solves_the_task(tmp_path: Path) -> None:
+    build = Builder(lambda trial: float(trial >= 2))
+    result = learned(tmp_path, build, total=100_000)
+    assert result.steps < 20_000
+    assert build.tried == 3
+    assert result.best_return is not None
+    assert result.best_return >= 5.0
+
+
+def test_the_best_model_is_that_of_the_best_trial_and_not_of_the_luckiest_episodes(tmp_path: Path) -> None:
+    build = Builder(lambda trial: 0.1 if trial == 1 else 0.0)
+    result = learned(tmp_path, build, total=12_000)
+    assert build.tried > 3
+    best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
+    assert 0 < best < last
+    assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
+
+
+def test_of_equal_trials_the_later_network_is_kept(tmp_path: Path) -> None:
+    result = learned(tmp_path, Builder(lambda trial: 0.0))
+    best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
+    assert best == last
+
+
+def test_trials_take_at_most_their_share_of_the_steps_and_the_last_one_more(tmp_path: Path) -> None:
+    build = Builder(lambda trial: 0.0)
+    result = learned(tmp_path, build, total=12_000)
+    assert build.tried > 3
+    assert 0 < result.trial_steps <= result.steps * trials.OVERTIME_SHARE + 2 * trials.EPISODES * 200
+    again = resume(result.run, total_timesteps=20_000, build=build)
+    assert again.trial_steps > result.trial_steps
+
+
+def test_trials_start_where_neither_training_nor_evaluation_does(tmp_path: Path) -> None:
+    build = Builder(lambda trial: 0.0)
+    result = learned(tmp_path, build)
+    seen = [seed for world in build.worlds for seed in world.seeds]
+    before = len(build.worlds)
+    evaluate(result.run, episodes=30, build=build)
+    assert set(TRIAL_SEEDS) <= set(seen)
+    assert not set(TRIAL_SEEDS) & {seed for world in build.worlds[before:] for seed in world.seeds}
+    in_trials = {id(world) for world in build.worlds if set(TRIAL_SEEDS) & set(world.seeds)}
+    assert len(in_trials) == 1  # a world of their own
+    assert all(set(world.seeds) <= set(TRIAL_SEEDS) for world in build.worlds if id(world) in in_trials)
+    assert all(world.closed for world in build.worlds)
+
+
+def test_what_is_learned_does_not_depend_on_the_trials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = learned(tmp_path, Builder(lambda trial: 0.0))
+    monkeypatch.setattr(callbacks, "OVERTIME_SHARE", 1.0)
+    many = learned(tmp_path, Builder(lambda trial: 0.0))
+    assert many.trial_steps > few.trial_steps
+    assert many.weights_digest == few.weights_digest
+
+
+def test_a_trial_stops_when_somebody_wants_the_work_to_end() -> None:
+    task = stand_in.scenario()
+    world = stand_in.build(task)
+    assert task.training is not None
+    model = algorithms.create(task.training, copies_over([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=200)
+    held, interruption = Trials(stand_in.build, seed=0), Interruption()
+    state = torch.get_rng_state()
+    first, second = (held.hold(model, task, interruption) for _ in range(2))
+    assert first is not None
+    assert first == second  # the same starts each time
+    assert first.episodes == trials.EPISODES
+    assert torch.equal(torch.get_rng_state(), state)
+    interruption.requested = True
+    assert held.hold(model, task, interruption) is None
+    held.close()
