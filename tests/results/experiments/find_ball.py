@@ -1,14 +1,17 @@
 """The paper's third task, in the paper's own layout."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Mark, Training, seeds
+from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Mark, Training
 from tests.results.figures import Held, Solved, Trained
+
+FRESH = (111, 112, 113, 114, 115)
+"""101 to 104 were trained before trials chose the best model, and by 102 it was found that they should."""
 
 EXPERIMENTS = (
     Experiment(
         scenario="find_ball",
         title="FindBall",
         prose="A small robot with eight infrared sensors has to find a ball behind a box without touching anything. DDPG, as in the paper.",
-        trainings=(Training(seeds(5), evaluations=(Evaluation(episodes=1000),)),),
+        trainings=(Training(FRESH, evaluations=(Evaluation(episodes=1000),)),),
         baselines=(RANDOM, Baseline("around the box", ("--script", "around"))),
         bars=(
             Bar(Trained("simulated_hours"), at_most=3),

@@ -1,7 +1,10 @@
 """Find the ball among obstacles that are placed anew for each episode: what the paper's agent failed to generalise to."""
 
-from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Mark, Training, seeds
+from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Mark, Training
 from tests.results.figures import Held, Trained
+
+FRESH = (111, 112, 113)
+"""101 to 103 were trained with less memory, and by them it was found wanting."""
 
 HELD_OUT = (Evaluation(episodes=1000, last=True),)
 ASKED = {"none": 0.98, "few": 0.92, "some": 0.86, "many": 0.68}
@@ -15,8 +18,8 @@ EXPERIMENTS = (
 the cases none, few, some and many are 0, 1 to 3, 4 to 6 and 7 to 10 obstacles of shapes that it never met: drums, thin slabs, walls
 around a corner. The scenario itself is 1 to 10 obstacles of the trained shapes.""",
         trainings=(
-            Training(seeds(3), full=True, evaluations=HELD_OUT),
-            Training(seeds(3), name="long", timesteps=168_744, full=True, evaluations=HELD_OUT, words="6 h"),
+            Training(FRESH, full=True, evaluations=HELD_OUT),
+            Training(FRESH, name="long", timesteps=168_744, full=True, evaluations=HELD_OUT, words="6 h"),
         ),
         baselines=(RANDOM,),
         bars=(
