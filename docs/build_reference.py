@@ -10,9 +10,7 @@ rules.md     every finding, from the registry of rules and the docstrings of lin
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from inspect import cleandoc
 from pathlib import Path
-from textwrap import dedent
 
 from pydantic_core import PydanticUndefinedType
 
@@ -23,7 +21,7 @@ from deepbots_cli.lang.functions import ALLOWED, Family, Function
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.types import Context, Kind
 from deepbots_cli.lang.units import UNITS
-from deepbots_cli.rules import code_of, everything
+from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
@@ -317,20 +315,15 @@ def _rules() -> str:
     lines += ["", "## Retired", "", "Mistakes that the language leaves no room for, or that another finding tells of.", ""]
     lines += ["| code | name | why |", "|---|---|---|"]
     lines += [f"| {entry.code} | `{entry.name}` | {_cell(entry.reason)} |" for entry in RETIRED.values()]
-    for rule_ in sorted(everything(), key=code_of):
-        lines += _rule_page(rule_.__doc__ or "")
+    for page in every_page():
+        lines += _rule_page(page)
     return "\n".join(lines) + "\n"
 
 
-def _rule_page(docstring: str) -> Iterator[str]:
-    """What the docstring of a lint rule says; its examples are laid upon CartPole by the tests."""
-    code, _, text = cleandoc(docstring).partition(": ")
-    rule = RULES[code]
-    yield from ["", f"## {code} {rule.name}", ""]
-    told, _, rest = text.partition("\n\nExample::\n\n")
-    example, _, instead = rest.partition("\n\nInstead::\n\n")
-    yield told[0].upper() + told[1:]
-    yield from ["", f"```yaml wrong {code}", dedent(example), "```", "", "Instead:", "", "```yaml fragment", dedent(instead), "```"]
+def _rule_page(page: Page) -> Iterator[str]:
+    """What `deepbots explain` says too; the examples are laid upon CartPole by the tests."""
+    yield from ["", f"## {page.code} {RULES[page.code].name}", "", page.about]
+    yield from ["", f"```yaml wrong {page.code}", page.example, "```", "", "Instead:", "", "```yaml fragment", page.instead, "```"]
 
 
 def main() -> None:

@@ -119,3 +119,12 @@ RETIRED = {entry.code: entry for entry in _RETIRED}
 def rule(code: str) -> Rule:
     """The entry of `code`; a `KeyError` means that a pass uses a code nobody registered."""
     return RULES[code]
+
+
+def with_prefix(word: str) -> tuple[Rule | Retired, ...]:
+    """The entry that `word` names by its code or its name, whatever the case, or all whose codes begin with it; retired ones last."""
+    wanted = word.strip().lower().replace("_", "-")
+    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *RETIRED.values())
+    return tuple(entry for entry in entries if wanted == entry.name) or tuple(
+        entry for entry in entries if entry.code.lower().startswith(wanted)
+    )

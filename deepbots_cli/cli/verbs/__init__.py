@@ -8,6 +8,7 @@ VERBS: Mapping[str, str] = {
     "train": "Train a policy in a new run directory, and evaluate it.",
     "eval": "Evaluate the policy of a run on held-out episodes.",
     "lint": "Say everything that is wrong with scenarios.",
+    "explain": "Say what a finding means, why it matters and what to write instead.",
     "inspect": "Show what a scenario means: spaces, messages, reward, timing.",
     "run": "Run episodes without a trained policy, and show the reward terms.",
     "compile": "Print the Python that a scenario is compiled to.",

@@ -1,0 +1,100 @@
+"""`deepbots explain`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from textwrap import fill, indent
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.diagnostics import RETIRED, RULES, Rule
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.registry import Retired, with_prefix
+from deepbots_cli.errors import UsageError
+from deepbots_cli.rules.pages import Page, pages_of
+
+
+def command(
+    finding: Annotated[str, typer.Argument(metavar="[CODE|NAME]", help="A code, the beginning of codes such as DB6, or a name.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Say what a finding means, why it matters and what to write instead.
+
+    Without a code, all findings are listed.
+
+    \b
+      deepbots explain DB603
+      deepbots explain saturates-before-termination
+      deepbots explain DB7
+      deepbots explain
+    """
+    found = with_prefix(finding)
+    if not found:
+        raise UsageError(_unknown(finding))
+    if as_json:
+        terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
+    elif len(found) > 1:
+        terminal.say(table([_row(entry) for entry in found], indent=""))
+    else:
+        terminal.say("\n".join(_lines(found[0])))
+
+
+def _unknown(word: str) -> str:
+    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *RETIRED.values())
+    codes = word[:2].upper() == "DB" and word[2:3].isdigit()
+    near = nearest(word, [entry.code if codes else entry.name for entry in entries])
+    return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")
+
+
+def _row(entry: Rule | Retired) -> Row:
+    if isinstance(entry, Retired):
+        return {"code": entry.code, "name": entry.name, "severity": "retired", "about": entry.reason}
+    return {"code": entry.code, "name": entry.name, "severity": _severity(entry), "about": entry.summary}
+
+
+def _severity(rule: Rule) -> str:
+    return f"{rule.severity}, in preview" if rule.preview else rule.severity
+
+
+def _data(entry: Rule | Retired) -> Row:
+    if isinstance(entry, Retired):
+        return {"code": entry.code, "name": entry.name, "retired": entry.reason}
+    pages = [{"about": page.about, "example": page.example, "instead": page.instead} for page in pages_of(entry.code)]
+    named: Row = {"code": entry.code, "name": entry.name, "severity": entry.severity, "preview": entry.preview}
+    return {**named, "summary": entry.summary, "pages": pages}
+
+
+def _lines(entry: Rule | Retired) -> Iterator[str]:
+    row = _row(entry)
+    yield f"{row['code']} {row['name']} ({row['severity']})"
+    yield _wrapped(str(row["about"]))
+    if isinstance(entry, Rule):
+        for page in pages_of(entry.code):
+            yield from _page(page)
+        yield from _manners(entry)
+
+
+def _page(page: Page) -> Iterator[str]:
+    for paragraph in page.about.split("\n\n"):
+        yield from ("", _wrapped(paragraph))
+    for title, example in (("For example", page.example), ("Instead", page.instead)):
+        yield from ("", f"{title}:", "", indent(example, "    "))
+
+
+def _manners(rule: Rule) -> Iterator[str]:
+    """How to live with a finding that one does not want to mend."""
+    yield ""
+    if rule.preview:
+        yield "It may still misfire, and is looked for with --preview only."
+    if rule.severity == "error":
+        yield "A scenario with it cannot be compiled."
+    else:
+        yield f"A comment on the line of the finding, or on the line above, suppresses it: # deepbots: ignore[{rule.code}]"
+
+
+def _wrapped(text: str) -> str:
+    return fill(" ".join(text.split()), min(terminal.width(), 100), break_long_words=False, break_on_hyphens=False)

@@ -1,0 +1,94 @@
+"""`deepbots explain`: what a finding means, in the terminal and for programs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from deepbots_cli.diagnostics import RETIRED, RULES
+from deepbots_cli.rules.pages import every_page
+
+
+def test_a_code_is_explained_with_why_an_example_and_what_to_write_instead(deepbots):
+    ran = deepbots("explain", "DB603")
+    assert (ran.code, ran.err) == (0, "")
+    head, _, rest = ran.out.partition("\n")
+    assert head == "DB603 saturates-before-termination (warning)"
+    assert "every value looks the same to the policy" in " ".join(rest.split())
+    assert "    observation: {cart.pole_angle: -0.23 .. 0.23 rad}\n" in rest.partition("Instead:")[0]
+    assert "    observation: {cart.pole_angle: -20 .. 20 deg}\n" in rest.partition("Instead:")[2]
+    assert "# deepbots: ignore[DB603]" in rest
+
+
+@pytest.mark.parametrize("word", ["db603", "saturates-before-termination", "saturates_before_termination", "Saturates-Before-Termination"])
+def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, word):
+    assert deepbots("explain", word).out == deepbots("explain", "DB603").out
+
+
+def test_the_text_is_that_of_the_reference(deepbots):
+    for page in every_page():
+        (shown,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]
+        assert {"about": page.about, "example": page.example, "instead": page.instead} in shown["pages"]
+
+
+def test_an_error_is_said_to_keep_a_scenario_from_being_compiled_and_offers_no_comment(deepbots):
+    said = deepbots("explain", "DB802").out
+    assert "cannot be compiled" in said
+    assert "ignore[" not in said
+
+
+def test_a_rule_in_preview_says_so(deepbots):
+    assert "--preview" in deepbots("explain", "DB706").out
+
+
+def test_a_code_of_two_rules_shows_both(deepbots):
+    said = deepbots("explain", "DB205").out
+    assert said.count("Instead:") == 2
+
+
+def test_a_retired_code_says_why_there_is_none(deepbots):
+    ran = deepbots("explain", "DB604")
+    assert ran.code == 0
+    assert ran.out.startswith("DB604 action-dims-mismatch (retired)\n")
+    assert "a command of the wrong length is DB404" in ran.out
+    (shown,) = json.loads(deepbots("explain", "action-dims-mismatch", "--json").out)["rules"]
+    assert shown["retired"] == RETIRED["DB604"].reason
+
+
+def test_without_a_code_every_finding_has_its_line(deepbots):
+    lines = deepbots("explain").out.splitlines()[2:]
+    assert [line.split()[0] for line in lines] == [*RULES, *RETIRED]
+    report = json.loads(deepbots("explain", "--json").out)
+    assert report["version"] == 1
+    assert [entry["code"] for entry in report["rules"]] == [*RULES, *RETIRED]
+
+
+def test_the_beginning_of_codes_lists_a_family(deepbots):
+    lines = deepbots("explain", "DB80").out.splitlines()[2:]
+    assert [line.split()[0] for line in lines] == [code for code in RULES if code.startswith("DB80")]
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("DB6O3", "DB6"), ("saturate-before-terminate", "saturates-before-termination"), ("action-dims", "action-dims-mismatch")],
+)
+def test_an_unknown_word_is_wrong_usage_and_the_nearest_is_suggested(deepbots, word, meant):
+    ran = deepbots("explain", word)
+    assert (ran.code, ran.out) == (2, "")
+    assert f"did you mean {meant}" in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_a_word_like_no_other_is_told_where_all_are_listed(deepbots):
+    ran = deepbots("explain", "zzzz")
+    assert ran.code == 2
+    assert "deepbots explain lists them" in ran.err
+
+
+def test_explaining_needs_no_extra():
+    block = "".join(f"sys.modules['{name}'] = None; " for name in ("numpy", "gymnasium", "pybullet", "torch", "rich"))
+    code = f"import sys; {block}from deepbots_cli.cli import main; sys.exit(main(['explain', 'DB603']))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
