@@ -84,6 +84,30 @@ class Label:
 
 
 @dataclass(frozen=True)
+class Edit:
+    """`text` in the place of what stands at `span`, and nothing else changed."""
+
+    span: Span
+    text: str
+
+
+@dataclass(frozen=True)
+class Fix:
+    """What a program may write to be rid of a finding.
+
+    A `safe` one keeps the meaning, or puts right what can have been meant in one way only; any other is a good guess.
+    """
+
+    edits: tuple[Edit, ...]
+    safe: bool
+
+    @classmethod
+    def replacing(cls, span: Span, old: str, new: str, *, safe: bool) -> Fix | None:
+        """`new` for `old`, where that stands at `span` as it is: neither folded nor written with escapes."""
+        return cls((Edit(span, new),), safe) if span.text == old else None
+
+
+@dataclass(frozen=True)
 class Finding:
     """One problem at one place.
 
@@ -97,6 +121,7 @@ class Finding:
     help: str | None = None
     also: tuple[Label, ...] = ()
     notes: tuple[str, ...] = ()
+    fix: Fix | None = None
 
     @property
     def severity(self) -> Severity:
@@ -130,8 +155,9 @@ class Findings:
         help: str | None = None,
         also: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
+        fix: Fix | None = None,
     ) -> None:
-        self.append(Finding(code, span, headline, help, also, notes))
+        self.append(Finding(code, span, headline, help, also, notes, fix))
 
     def append(self, finding: Finding) -> None:
         self._found.setdefault(finding.sort_key, finding)
