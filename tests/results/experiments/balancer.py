@@ -1,15 +1,15 @@
 """Stand on two wheels."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Training, seeds
+from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Training, seeds
 from tests.results.figures import Ahead
 
 EXPERIMENTS = (
     Experiment(
         scenario="balancer",
         title="Balancer",
-        prose="A robot on two wheels stands upright for ten seconds by a noisy inertial sensor alone. SAC.",
+        prose="A robot on two wheels stands upright for ten seconds by a noisy inertial sensor alone. PPO; `lean` is a rule by hand.",
         trainings=(Training(seeds(3)),),
-        baselines=(RANDOM,),
+        baselines=(RANDOM, Baseline("lean", ("--script", "lean"))),
         bars=(Bar(Ahead("random"), at_least=0),),
     ),
 )

@@ -1,15 +1,15 @@
 """Follow a painted track."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Training, seeds
+from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Training, seeds
 from tests.results.figures import Ahead, Held
 
 EXPERIMENTS = (
     Experiment(
         scenario="line_follower",
         title="LineFollower",
-        prose="A small robot with three reflectance sensors follows a painted track for a lap. PPO.",
+        prose="A small robot with three reflectance sensors follows a painted track for a lap. PPO; `steer` is a rule by hand.",
         trainings=(Training(seeds(3)),),
-        baselines=(RANDOM,),
+        baselines=(RANDOM, Baseline("steer", ("--script", "steer"))),
         bars=(
             Bar(Ahead("random"), at_least=0),
             Bar(Held("success_rate"), at_least=0.95, words="laps completed, held out"),
