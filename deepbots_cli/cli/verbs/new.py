@@ -1,0 +1,63 @@
+"""`deepbots new`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from shlex import quote
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import copying, terminal
+from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.starters import templates
+from deepbots_cli.errors import UsageError
+
+
+class Template(StrEnum):
+    cartpole = "cartpole"
+    wheeled = "wheeled"
+    arm = "arm"
+    pit = "pit"
+
+
+def command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="What to call it: NAME.yaml is written.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to put it.")] = Path("."),
+    template: Annotated[Template | None, typer.Option("--template", help="What to begin with.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a first scenario, with a comment on every part.
+
+    Nothing is overwritten. What the templates are:
+
+    \b
+      cartpole  a cart that balances a pole
+      wheeled   a robot on two wheels that drives to a ball
+      arm       an arm of three joints that reaches for a place, with a robot file to change
+      pit       a ball that rocks itself out of a pit
+
+    \b
+      deepbots new mine --template wheeled
+      deepbots new reach experiments --template arm
+    """
+    name = templates.check(name)
+    if template is None:
+        raise UsageError(f"say what to begin with: --template {'|'.join(templates.TEMPLATES)}")
+    written = copying.write(templates.files(template, name), folder)
+    if as_json:
+        terminal.show_json({"scenario": written[0], "files": written})
+        return
+    for path in written:
+        terminal.say(str(path))
+    terminal.note(_next(quote(str(written[0]))))
+
+
+def _next(scenario: str) -> str:
+    return (
+        f"read it, then watch what random actions do: deepbots run {scenario}\n"
+        f"change it, and ask what is wrong with it:   deepbots lint {scenario}\n"
+        f"see what the agent sees and does:           deepbots inspect {scenario}\n"
+        f"train on it:                                deepbots train {scenario}"
+    )
