@@ -321,9 +321,11 @@ def _rules() -> str:
 
 
 def _rule_page(page: Page) -> Iterator[str]:
-    """What `deepbots explain` says too; the examples are laid upon CartPole by the tests."""
+    """What `deepbots explain` says too; the tests lay examples in YAML upon CartPole, and read robot files as they are."""
     yield from ["", f"## {page.code} {RULES[page.code].name}", "", page.about]
-    yield from ["", f"```yaml wrong {page.code}", page.example, "```", "", "Instead:", "", "```yaml fragment", page.instead, "```"]
+    if page.example:
+        wrong, right = ("xml", "xml") if page.language == "xml" else (f"yaml wrong {page.code}", "yaml fragment")
+        yield from ["", f"```{wrong}", page.example, "```", "", "Instead:", "", f"```{right}", page.instead, "```"]
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ What rules ask:
 meaning.py      what names stand for, and which expressions mean the same
 reach.py        how far values reach in an episode; start.py right after a reset
 payments.py     what a step and an ending are worth
-pages.py        the page of each finding
+pages.py        the page of each finding, from docstrings and pages.yaml
 thresholds.py   beyond which value of a quantity a condition holds
 wording.py      figures in findings
 """

@@ -1,40 +1,63 @@
 """The page of each finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
 
-That of a lint rule is the docstring of its function.
+That of a lint rule is the docstring of its function; those of what the compiler finds stand in `pages.yaml`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from inspect import cleandoc
+from pathlib import Path
 from textwrap import dedent
 
-from deepbots_cli.rules import Rule, code_of, everything
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.rules import Rule, everything
+from deepbots_cli.source.nodes import to_data
+from deepbots_cli.source.parse import parse
+
+FILE = Path(__file__).with_name("pages.yaml")
 
 
 @dataclass(frozen=True)
 class Page:
-    """`about` holds paragraphs with blank lines between; the two pieces of YAML are to be laid upon CartPole."""
+    """`about` holds paragraphs with blank lines between; `example` and `instead` are both there or both empty."""
 
     code: str
     about: str
-    example: str
-    instead: str
+    example: str = ""
+    instead: str = ""
+
+    @property
+    def language(self) -> str:
+        """`yaml`, to be laid upon CartPole, or `xml`, a whole robot file."""
+        return "xml" if self.example.startswith("<") else "yaml"
 
 
-def every_page() -> Iterator[Page]:
+@cache
+def every_page() -> tuple[Page, ...]:
     """All of them in the order of their codes; what two rules look for may have one code."""
-    yield from (_written(rule) for rule in sorted(everything(), key=code_of))
+    return tuple(sorted([*_of_the_compiler(), *map(_of_a_rule, everything())], key=lambda page: page.code))
 
 
 def pages_of(code: str) -> tuple[Page, ...]:
-    """Those of one code, none where the summary in the catalogue is all there is to say."""
+    """Those of one code."""
     return tuple(page for page in every_page() if page.code == code)
 
 
-def _written(rule: Rule) -> Page:
+def _of_a_rule(rule: Rule) -> Page:
     code, _, text = cleandoc(rule.__doc__ or "").partition(": ")
     about, _, rest = text.partition("\n\nExample::\n\n")
     example, _, instead = rest.partition("\n\nInstead::\n\n")
     return Page(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
+
+
+def _of_the_compiler() -> Iterator[Page]:
+    findings = Findings()
+    root = parse(Source(FILE.name, FILE.read_text(encoding="utf-8")), findings)
+    table = to_data(root) if root else None
+    if not isinstance(table, dict) or len(findings):
+        raise ValueError(f"{FILE} is broken: {findings}")
+    for code, page in table.items():
+        yield Page(code, **{part: text.strip() for part, text in page.items()})

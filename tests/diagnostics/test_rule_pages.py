@@ -5,35 +5,53 @@ from __future__ import annotations
 import re
 from inspect import cleandoc
 from pathlib import Path
-from textwrap import dedent
 
 import pytest
 
 from deepbots_cli.compiler import check
-from deepbots_cli.diagnostics import RETIRED
+from deepbots_cli.diagnostics import RETIRED, Findings
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics.finding import Source
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.rules import Rule, code_of, everything, run
+from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.source import loads
+from deepbots_cli.urdf.reader import read
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-PAGE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
+SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
 
 
-def codes(fragment: str) -> set[str]:
-    checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{dedent(fragment)}\n", base=SCENARIOS))
-    return {finding.code for finding in (*checked.findings, *run(checked, preview=True))}
+def codes(text: str, language: str, folder: Path) -> set[str]:
+    """What is found in a fragment upon CartPole, or in a robot file."""
+    if language == "xml":
+        file, findings = folder / "robot.urdf", Findings()
+        file.write_text(text, encoding="utf-8")
+        read(file, file.name, findings)
+        return {finding.code for finding in findings}
+    checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{text}\n", base=SCENARIOS))
+    found = [*checked.findings, *run(checked, preview=True)]
+    kept, unused = suppress(found, checked.document.sources, preview=True)
+    return {finding.code for finding in (*kept, *unused)}
 
 
 @pytest.mark.parametrize("rule", everything(), ids=lambda rule: rule.__name__)
-def test_the_example_of_a_rule_has_its_finding_and_what_to_write_instead_has_not(rule: Rule) -> None:
-    page = PAGE.fullmatch(cleandoc(rule.__doc__ or ""))
-    assert page is not None
-    assert page[1] in codes(page[2])
-    found = codes(page[3])
-    assert page[1] not in found
+def test_the_docstring_of_a_rule_is_a_page(rule: Rule) -> None:
+    assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
+
+
+@pytest.mark.parametrize("page", [page for page in every_page() if page.example], ids=lambda page: f"{page.code}")
+def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(page: Page, tmp_path: Path) -> None:
+    assert page.code in codes(page.example, page.language, tmp_path)
+    found = codes(page.instead, page.language, tmp_path)
+    assert page.code not in found
     assert not {code for code in found if CATALOGUE[code].severity == "error"}
+
+
+def test_every_finding_has_a_page_and_all_but_one_an_example() -> None:
+    """DB410 says that a permission was given, which a scenario cannot do."""
+    assert {page.code for page in every_page()} == set(CATALOGUE)
+    assert [page.code for page in every_page() if not page.example] == ["DB410"]
 
 
 def test_a_rule_is_in_the_catalogue_under_the_name_of_its_function() -> None:

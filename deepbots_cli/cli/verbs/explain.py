@@ -81,7 +81,7 @@ def _lines(entry: Rule | Retired) -> Iterator[str]:
 def _page(page: Page) -> Iterator[str]:
     for paragraph in page.about.split("\n\n"):
         yield from ("", _wrapped(paragraph))
-    for title, example in (("For example", page.example), ("Instead", page.instead)):
+    for title, example in (("For example", page.example), ("Instead", page.instead)) if page.example else ():
         yield from ("", f"{title}:", "", indent(example, "    "))
 
 
