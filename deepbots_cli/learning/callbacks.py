@@ -4,35 +4,42 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any
+from typing import Any, NamedTuple
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import weights
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.episodes import Statistics, meets
+from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.interruption import Interruption
 from deepbots_cli.learning.progress import Reporter, Standing
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.summary import Summary
-from deepbots_cli.learning.trials import AT_ONCE, OVERTIME_SHARE, SHARE, Trials
+from deepbots_cli.learning.trials import AT_ONCE, OVERTIME_SHARE, PROOF, SHARE, Trials
 
 CHECKPOINT_SECONDS = 10.0
 """Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare. A small one takes about 3 ms."""
 
 
+class Rank(NamedTuple):
+    """What makes a model the best: that its trial meets what `solved` asks, then the mean return there."""
+
+    solves: bool
+    mean_return: float
+
+
 class Keeper:
     """Keeps models in the run's directory; one with a number that is not finite is refused, so the last good one stays."""
 
-    def __init__(self, run: Run, statistics: Statistics, curriculum: Curriculum, trials: Trials, best_return: float | None = None) -> None:
+    def __init__(self, run: Run, statistics: Statistics, curriculum: Curriculum, trials: Trials, best: Rank | None = None) -> None:
         self.run = run
         self.statistics = statistics
         self.curriculum = curriculum
         self.trials = trials
-        self.best_return = best_return
-        """Mean return of the best model in its trial."""
+        self.best = best
         self.proven = False
         """Whether the task was solved and a trial since then has shown that the networks of that moment solve it."""
         self.digest = ""
@@ -40,7 +47,7 @@ class Keeper:
 
     def begin_stage(self) -> None:
         """Returns of one stage say nothing in another: the best is sought anew."""
-        self.best_return = None
+        self.best = None
         self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last
 
@@ -50,21 +57,21 @@ class Keeper:
         None are held beyond their `share` of the steps. Returns what the trial showed.
         """
         networks = self._finite(weights.networks(model))
-        steps = self.statistics.steps
-        due = self.statistics.full and steps > self._tried_at and self.trials.due(steps, self.statistics.mean_length, share)
-        if not due:
+        steps, solved = self.statistics.steps, self.statistics.solved
+        if not self.statistics.full or steps == self._tried_at or not self.trials.due(steps, self.statistics.mean_length, share):
             return None
         shown = self.trials.hold(model, self.curriculum.scenario, interruption)
+        ends = self.statistics.solved_at is not None
+        if shown and ends and shown.meets(solved) and isinstance(model, OffPolicyAlgorithm):
+            shown = self.trials.hold(model, self.curriculum.scenario, interruption, PROOF)
         if shown is None:
             return None
         self._tried_at = steps
-        solved = self.statistics.solved
-        # Of equals the later one, which has seen more.
-        if self.best_return is None or shown.mean_return >= self.best_return:
-            self.best_return = shown.mean_return
+        self.proven = ends and shown.meets(solved)
+        rank = Rank(shown.meets(solved), shown.mean_return)
+        if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
+            self.best = rank
             weights.write(self.run.model("best"), networks, self._state())
-        if solved is not None and self.statistics.solved_at is not None:
-            self.proven = meets(solved, shown.mean_return, shown.success_rate)
         return shown
 
     def keep_last(self, model: BaseAlgorithm) -> None:
@@ -72,13 +79,13 @@ class Keeper:
         arrays = self._finite(weights.everything(model))
         networks = {name: array for name, array in arrays.items() if name.startswith("policy/")}
         self.digest = weights.digest(networks)
-        for name in ("last", "best") if self.best_return is None else ("last",):
+        for name in ("last", "best") if self.best is None else ("last",):
             weights.write(self.run.model(name), networks, self._state())
         weights.write(self.run.checkpoint, arrays, self._state())
 
     def _state(self) -> dict[str, Any]:
         return self.statistics.to_json() | {
-            "best_return": self.best_return,
+            "best": self.best and self.best._asdict(),
             "trial_steps": self.trials.steps,
             "curriculum": self.curriculum.to_json(),
         }

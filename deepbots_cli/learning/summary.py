@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.ir import Solved
+from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
 
 
@@ -48,3 +49,7 @@ class Summary:
             endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
             term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
         )
+
+    def meets(self, solved: Solved | None) -> bool:
+        """Whether these figures count as solved; False where the scenario does not say what does."""
+        return solved is not None and meets(solved, self.mean_return, self.success_rate)

@@ -21,7 +21,7 @@ from deepbots_cli import interface
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, weights
-from deepbots_cli.learning.callbacks import Keeper, Watch, diverged
+from deepbots_cli.learning.callbacks import Keeper, Rank, Watch, diverged
 from deepbots_cli.learning.curriculum import Curriculum, StageEnd
 from deepbots_cli.learning.environments import BuildWorld, Copies, World, copies_over
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
@@ -198,7 +198,8 @@ def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | Non
         stages = state.optional_object("curriculum")
         if stages is not None:
             curriculum.restore(stages)
-        best = None if state.data.get("best_return") is None else state.number("best_return")
+        kept = state.optional_object("best")
+        best = None if kept is None else Rank(kept.flag("solves"), kept.number("mean_return"))
         tried = state.count("trial_steps")
     if statistics.steps >= training.total_timesteps:
         raise UsageError(
@@ -291,7 +292,7 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld, told
             episodes=statistics.episodes,
             mean_return=statistics.mean_return,
             success_rate=statistics.success_rate,
-            best_return=keeper.best_return,
+            best_return=keeper.best.mean_return if keeper.best else None,
             simulated_hours=statistics.simulated_hours,
             trial_steps=keeper.trials.steps,
             solved_at=statistics.solved_at,

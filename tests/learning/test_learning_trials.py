@@ -16,15 +16,19 @@ from deepbots_cli.learning.trials import Trials
 from deepbots_cli.runtime.streams import derive
 
 TRIAL_SEEDS = [derive(0, "trial", k) for k in range(trials.EPISODES)]
+PROOF_SEED = derive(0, "trial", trials.PROOF - 1)
 EASY = Solved(2, mean_return=5.0)
 
 
 class Paying(stand_in.CartPole):
-    """Pays 1 per step, and in trials what `wage` says for the trial's number."""
+    """Pays 1 per step and calls every episode a success; in trials, `wage` and `success` say so for the trial's number."""
 
-    def __init__(self, ir: CompiledScenario, wage: Callable[[int], float], render_mode: str | None = None) -> None:
+    def __init__(
+        self, ir: CompiledScenario, wage: Callable[[int], float], success: Callable[[int], bool], render_mode: str | None = None
+    ) -> None:
         super().__init__(ir, render_mode)
         self.wage = wage
+        self.success = success
         self.seeds: list[int] = []
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -34,20 +38,23 @@ class Paying(stand_in.CartPole):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = super().step(action)
+        success = True
         if self.seeds and self.seeds[-1] in TRIAL_SEEDS:
-            reward = self.wage((len(self.seeds) - 1) // trials.EPISODES)
-        return observation, reward, terminated, truncated, info
+            trial = (len(self.seeds) - 1) // trials.EPISODES
+            reward, success = self.wage(trial), self.success(trial)
+        return observation, reward, terminated, truncated, {**info, "is_success": success}
 
 
 class Builder:
     """Builds worlds and remembers them."""
 
-    def __init__(self, wage: Callable[[int], float]) -> None:
+    def __init__(self, wage: Callable[[int], float], success: Callable[[int], bool] = lambda trial: True) -> None:
         self.wage = wage
+        self.success = success
         self.worlds: list[Paying] = []
 
     def __call__(self, ir: CompiledScenario, *, render_mode: str | None = None) -> Paying:
-        self.worlds.append(Paying(ir, self.wage, render_mode))
+        self.worlds.append(Paying(ir, self.wage, self.success, render_mode))
         return self.worlds[-1]
 
     @property
@@ -56,10 +63,10 @@ class Builder:
         return sum(seed == TRIAL_SEEDS[0] for world in self.worlds for seed in world.seeds)
 
 
-def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, **settings: Any) -> TrainingResult:
+def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, solved: Solved = EASY) -> TrainingResult:
     figures = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
     hyperparameters = tuple(Hyperparameter(name, figure) for name, figure in figures.items())
-    task = stand_in.compiled(training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=EASY, **settings)
+    task = stand_in.compiled(training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=solved)
     return train(task, runs=folder, build=build)
 
 
@@ -86,6 +93,24 @@ def test_the_best_model_is_that_of_the_best_trial_and_not_of_the_luckiest_episod
     best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
+
+
+def test_a_network_that_solves_the_task_goes_before_one_with_a_higher_return(tmp_path: Path) -> None:
+    build = Builder(lambda trial: 9.0 if trial == 0 else 0.1, lambda trial: trial == 1)
+    result = learned(tmp_path, build, 50_000, Solved(2, success_rate=1.0))
+    assert (build.tried, result.steps < 50_000) == (2, True)
+    best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
+    assert best == last
+    assert result.best_return is not None
+    assert result.best_return < 0.1 * 200 + 1e-6
+
+
+def test_an_off_policy_algorithm_ends_after_a_longer_trial(tmp_path: Path) -> None:
+    build = Builder(lambda trial: 1.0)
+    task = stand_in.compiled(training=Training("TD3", 1_500, environments=2), solved=EASY, continuous=True)
+    result = train(task, runs=tmp_path, build=build)
+    assert result.steps < 1_500
+    assert sum(seed == PROOF_SEED for world in build.worlds for seed in world.seeds) == 1
 
 
 def test_of_equal_trials_the_later_network_is_kept(tmp_path: Path) -> None:

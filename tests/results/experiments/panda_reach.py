@@ -1,17 +1,20 @@
 """Bring the fingertips of an arm to a place in space."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Mark, Training, seeds
+from tests.results.experiment import RANDOM, Bar, Experiment, Mark, Training
 from tests.results.figures import Held, Trained
+
+FRESH = (111, 112, 113)
+"""101 to 103 were trained with longer steps, and by them those were found wanting."""
 
 EXPERIMENTS = (
     Experiment(
         scenario="panda_reach",
         title="PandaReach",
-        prose="An arm turns its seven joints by at most 0.05 rad in each of 50 steps; what counts is where its fingertips are in the last "
+        prose="An arm turns its seven joints by at most 0.032 rad in each of 50 steps; what counts is where its fingertips are in the last "
         "one. Success is within 1 cm, in the case `fine` within 5 mm; the case `nine` has the nine targets of the original.",
         trainings=(
-            Training(seeds(3), full=True),
-            Training(seeds(3), name="long", timesteps=30_000, full=True, words="30 000 steps"),
+            Training(FRESH, full=True),
+            Training(FRESH, name="long", timesteps=30_000, full=True, words="30 000 steps"),
         ),
         baselines=(RANDOM,),
         bars=(
