@@ -24,7 +24,8 @@ def lost_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> 
     for path in pruned:
         node, key, steps = descend(root, path)
         if steps == len(path):
-            names.update([key.text] if key else [], [meant_by(data, path) or ""], _names(node))
+            near = meant_by(data, path)
+            names.update([key.text] if key else [], [near.text] if near else [], _names(node))
     for span in found:
         before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _REACH), span.start)
         names.update([before[1]] if before else [])

@@ -8,7 +8,8 @@ from collections.abc import Mapping as Table
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Label, Span
+from deepbots_cli.diagnostics import Findings, Fix, Label, Span
+from deepbots_cli.diagnostics.nearest import Meant, meant
 from deepbots_cli.lang import agree, check, parser, syntax
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.expect import expect, expect_range
@@ -94,13 +95,25 @@ class Values:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_lost(name):
             help = choose_from(name, known) if known else "there is none to choose from"
-            self.findings.add(code, span, f"there is no {what} `{name}`", help=help)
+            near = meant(name, known)
+            fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
+            self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
 
     def report(self, text: Text) -> Report:
         """Takes findings at offsets of `text`."""
 
-        def report(code: str, start: int, end: int, headline: str, help: str | None = None, notes: tuple[str, ...] = ()) -> None:
-            self.findings.add(code, text.part(start, end), headline, help=help, notes=notes)
+        def report(
+            code: str,
+            start: int,
+            end: int,
+            headline: str,
+            help: str | None = None,
+            notes: tuple[str, ...] = (),
+            meant: Meant | None = None,
+        ) -> None:
+            span = text.part(start, end)
+            fix = Fix.replacing(span, text.text[start:end], meant.text, safe=meant.safe) if meant else None
+            self.findings.add(code, span, headline, help=help, notes=notes, fix=fix)
 
         return report
 

@@ -218,11 +218,11 @@ class _Checker:
             return True
         meant = suggest_unit(name.dotted)
         help = (
-            f"did you mean `{meant}`?"
+            f"did you mean `{meant.text}`?"
             if meant
             else "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
         )
-        self._report("DB501", name.start, name.end, f"unknown unit `{name.dotted}`", help)
+        self._report("DB501", name.start, name.end, f"unknown unit `{name.dotted}`", help, meant=meant)
         return True
 
 

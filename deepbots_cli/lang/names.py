@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import meant
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Pick, Reference, Typed
@@ -77,9 +77,9 @@ def subject_of(node: syntax.Node, kinds: frozenset[Kind], function: str, scope: 
 def unknown(what: str, name: str, known: Iterable[str], start: int, end: int, report: Report) -> None:
     """DB402 with the nearest of the known names, and a list of them."""
     names = sorted(known)
-    near = nearest(name, names)
-    parts = [f"did you mean `{near}`?" if near else None, _known(names)]
-    report("DB402", start, end, f"unknown {what} `{name}`", " ".join(filter(None, parts)) or None)
+    near = meant(name, names)
+    parts = [f"did you mean `{near.text}`?" if near else None, _known(names)]
+    report("DB402", start, end, f"unknown {what} `{name}`", " ".join(filter(None, parts)) or None, meant=near)
 
 
 def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:

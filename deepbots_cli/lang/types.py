@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from enum import Enum, IntEnum, StrEnum, auto
 from typing import NamedTuple, Protocol
 
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.dimensions import NUMBER, Dimension
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 
@@ -180,6 +181,15 @@ class NoNames(NamedTuple):
 
 
 class Report(Protocol):
-    """Takes a finding; `start` and `end` are offsets in the text of the expression."""
+    """Takes a finding; `start` and `end` are offsets in the text of the expression, `meant` is what to write between them."""
 
-    def __call__(self, code: str, start: int, end: int, headline: str, help: str | None = None, notes: tuple[str, ...] = ()) -> None: ...
+    def __call__(
+        self,
+        code: str,
+        start: int,
+        end: int,
+        headline: str,
+        help: str | None = None,
+        notes: tuple[str, ...] = (),
+        meant: Meant | None = None,
+    ) -> None: ...

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.dimensions import (
     ANGLE,
     ANGULAR_VELOCITY,
@@ -130,13 +131,16 @@ _MEANT = {
 }
 
 
-def suggest_unit(name: str) -> str | None:
-    """The unit that was probably meant by the unknown `name`."""
-    if name in _MEANT:
-        return _MEANT[name]
-    if name.lower() in _MEANT:
-        return _MEANT[name.lower()]
+_LOOSE = frozenset({"rads", "nm"})
+"""More than one radian, or nanometres, may be meant as well."""
+
+
+def suggest_unit(name: str) -> Meant | None:
+    """The unit that was probably meant by the unknown `name`; certain where that is its name written out."""
+    known = name if name in _MEANT else name.lower()
+    if known in _MEANT:
+        return Meant(_MEANT[known], known not in _LOOSE)
     from difflib import get_close_matches  # only on the way to a finding: its import costs 4 ms; here case tells apart: m, M
 
     close = get_close_matches(name, UNITS, n=1)
-    return close[0] if close else None
+    return Meant(close[0], safe=False) if close else None

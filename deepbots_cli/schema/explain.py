@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.schema.hyperparameters import ELSEWHERE
 from deepbots_cli.schema.part import Kinds, Part, Spec, fields, noun_of
 from deepbots_cli.schema.scenario import Scenario
@@ -103,12 +103,14 @@ def _home_near(parent: Path, key: str) -> str | None:
     return f"under `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "at the top level"
 
 
-def meant_by(data: object, path: Path) -> str | None:
-    """The key that was probably meant by an unknown one."""
+def meant_by(data: object, path: Path) -> Meant | None:
+    """The key that was probably meant by an unknown one; not certain where the language knows that one elsewhere."""
     spec = spec_at(Scenario, data, path[:-1])
     if not (isinstance(spec, type) and issubclass(spec, Part)):
         return None
-    return nearest(str(path[-1]), tuple(fields(spec)))
+    key = str(path[-1])
+    near = meant(key, tuple(fields(spec)), ours=True)
+    return near and near._replace(safe=near.safe and not any(True for _ in homes(Scenario, key)))
 
 
 def about(data: object, path: Path) -> str | None:

@@ -16,6 +16,7 @@ from typing import Literal
 from pydantic import GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.units import UNITS
 
 Stage = Literal["fixed", "episode", "step"]
@@ -26,14 +27,19 @@ JsonSchema = dict[str, object]
 LARGEST = 1e30
 
 
-def problem(code: str, headline: str, help: str | None = None, missing: tuple[str, ...] = ()) -> PydanticCustomError:
-    """A complaint in our own words; `validate` gives it a place. Raised, it is an ordinary schema error."""
-    return PydanticCustomError(code, "{headline}", {"headline": headline, "help": help, "missing": missing})
+def problem(
+    code: str, headline: str, help: str | None = None, missing: tuple[str, ...] = (), meant: Meant | None = None
+) -> PydanticCustomError:
+    """A complaint in our own words; `validate` gives it a place. Raised, it is an ordinary schema error.
+
+    `meant` is what to write instead of the whole value.
+    """
+    return PydanticCustomError(code, "{headline}", {"headline": headline, "help": help, "missing": missing, "meant": meant})
 
 
-def mismatch(expected: str, help: str | None = None) -> PydanticCustomError:
+def mismatch(expected: str, help: str | None = None, meant: Meant | None = None) -> PydanticCustomError:
     """A value of the wrong type: `validate` adds what was found instead."""
-    return PydanticCustomError("DB103", "{expected}", {"expected": expected, "help": help})
+    return PydanticCustomError("DB103", "{expected}", {"expected": expected, "help": help, "meant": meant})
 
 
 def at(step: str | int, error: PydanticCustomError, value: object) -> ValidationError:
@@ -72,7 +78,7 @@ class Leaf:
 
     def check(self, value: object) -> object:
         if not self.holds(value):
-            raise mismatch(self.noun, self.help_for(value))
+            raise mismatch(self.noun, self.help_for(value), self.meant_by(value))
         if isinstance(value, str) and not value.strip():
             raise problem("DB107", "is empty", self.help_for(value))
         self.examine(value)
@@ -80,6 +86,10 @@ class Leaf:
 
     def help_for(self, value: object) -> str | None:
         return f"write it like `{self.example}`" if self.example else None
+
+    def meant_by(self, value: object) -> Meant | None:
+        """What can only have been meant by a value of the wrong form."""
+        return None
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string"}

@@ -22,6 +22,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, Strict
 from pydantic_core import CoreSchema, core_schema
 
+from deepbots_cli.diagnostics.nearest import meant
 from deepbots_cli.schema.fields import Leaf, article, at, count, mismatch, problem
 from deepbots_cli.schema.plain import choose_from
 
@@ -204,7 +205,8 @@ class Kinds:
         word = value[self.key]
         if not isinstance(word, str):
             return at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names)), word)
-        return at(self.key, problem("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names)), word)
+        near = meant(word, self.names, ours=True)
+        return at(self.key, problem("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=near), word)
 
 
 Spec = Leaf | type[Part] | Listed | Mapped | Alternatives | Kinds

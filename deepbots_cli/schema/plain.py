@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.lang.types import shown
 from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds, mismatch, problem
 
@@ -45,7 +45,8 @@ class Word(Leaf):
 
     def examine(self, value: object) -> None:
         if value not in self.words:
-            raise problem("DB104", f"unknown word `{str(value)[:40]}`", choose_from(str(value), self.words))
+            word = str(value)
+            raise problem("DB104", f"unknown word `{word[:40]}`", choose_from(word, self.words), meant=meant(word, self.words, ours=True))
 
     def json_schema(self) -> JsonSchema:
         return {"enum": list(self.words)}
@@ -109,8 +110,12 @@ class Switch(Leaf):
         return isinstance(value, bool)
 
     def help_for(self, value: object) -> str | None:
-        meant = {"on": "true", "yes": "true", "off": "false", "no": "false"}
-        return f"write `{meant[value.lower()]}`" if isinstance(value, str) and value.lower() in meant else None
+        meant = self.meant_by(value)
+        return f"write `{meant.text}`" if meant else None
+
+    def meant_by(self, value: object) -> Meant | None:
+        words = {"on": "true", "yes": "true", "off": "false", "no": "false"}
+        return Meant(words[value.lower()], safe=True) if isinstance(value, str) and value.lower() in words else None
 
     def json_schema(self) -> JsonSchema:
         return {"type": "boolean"}
@@ -172,7 +177,9 @@ class Colour(Leaf):
     def examine(self, value: object) -> None:
         for word in colour_options(str(value)):
             if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
-                raise problem("DB104", f"unknown colour `{word[:40]}`", f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`")
+                help = f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`"
+                near = meant(word, tuple(COLOURS), ours=True) if word == value else None
+                raise problem("DB104", f"unknown colour `{word[:40]}`", help, meant=near)
 
 
 def read_schedule(value: object) -> tuple[float, float] | None:

@@ -13,7 +13,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from deepbots_cli.diagnostics import Finding, Findings, Span
+from deepbots_cli.diagnostics import Finding, Findings, Fix, Span
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place
 from deepbots_cli.schema.part import Keys
 from deepbots_cli.schema.scenario import VERSION, Scenario
@@ -41,7 +42,7 @@ _STAND_INS: dict[str, object] = {
 
 @dataclass(frozen=True)
 class _Trouble:
-    """A complaint of a model about what is at `path`: `missing` keys, or an unknown key with the one that was probably `meant`."""
+    """A complaint of a model about what is at `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
 
     code: str
     path: Path
@@ -49,7 +50,7 @@ class _Trouble:
     help: str | None = None
     missing: tuple[str, ...] = ()
     at_key: bool = False
-    meant: str | None = None
+    meant: Meant | None = None
 
 
 def validate(root: Mapping, findings: Findings) -> Scenario | None:
@@ -76,7 +77,8 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
         if round_number == 0:
             for trouble in troubles:
                 if not (_is_follow_up(root, trouble, earlier) or _is_misspelt(trouble, troubles)):
-                    findings.add(trouble.code, _span(root, trouble), trouble.headline, help=trouble.help or about(data, trouble.path))
+                    help, fix = trouble.help or about(data, trouble.path), _fix(root, trouble)
+                    findings.add(trouble.code, _span(root, trouble), trouble.headline, help=help, fix=fix)
         for trouble in troubles:
             _prune(data, trouble.path, pruned, trouble.missing)
         if scenario is not None and not troubles:
@@ -146,11 +148,12 @@ def _trouble(root: Mapping, data: Any, line: Any) -> _Trouble:
             headline = f"{headline} {place(path)}"
         if kind == "DB107":
             headline = f"{'a key' if at_key else f'`{name_of(path)}`'} {headline}"
-        return _Trouble(kind, path, headline, context["help"], context["missing"], at_key=at_key or kind in ("DB102", "DB107"))
+        at_key = at_key or kind in ("DB102", "DB107")
+        return _Trouble(kind, path, headline, context["help"], context["missing"], at_key=at_key, meant=context["meant"])
     node = descend(root, path)[0]
     expected = context.get("expected") or expected_at(data, path)
     help = _glued_key(node) or context.get("help") or keys_of(spec_at(Scenario, data, path))
-    return _Trouble("DB103", path, f"expected {expected}, found {describe(node)}", help, at_key=at_key)
+    return _Trouble("DB103", path, f"expected {expected}, found {describe(node)}", help, at_key=at_key, meant=context.get("meant"))
 
 
 def _glued_key(node: Node) -> str | None:
@@ -198,7 +201,8 @@ def _is_about(span: Span, key: str) -> bool:
 
 def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:
     """Whether the missing key stands there in a spelling that is reported anyway."""
-    return any(other.meant in trouble.missing and other.path[:-1] == trouble.path for other in troubles if other.meant is not None)
+    misspelt = (other for other in troubles if other.at_key and other.meant is not None and other.path[:-1] == trouble.path)
+    return any(other.meant is not None and other.meant.text in trouble.missing for other in misspelt)
 
 
 def _span(root: Mapping, trouble: _Trouble) -> Span:
@@ -206,6 +210,14 @@ def _span(root: Mapping, trouble: _Trouble) -> Span:
         return _key_span(root, trouble.path)
     span = descend(root, trouble.path)[0].span
     return span if span.begin.line == span.finish.line else _key_span(root, trouble.path)
+
+
+def _fix(root: Mapping, trouble: _Trouble) -> Fix | None:
+    node, key, _ = descend(root, trouble.path)
+    word = key if trouble.at_key else node
+    if trouble.meant is None or not isinstance(word, Scalar):
+        return None
+    return Fix.replacing(word.part(0, len(word.text)), word.text, trouble.meant.text, safe=trouble.meant.safe)
 
 
 def _key_span(root: Mapping, path: Path) -> Span:
