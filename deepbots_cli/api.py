@@ -27,6 +27,7 @@ from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.source import load as read
 from deepbots_cli.source import shipped
+from deepbots_cli.source.load import NO_DRAFTS, Drafts
 
 if TYPE_CHECKING:
     from deepbots_cli.ir import CompiledScenario
@@ -72,7 +73,14 @@ def locate(source: str | Path) -> tuple[Path, str]:
     raise UsageError(f"there is no file {source}, and no shipped scenario of that name{hint}; shipped are: {', '.join(names)}")
 
 
-def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False) -> Checked:
+def load(
+    source: str | Path,
+    *,
+    sets: Sequence[str] = (),
+    allow_paths: Iterable[Path] = (),
+    allow_code: bool = False,
+    drafts: Drafts = NO_DRAFTS,
+) -> Checked:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
@@ -80,12 +88,13 @@ def load(source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[
         sets: Assignments `path=value`, as for `--set`.
         allow_paths: Folders outside the project that the scenario may read from.
         allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
+        drafts: What to read in the place of files, by their absolute paths.
 
     Raises:
         UsageError: There is no such file.
     """
     path, name = locate(source)
-    return check(replace(read(path, sets, display=name, allow_paths=allow_paths), allow_code=allow_code))
+    return check(replace(read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts), allow_code=allow_code))
 
 
 def lint(
@@ -96,10 +105,10 @@ def lint(
     Raises:
         UsageError: There is no such file.
     """
-    return _review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code), preview=preview)
+    return review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code), preview=preview)
 
 
-def _review(checked: Checked, *, preview: bool = False) -> list[Finding]:
+def review(checked: Checked, *, preview: bool = False) -> list[Finding]:
     """What the passes and the rules found, without what comments suppress, and without warnings about robot files of packages.
 
     Those are not the user's to mend; `inspect` of the robot file shows them.
@@ -126,7 +135,7 @@ def compile(
     from deepbots_cli.compiler.lower import lower
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
-    findings = _review(checked)
+    findings = review(checked)
     if checked.task is None or any(finding.severity == "error" for finding in findings):
         raise ScenarioError(findings)
     ir = lower(checked.task)

@@ -12,6 +12,7 @@ measure.py   what `bench` times
 ageing.py    when actions act, how old observations are
 picture.py   a picture as PNG              replay.py   episodes of a policy without a network
 progress.py  how many of them are done
+mending.py   fixes of findings           rewriting.py  files of the user written anew
 copying.py   what `copy` writes            project.py  what `eject` writes
 health.py    what `doctor` looks at
 """

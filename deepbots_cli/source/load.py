@@ -7,6 +7,7 @@ assignments of the command line come last, upon the whole.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,10 @@ from deepbots_cli.source.nodes import Path as NodePath
 from deepbots_cli.source.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 
 MAX_CHAIN = 32
+
+Drafts = Table[Path, bytes]
+"""What files shall come to hold, by their absolute paths."""
+NO_DRAFTS: Drafts = {}
 
 
 @dataclass(frozen=True)
@@ -62,10 +67,12 @@ def load(
     *,
     display: str | None = None,
     allow_paths: Iterable[Path] = (),
+    drafts: Drafts = NO_DRAFTS,
 ) -> Document:
     """Read the scenario at `path`, with the assignments `sets` (`path=value`) made.
 
-    Problems in the files are findings of the document; `display` is the name they are reported under.
+    Problems in the files are findings of the document; `display` is the name they are reported under. What stands
+    in `drafts` is read in the place of the file of that absolute path.
 
     Raises:
         UsageError: If there is no such file, or it cannot be read.
@@ -77,13 +84,13 @@ def load(
             raise UsageError(f"{name} is a folder; name a scenario file in it")
         if file.exists() and not file.is_file():
             raise UsageError(f"{name} is not a regular file")
-        data = files.read(file)
+        data = drafts[file] if file in drafts else files.read(file)
     except FileNotFoundError:
         raise UsageError(f"there is no file {name}") from None
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UsageError(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
-    reader = _Reader(_roots(file.parent, sets, allow_paths))
+    reader = _Reader(_roots(file.parent, sets, allow_paths), drafts)
     source, readable = files.decode(data, name, reader.findings)
     reader.files[file] = source
     root = reader.scenario(source, file.parent, (file,)) if readable else None
@@ -115,8 +122,9 @@ def _roots(folder: Path, sets: Texts[str], allowed: Iterable[Path]) -> tuple[Pat
 class _Reader:
     """Reads each file once, within one budget for all of them."""
 
-    def __init__(self, roots: tuple[Path, ...]) -> None:
+    def __init__(self, roots: tuple[Path, ...], drafts: Drafts = NO_DRAFTS) -> None:
         self.roots = roots
+        self.drafts = drafts
         self.findings = Findings()
         self.budget = Budget()
         self.files: dict[Path, Source] = {}
@@ -208,7 +216,7 @@ class _Reader:
 
     def opened(self, path: Path, by: Span, chain: tuple[Path, ...]) -> Mapping | None:
         try:
-            data = files.read(path)
+            data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
             self.findings.add(
                 "DB204", by, f"`{path.name}` cannot be read", help=f"the system says: {(error.strerror or 'no reason').lower()}"

@@ -42,6 +42,9 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     fail_on: Annotated[FailOn, typer.Option("--fail-on", help="What makes the exit code 1.")] = FailOn.error,
     preview: Annotated[bool, typer.Option("--preview", help="Also the rules that may still misfire.")] = False,
+    fix: Annotated[bool, typer.Option("--fix", help="Write what can only have been meant into the files.")] = False,
+    unsafe_fixes: Annotated[bool, typer.Option("--unsafe-fixes", help="Good guesses as well, with --fix or --diff.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Show what --fix would change, and write nothing.")] = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -54,20 +57,43 @@ def command(
       deepbots lint cartpole.yaml
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
+      deepbots lint cartpole.yaml --fix --unsafe-fixes
 
     A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB603]
     """
     names = list(dict.fromkeys(name for given in scenarios for name in _expanded(given)))
     for name in names:
         api.locate(name)
+    if fix or diff or unsafe_fixes:
+        _check_fixing(fix, diff, sets)
+        from deepbots_cli.cli.mending import Mender, mend
+
+        mender = Mender(names, unsafe=unsafe_fixes, allow_paths=allow_paths or (), allow_code=allow_code, preview=preview)
+        left, changes = mend(mender, show=diff)
+        if not diff:
+            _show(left, names, Format.json if as_json else format)
+        if _fails(left, fail_on) or (diff and changes):
+            raise typer.Exit(FAILED)
+        return
     findings = [
         finding
         for name in names
         for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code, preview=preview)
     ]
     _show(findings, names, Format.json if as_json else format)
+    if format is Format.full and not as_json and any(finding.fix for finding in findings):
+        from deepbots_cli.cli.mending import hint
+
+        terminal.note(hint(findings) or "")
     if _fails(findings, fail_on):
         raise typer.Exit(FAILED)
+
+
+def _check_fixing(fix: bool, diff: bool, sets: list[str] | None) -> None:
+    if not (fix or diff):
+        raise UsageError("--unsafe-fixes goes with --fix, or with --diff to see what it would do")
+    if sets:
+        raise UsageError("--set changes values for one look only; fix the files without it")
 
 
 def _expanded(given: str) -> Iterator[str]:

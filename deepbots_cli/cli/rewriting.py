@@ -1,0 +1,51 @@
+"""Files of the user written anew: shown as a difference, or put in place as a whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.source.roots import display
+
+
+@dataclass(frozen=True)
+class Rewrite:
+    """One file, by its resolved path: what it held when it was read, and what it shall hold."""
+
+    path: Path
+    before: bytes
+    after: bytes
+
+
+def difference(rewrite: Rewrite) -> str:
+    """A unified diff, as `patch` and `git apply` read it."""
+    from difflib import unified_diff
+
+    name = display(rewrite.path)
+    before, after = (data.decode("utf-8", "replace").splitlines(keepends=True) for data in (rewrite.before, rewrite.after))
+    lines = unified_diff(before, after, name, name)
+    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+
+
+def write(rewrite: Rewrite) -> None:
+    """Put the file in place as a whole, with the permissions that it had.
+
+    Raises:
+        UsageError: It is no longer what was read, or the system refuses it; nothing is written then.
+    """
+    path = rewrite.path
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        if path.read_bytes() != rewrite.before:
+            raise UsageError(f"{display(path)} was changed by someone else meanwhile, and is left alone")
+        with draft.open("xb") as stream:
+            stream.write(rewrite.after)
+        shutil.copymode(path, draft)
+        draft.replace(path)
+    except OSError as error:
+        raise UsageError(f"{display(path)} cannot be written: {(error.strerror or 'no reason given').lower()}") from error
+    finally:
+        draft.unlink(missing_ok=True)

@@ -1,0 +1,181 @@
+"""`deepbots lint --fix`: what it writes, what it leaves alone, and what it says."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+import pytest
+
+from deepbots_cli.source import shipped
+
+CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+
+
+def faulty(*changes: tuple[str, str]) -> str:
+    text = CARTPOLE
+    for right, wrong in changes:
+        assert text.count(right) == 1, right
+        text = text.replace(right, wrong)
+    return text
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "a.yaml"
+
+    def write(text: str | bytes):
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+SAFE = {
+    "a key": ("  timestep:", "  timestop:"),
+    "a word": ("type: velocity_motor", "type: velocity_moter"),
+    "a unit": ("32 ms", "32 milliseconds"),
+    "case": ("algorithm: PPO", "algorithm: ppo"),
+    "a section": ("observation: ", "obsevation: "),
+}
+UNSAFE = {
+    "a joint": ("pole_hinge}", "pole_hnge}"),
+    "a name in an expression": ("abs(x) > track", "abs(x) > trak"),
+    "a message field": ("abs(cart.pole_angle)", "abs(cart.pole_angel)"),
+    "a sensor": ("emit: [pole_angle]", "emit: [pole_angl]"),
+}
+
+
+@pytest.mark.parametrize("change", SAFE.values(), ids=SAFE.keys())
+def test_a_slip_in_a_word_of_the_language_is_put_right(deepbots, scenario, change):
+    path = scenario(faulty(change))
+    ran = deepbots("lint", "a.yaml", "--fix")
+    assert (ran.code, ran.out) == (0, "a.yaml: no findings\n")
+    assert "1 fixed in 1 file" in ran.err
+    assert path.read_text().count("\n") == CARTPOLE.count("\n")
+
+
+@pytest.mark.parametrize("change", UNSAFE.values(), ids=UNSAFE.keys())
+def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, scenario, change):
+    path = scenario(faulty(change))
+    assert deepbots("lint", "a.yaml", "--fix").code == 1
+    assert path.read_text() == faulty(change)
+    assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").code == 0
+    assert path.read_text() == CARTPOLE
+
+
+def test_a_word_inside_quotes_and_folded_text_is_put_right_in_its_place(deepbots, scenario):
+    text = CARTPOLE.replace("abs(x) > track", '"abs(x) > trak"').replace(
+        "fallen:    abs(cart.pole_angle) > fall_angle", "fallen: >\n      abs(cart.pole_angel)\n      > fall_angle"
+    )
+    path = scenario(text)
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    assert path.read_text() == text.replace("trak", "track").replace("pole_angel", "pole_angle")
+
+
+def test_a_name_written_with_an_escape_is_left_alone(deepbots, scenario):
+    text = CARTPOLE.replace("abs(x) > track", '"abs(x) > tr\\x61k"')
+    path = scenario(text)
+    assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").code == 1
+    assert path.read_text() == text
+
+
+def test_line_ends_and_a_byte_order_mark_stay(deepbots, scenario):
+    def as_bytes(text):
+        return b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()
+
+    path = scenario(as_bytes(faulty(("  timestep:", "  timestop:"), ("world:", "world: # the arena"))))
+    deepbots("lint", "a.yaml", "--fix")
+    assert path.read_bytes() == as_bytes(faulty(("world:", "world: # the arena")))
+
+
+def test_a_fix_that_brings_a_new_error_is_not_made(deepbots, scenario):
+    text = faulty(("  substeps: 4", "  substeps: 4\n  timestop: 30 ms"))  # there is a `timestep` already
+    path = scenario(text)
+    ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    assert ran.code == 1
+    assert path.read_text() == text
+    assert "fixed" not in ran.err
+
+
+def test_a_harmful_fix_does_not_keep_others_from_being_made(deepbots, scenario):
+    path = scenario(
+        faulty(("  substeps: 4", "  substeps: 4\n  timestop: 30 ms"), ("algorithm: PPO", "algorithm: PPo"), ("15 deg", "15 degrees"))
+    )
+    deepbots("lint", "a.yaml", "--fix")
+    assert path.read_text() == faulty(("  substeps: 4", "  substeps: 4\n  timestop: 30 ms"))
+
+
+def test_a_fix_may_uncover_the_next(deepbots, scenario):
+    path = scenario(faulty(("  timestep: 32 ms", "  timestop: 32 milliseconds")))
+    assert deepbots("lint", "a.yaml", "--fix").code == 0
+    assert path.read_text() == CARTPOLE
+
+
+def test_diff_shows_the_change_and_writes_nothing(deepbots, scenario):
+    text = faulty(("  timestep:", "  timestop:"))
+    path = scenario(text)
+    ran = deepbots("lint", "a.yaml", "--diff")
+    assert ran.code == 1
+    assert "-  timestop: 32 ms\n+  timestep: 32 ms\n" in ran.out
+    assert path.read_text() == text
+
+
+def test_diff_of_a_file_without_findings_is_empty(deepbots, scenario):
+    scenario(CARTPOLE)
+    ran = deepbots("lint", "a.yaml", "--diff")
+    assert (ran.code, ran.out, ran.err) == (0, "", "")
+
+
+def test_an_included_file_of_the_project_is_fixed_and_one_outside_is_not(deepbots, tmp_path):
+    outside, project = tmp_path / "outside", tmp_path / "project"
+    outside.mkdir()
+    project.mkdir()
+    (outside / "train.yaml").write_text("algorithm: PPO\ntotal_timestops: 1000\n")
+    (project / "world.yaml").write_text("timestop: 32 ms  # a tick\n")
+    head, _, _ = CARTPOLE.partition("train:")
+    text = head.replace("  timestep: 32 ms\n", "  include: world.yaml\n") + "train: {include: ../outside/train.yaml}\n"
+    (project / "a.yaml").write_text(text)
+    ran = deepbots("lint", "project/a.yaml", "--allow-path", "outside", "--fix", "--unsafe-fixes")
+    assert ran.code == 1
+    assert (project / "world.yaml").read_text() == "timestep: 32 ms  # a tick\n"
+    assert (outside / "train.yaml").read_text() == "algorithm: PPO\ntotal_timestops: 1000\n"
+
+
+def test_a_fix_in_a_shared_file_that_harms_another_scenario_is_not_made(deepbots, tmp_path):
+    (tmp_path / "part.yaml").write_text("far: abs(x) > trak\n")
+    for name, parameter in (("a", "track"), ("b", "trak")):
+        text = CARTPOLE.replace("  track:       0.39", f"  {parameter}:       0.39")
+        text = text.replace("    off_track: abs(x) > track\n", "    include: part.yaml\n")
+        (tmp_path / f"{name}.yaml").write_text(text)
+    assert deepbots("lint", "a.yaml", "b.yaml", "--fix", "--unsafe-fixes").code == 1
+    assert (tmp_path / "part.yaml").read_text() == "far: abs(x) > trak\n"
+
+
+def test_permissions_stay_and_no_other_file_is_left_behind(deepbots, scenario, tmp_path):
+    path = scenario(faulty(("  timestep:", "  timestop:")))
+    path.chmod(0o640)
+    deepbots("lint", "a.yaml", "--fix")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert os.listdir(tmp_path) == ["a.yaml"]
+
+
+def test_fixing_goes_through_a_symbolic_link(deepbots, scenario, tmp_path):
+    path = scenario(faulty(("  timestep:", "  timestop:")))
+    (tmp_path / "link.yaml").symlink_to(path)
+    deepbots("lint", "link.yaml", "--fix")
+    assert (tmp_path / "link.yaml").is_symlink()
+    assert path.read_text() == CARTPOLE
+
+
+@pytest.mark.parametrize("words", [("--unsafe-fixes",), ("--fix", "--set", "fall_angle=10deg")])
+def test_options_that_do_not_go_together_are_refused(deepbots, scenario, words):
+    scenario(CARTPOLE)
+    ran = deepbots("lint", "a.yaml", *words)
+    assert ran.code == 2
+    assert ran.err.startswith("error: --")
+
+
+def test_lint_says_how_many_findings_can_be_fixed(deepbots, scenario):
+    scenario(faulty(("  timestep:", "  timestop:"), ("pole_hinge}", "pole_hnge}")))
+    assert deepbots("lint", "a.yaml").err == "1 can be fixed by --fix, 1 more by --unsafe-fixes\n"
