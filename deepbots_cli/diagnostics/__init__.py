@@ -5,6 +5,10 @@ registry.py  the catalogue of rules: code, name, severity
 suppress.py  comments that suppress a warning
 nearest.py   the word that was probably meant
 render.py    findings to text: full, concise, json
+github.py    the same for the log of a workflow
+sarif.py     for code scanning             junit.py     for the reports of tests
+escape.py    what of a file may reach a terminal
+outside.py   paths and words for other programs
 """
 
 from deepbots_cli.diagnostics.finding import Edit, Finding, Findings, Fix, Label, Position, Severity, Source, Span

@@ -34,6 +34,14 @@ class Source:
     text: str
     included_from: Span | None = None
 
+    @property
+    def chain(self) -> Iterator[Span]:
+        """The `include`s and `extends` that brought this file in, its own first."""
+        above = self.included_from
+        while above is not None:
+            yield above
+            above = above.source.included_from
+
     @cached_property
     def _line_starts(self) -> list[int]:
         return [0, *(i + 1 for i, c in enumerate(self.text) if c == "\n")]

@@ -20,6 +20,11 @@ class Rule:
     summary: str
     preview: bool = False
 
+    @property
+    def family(self) -> str:
+        """What the findings of this and its neighbours are about."""
+        return FAMILIES[self.code[:3]]
+
 
 @dataclass(frozen=True)
 class Retired:
@@ -29,6 +34,19 @@ class Retired:
     name: str
     reason: str
 
+
+FAMILIES = {
+    "DB0": "text",
+    "DB1": "shape",
+    "DB2": "references",
+    "DB3": "robot",
+    "DB4": "expressions",
+    "DB5": "units",
+    "DB6": "observation",
+    "DB7": "reward",
+    "DB8": "endings",
+    "DB9": "comments",
+}
 
 _CATALOGUE = (
     Rule("DB001", "yaml-syntax", "error", "the text is not YAML 1.2"),

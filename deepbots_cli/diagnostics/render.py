@@ -1,25 +1,21 @@
 """Findings to text: `full` for people, `concise` for logs, `json` for programs.
 
-Files are hostile until checked, and their text reaches the terminal here: whatever a terminal would obey or hide
-is shown as an escape.
+Files are hostile until checked, and their text reaches the terminal here, as `escape` lets it pass.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import unicodedata
 from collections.abc import Iterable, Iterator
 from typing import Literal
 
-from deepbots_cli.diagnostics.finding import Finding, Label, Position, Severity, Source, Span
+from deepbots_cli.diagnostics.escape import safe, said
+from deepbots_cli.diagnostics.finding import Finding, Fix, Label, Position, Severity, Source, Span
 
 Format = Literal["full", "concise", "json"]
 
 _TAB = "    "
-_LONGEST = 600
-# Control characters, and the marks that reverse or hide the text after them.
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff]")
 _COLOURS = {"error": "\x1b[1;31m", "warning": "\x1b[1;33m", "label": "\x1b[1;36m", "frame": "\x1b[1;34m", "bold": "\x1b[1m"}
 
 
@@ -50,8 +46,9 @@ def _counts(findings: Iterable[Finding]) -> dict[Severity, int]:
 
 
 def _concise(finding: Finding) -> str:
-    help = f" ({_said(finding.help)})" if finding.help else ""
-    return f"{_safe(finding.span.where)}: {finding.severity} {finding.code}[{finding.name}] {_said(finding.headline)}{help}"
+    """The finding on one line, as editors and terminals link it."""
+    help = f" ({said(finding.help)})" if finding.help else ""
+    return f"{safe(finding.span.where)}: {finding.severity} {finding.code}[{finding.name}] {said(finding.headline)}{help}"
 
 
 def _json(findings: list[Finding]) -> str:
@@ -65,10 +62,15 @@ def _json(findings: list[Finding]) -> str:
             "help": finding.help,
             "notes": list(finding.notes),
             "also": [{**_place(label.span), "message": label.text} for label in finding.also],
+            "fix": _fix(finding.fix) if finding.fix else None,
         }
         for finding in findings
     ]
     return json.dumps({"version": 1, "findings": found, "counts": _counts(findings)}, indent=2) + "\n"
+
+
+def _fix(fix: Fix) -> dict[str, object]:
+    return {"safe": fix.safe, "edits": [{**_place(edit.span), "text": edit.text} for edit in fix.edits]}
 
 
 def _place(span: Span) -> dict[str, object]:
@@ -90,17 +92,17 @@ class _Painter:
         head = self.paint(finding.severity, f"{finding.severity} {finding.code}[{finding.name}]")
         labels = [Label(finding.span, ""), *finding.also]
         gutter = max(len(str(label.span.begin.line)) for label in labels)
-        lines = [f"{head}: {self.paint('bold', _said(finding.headline))}"]
+        lines = [f"{head}: {self.paint('bold', said(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
             arrow = "-->" if source is finding.span.source else ":::"
-            lines.append(f"{' ' * gutter}{self.paint('frame', arrow)} {_safe(first.where)}")
-            lines.extend(f"{' ' * gutter}    included from {_safe(span.where)}" for span in _chain(source))
+            lines.append(f"{' ' * gutter}{self.paint('frame', arrow)} {safe(first.where)}")
+            lines.extend(f"{' ' * gutter}    included from {safe(span.where)}" for span in source.chain)
             lines.extend(self.snippet(source, finding, gutter))
         frame = f"{' ' * gutter} {self.paint('frame', '=')} "
-        lines.extend(f"{frame}note: {_said(note)}" for note in finding.notes)
+        lines.extend(f"{frame}note: {said(note)}" for note in finding.notes)
         if finding.help:
-            lines.append(f"{frame}help: {_said(finding.help)}")
+            lines.append(f"{frame}help: {said(finding.help)}")
         return "\n".join(lines) + "\n"
 
     def snippet(self, source: Source, finding: Finding, gutter: int) -> Iterator[str]:
@@ -121,7 +123,7 @@ class _Painter:
             shown = _Line(source.line(number), min(span.begin.column for span, _, _ in marked[number]), self.width - gutter - 3)
             yield f"{self.paint('frame', str(number).rjust(gutter))} {bar} {shown.text}".rstrip()
             for span, sign, text in marked[number]:
-                marks = shown.marks(span, sign) + (f" {_said(text)}" if text else "")
+                marks = shown.marks(span, sign) + (f" {said(text)}" if text else "")
                 yield f"{' ' * gutter} {bar} {shown.indent(span)}{self.paint(finding.severity if sign == '^' else 'label', marks)}"
         yield f"{' ' * gutter} {bar}"
 
@@ -162,23 +164,8 @@ class _Line:
         return sum(map(columns, self.cells[: max(0, column - self.first)]))
 
 
-def _chain(source: Source) -> Iterator[Span]:
-    while source.included_from is not None:
-        yield source.included_from
-        source = source.included_from.source
-
-
 def _cell(character: str) -> str:
-    return _TAB if character == "\t" else _safe(character)
-
-
-def _safe(text: str) -> str:
-    return _UNSAFE.sub(lambda found: f"\\u{{{ord(found.group()):x}}}", text)
-
-
-def _said(text: str) -> str:
-    """A sentence of ours for one line; what it quotes from a file may have any length."""
-    return _safe(text if len(text) <= _LONGEST else text[:_LONGEST] + "…")
+    return _TAB if character == "\t" else safe(character)
 
 
 def columns(text: str) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from inspect import cleandoc
 from pathlib import Path
-from textwrap import dedent
+from textwrap import dedent, fill, indent
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.rules import Rule, everything
@@ -33,6 +33,20 @@ class Page:
     def language(self) -> str:
         """`yaml`, to be laid upon CartPole, or `xml`, a whole robot file."""
         return "xml" if self.example.startswith("<") else "yaml"
+
+    def text(self, width: int = 100) -> str:
+        """For a terminal: paragraphs of at most `width` columns, examples indented."""
+        parts = [fill(" ".join(part.split()), width, break_long_words=False, break_on_hyphens=False) for part in self.about.split("\n\n")]
+        if self.example:
+            parts += ["For example:", indent(self.example, "    "), "Instead:", indent(self.instead, "    ")]
+        return "\n\n".join(parts)
+
+    def markdown(self) -> str:
+        """For code scanning."""
+        if not self.example:
+            return self.about
+        example, instead = (f"```{self.language}\n{part}\n```" for part in (self.example, self.instead))
+        return f"{self.about}\n\n{example}\n\nInstead:\n\n{instead}"
 
 
 @cache

@@ -111,6 +111,24 @@ def test_several_files_are_linted_at_once(deepbots, tmp_path):
     assert report["counts"]["error"] == len(report["findings"])
 
 
+@pytest.mark.parametrize("format", ["github", "sarif", "junit"])
+def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_each_time(deepbots, tmp_path, format):
+    (tmp_path / "a.yaml").write_text("deepbots: 1\n")
+    ran = deepbots("lint", tmp_path / "a.yaml", "cartpole", "--format", format)
+    assert (ran.code, ran.err) == (1, "")
+    assert "DB102" in ran.out
+    assert str(tmp_path) not in ran.out
+    assert deepbots("lint", tmp_path / "a.yaml", "cartpole", "--format", format).out == ran.out
+
+
+def test_a_mistake_in_a_file_that_two_scenarios_share_is_one_finding(deepbots, tmp_path):
+    (tmp_path / "base.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("timestep:", "timestop:"))
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.yaml").write_text("deepbots: 1\nextends: base.yaml\n")
+    said = deepbots("lint", "a.yaml", "b.yaml", "--format", "concise").out
+    assert sum("unknown key `timestop`" in line for line in said.splitlines()) == 1
+
+
 def test_one_missing_file_is_reported_before_any_other_is_read(deepbots):
     ran = deepbots("lint", "cartpole", "nowhere.yaml")
     assert (ran.code, ran.out) == (2, "")

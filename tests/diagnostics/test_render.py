@@ -148,6 +148,7 @@ def test_the_json_form_is_versioned_and_complete() -> None:
                 "help": "help",
                 "notes": ["note"],
                 "also": [{"file": "a.yaml", "start": {"line": 1, "column": 1}, "end": {"line": 1, "column": 2}, "message": "here"}],
+                "fix": None,
             }
         ],
         "counts": {"error": 0, "warning": 1},

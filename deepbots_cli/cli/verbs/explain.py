@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from textwrap import fill, indent
+from textwrap import fill
 from typing import Annotated
 
 import typer
@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import RETIRED, RULES, Rule
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.registry import Retired, with_prefix
 from deepbots_cli.errors import UsageError
-from deepbots_cli.rules.pages import Page, pages_of
+from deepbots_cli.rules.pages import pages_of
 
 
 def command(
@@ -74,15 +74,8 @@ def _lines(entry: Rule | Retired) -> Iterator[str]:
     yield _wrapped(str(row["about"]))
     if isinstance(entry, Rule):
         for page in pages_of(entry.code):
-            yield from _page(page)
+            yield from ("", page.text(_width()))
         yield from _manners(entry)
-
-
-def _page(page: Page) -> Iterator[str]:
-    for paragraph in page.about.split("\n\n"):
-        yield from ("", _wrapped(paragraph))
-    for title, example in (("For example", page.example), ("Instead", page.instead)) if page.example else ():
-        yield from ("", f"{title}:", "", indent(example, "    "))
 
 
 def _manners(rule: Rule) -> Iterator[str]:
@@ -97,4 +90,8 @@ def _manners(rule: Rule) -> Iterator[str]:
 
 
 def _wrapped(text: str) -> str:
-    return fill(" ".join(text.split()), min(terminal.width(), 100), break_long_words=False, break_on_hyphens=False)
+    return fill(text, _width(), break_long_words=False, break_on_hyphens=False)
+
+
+def _width() -> int:
+    return min(terminal.width(), 100)

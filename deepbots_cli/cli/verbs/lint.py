@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -15,8 +14,9 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets
-from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.render import render, summary
+from deepbots_cli.cli.reports import report
+from deepbots_cli.diagnostics import Finding, Severity
+from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError
 
 _SCENARIO = re.compile(rb"^(?:\xef\xbb\xbf)?deepbots[ \t]*:", re.MULTILINE)
@@ -27,12 +27,18 @@ class Format(StrEnum):
     full = "full"
     concise = "concise"
     json = "json"
+    github = "github"
+    sarif = "sarif"
+    junit = "junit"
 
 
 class FailOn(StrEnum):
     error = "error"
     warning = "warning"
     never = "never"
+
+
+_FAILING: dict[FailOn, tuple[Severity, ...]] = {FailOn.error: ("error",), FailOn.warning: ("error", "warning"), FailOn.never: ()}
 
 
 def command(
@@ -71,16 +77,14 @@ def command(
         mender = Mender(names, unsafe=unsafe_fixes, allow_paths=allow_paths or (), allow_code=allow_code, preview=preview)
         left, changes = mend(mender, show=diff)
         if not diff:
-            _show(left, names, Format.json if as_json else format)
+            _show(left, names, Format.json if as_json else format, _FAILING[fail_on])
         if _fails(left, fail_on) or (diff and changes):
             raise typer.Exit(FAILED)
         return
-    findings = [
-        finding
-        for name in names
-        for finding in api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code, preview=preview)
-    ]
-    _show(findings, names, Format.json if as_json else format)
+    linted = (api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code, preview=preview) for name in names)
+    # What scenarios share is read for each of them, and told once.
+    findings = list({finding.sort_key: finding for found in linted for finding in found}.values())
+    _show(findings, names, Format.json if as_json else format, _FAILING[fail_on])
     if format is Format.full and not as_json and any(finding.fix for finding in findings):
         from deepbots_cli.cli.mending import hint
 
@@ -113,17 +117,11 @@ def _is_scenario(path: Path) -> bool:
         return _SCENARIO.search(file.read(_LOOKED_AT)) is not None
 
 
-def _show(findings: list[Finding], names: list[str], format: Format) -> None:
-    text = render(findings, format.value, terminal.colourful(sys.stdout), terminal.width())
-    if format is not Format.full:
-        print(text, end="")
-    elif findings:
-        print(text, end="")
-        print(summary(findings))
-    else:
-        terminal.say(f"{names[0] if len(names) == 1 else f'{len(names)} scenarios'}: no findings")
+def _show(findings: list[Finding], names: list[str], format: Format, failing: tuple[Severity, ...]) -> None:
+    print(report(findings, format.value, names, failing), end="")
+    if format is Format.full:
+        terminal.say(summary(findings) if findings else f"{names[0] if len(names) == 1 else f'{len(names)} scenarios'}: no findings")
 
 
 def _fails(findings: list[Finding], fail_on: FailOn) -> bool:
-    counted = {FailOn.error: ("error",), FailOn.warning: ("error", "warning"), FailOn.never: ()}[fail_on]
-    return any(finding.severity in counted for finding in findings)
+    return any(finding.severity in _FAILING[fail_on] for finding in findings)

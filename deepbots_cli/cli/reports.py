@@ -1,0 +1,40 @@
+"""Findings in the formats of `lint`; what a format needs is imported when it is asked for."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Literal
+
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
+from deepbots_cli.diagnostics import Finding, Severity
+from deepbots_cli.diagnostics.render import render
+
+Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
+
+
+def report(findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]) -> str:
+    """The text for standard output; `names` are the scenarios, as they were asked for."""
+    match format:
+        case "github":
+            from deepbots_cli.diagnostics import github
+
+            return github.render(findings)
+        case "sarif":
+            from deepbots_cli.diagnostics import sarif
+
+            return sarif.render(findings, _page)
+        case "junit":
+            from deepbots_cli.diagnostics import junit
+
+            return junit.render(findings, [api.locate(name)[1] for name in names], failing)
+        case _:
+            return render(findings, format, terminal.colourful(sys.stdout), terminal.width())
+
+
+def _page(code: str) -> tuple[str, str]:
+    from deepbots_cli.rules.pages import pages_of
+
+    pages = pages_of(code)
+    return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
