@@ -70,13 +70,13 @@ class Book:
     def meaning(self, node: Scalar) -> Scalar:
         """What a name stands for, through all names that only rename; any other tree is what it is."""
         for _ in range(len(self._defined) + 1):
-            found = self._definition(node) if isinstance(node, Name) else None
+            found = self.definition(node) if isinstance(node, Name) else None
             if found is None:
                 break
             node = found
         return node
 
-    def _definition(self, node: Name) -> Scalar | None:
+    def definition(self, node: Name) -> Scalar | None:
         """One name further; None for a leaf."""
         if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
             return None

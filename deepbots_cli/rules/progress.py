@@ -246,9 +246,9 @@ def _told(book: Book, node: Scalar) -> set[str]:
             case Name() if node not in met:
                 met.add(node)
                 found.add(node.name)
-                meaning = book.meaning(node)
-                waiting += [] if meaning == node else [meaning]
-                sensor = book.sensor(meaning)
+                further = book.definition(node)  # name by name: one that is only another name for a parameter tells of it
+                waiting += [] if further is None else [further]
+                sensor = book.sensor(book.meaning(node))
                 found |= {sensor[0]} if sensor else set()
             case World(_, subjects):
                 found |= {subject.partition(".")[0].partition("#")[0] for subject in subjects}
