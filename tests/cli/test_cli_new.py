@@ -9,6 +9,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli.starters.templates import TEMPLATES
 from deepbots_cli.cli.verbs import new
+from deepbots_cli.source import shipped
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
@@ -78,3 +79,105 @@ def test_without_a_template_one_is_told_which_there_are(deepbots):
     ran = deepbots("new", "mine")
     assert ran.code == 2
     assert "cartpole|wheeled|arm|pit" in ran.err
+
+
+ROBOTS = {
+    "package://pybullet_data/kuka_iiwa/model.urdf": "arm",
+    "package://pybullet_data/franka_panda/panda.urdf": "arm",
+    "package://pybullet_data/xarm/xarm6_robot.urdf": "arm",
+    "package://pybullet_data/a1/a1.urdf": "legs",
+    "package://pybullet_data/laikago/laikago_toes.urdf": "legs",
+    "package://pybullet_data/quadruped/minitaur.urdf": "legs",
+    "package://pybullet_data/r2d2.urdf": "on wheels",
+    "package://pybullet_data/husky/husky.urdf": "on wheels",
+    "package://pybullet_data/racecar/racecar.urdf": "on wheels",
+    "package://pybullet_data/cartpole.urdf": "upright",
+    "package://pybullet_data/pendulum5.urdf": "posture",
+    "epuck": "on wheels",
+    "rover": "on wheels",
+    "balancer": "upright",
+    "cartpole": "upright",
+    "cartpole_rail": "upright",
+    "roller": "gets about",
+    "quadrotor": "rotors",
+}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots, tmp_path, robot):
+    made = deepbots("new", "first", "--urdf", robot)
+    assert made.code == 0, made.err
+    assert api.lint(tmp_path / "first.yaml", preview=True) == []
+    scenario = api.compile(tmp_path / "first.yaml").ir
+    assert ROBOTS[robot] in scenario.summary
+    assert scenario.world.robots[0].fixed_base is (ROBOTS[robot] in ("arm", "posture") or robot.endswith(("rail", "data/cartpole.urdf")))
+    ran = deepbots("run", "first.yaml", "--episodes", "2", "--steps", "100")
+    assert ran.code == 0, ran.err
+
+
+def test_every_shipped_robot_is_among_those_that_are_tried():
+    assert set(shipped.robot_names()) <= set(ROBOTS)
+
+
+@pytest.mark.parametrize("robot", ["rover", "package://pybullet_data/husky/husky.urdf"])
+def test_wheels_of_a_robot_file_turn_the_way_that_the_scenario_says(deepbots, robot):
+    deepbots("new", "rolling", "--urdf", robot)
+    ran = deepbots("run", "rolling.yaml", "--script", "towards", "--episodes", "3", "--json")
+    assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
+
+
+def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_path):
+    deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf")
+    deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf")
+    car, droid = (api.compile(tmp_path / f"{name}.yaml").ir.robots[0] for name in ("car", "droid"))
+    assert [len(motor.parts) for motor in car.actuators] == [4, 2]
+    assert [motor.kind for motor in car.actuators] == ["velocity_motor", "position_motor"]
+    assert [motor.parts for motor in droid.actuators if motor.name.startswith("hold")] == [
+        ("left_gripper_joint", "right_gripper_joint", "head_swivel"),
+        ("gripper_extension",),
+    ]
+
+
+def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbots, tmp_path):
+    (tmp_path / "robots").mkdir()
+    (tmp_path / "pyproject.toml").write_text("")
+    (tmp_path / "robots" / "my rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    assert deepbots("new", "mine", "scenarios", "--urdf", "robots/my rover.urdf").code == 0
+    assert 'urdf: "../robots/my rover.urdf"' in (tmp_path / "scenarios" / "mine.yaml").read_text(encoding="utf-8")
+    assert api.lint(tmp_path / "scenarios" / "mine.yaml") == []
+
+
+def test_joints_with_odd_names_and_a_file_of_an_odd_name_make_a_scenario_all_the_same(deepbots, tmp_path):
+    text = shipped.robot_path("rover").read_text(encoding="utf-8")
+    text = text.replace('"left_wheel"', '"on"').replace('"right_wheel"', '"right: wheel, {1}"')
+    (tmp_path / "a\nname: B.urdf").write_text(text, encoding="utf-8")
+    made = deepbots("new", "odd", "--urdf", "a\nname: B.urdf")
+    assert made.code == 0, made.err
+    assert api.compile(tmp_path / "odd.yaml").ir.name == "Odd"
+
+
+def test_a_robot_file_outside_the_project_is_refused_with_what_to_do(deepbots, tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    ran = deepbots("new", "mine", "here", "--urdf", "there.urdf")
+    assert ran.code == 2
+    assert "outside the project; copy it there" in ran.err
+    assert not any((tmp_path / "here").iterdir())
+
+
+def test_a_robot_without_anything_to_drive_and_a_file_that_is_none_are_refused(deepbots, tmp_path):
+    (tmp_path / "stone.urdf").write_text('<robot name="s"><link name="stone"/></robot>')
+    (tmp_path / "broken.urdf").write_text("<robot>")
+    assert deepbots("new", "a", "--urdf", "stone.urdf").code == 2
+    assert deepbots("new", "a", "--urdf", "broken.urdf").code == 1
+    assert deepbots("new", "a", "--urdf", "nowhere.urdf").code == 2
+    assert not (tmp_path / "a.yaml").exists()
+
+
+def test_what_is_odd_in_a_robot_file_of_ones_own_is_mentioned(deepbots, tmp_path):
+    text = shipped.robot_path("rover").read_text(encoding="utf-8")
+    cut = text.index("<inertial>", text.index('name="caster"'))
+    (tmp_path / "odd.urdf").write_text(text[:cut] + text[text.index("</inertial>", cut) + len("</inertial>") :], encoding="utf-8")
+    made = deepbots("new", "odd", "--urdf", "odd.urdf")
+    assert made.code == 0
+    assert "1 warning; see: deepbots lint odd.yaml" in made.err

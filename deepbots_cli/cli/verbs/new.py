@@ -9,9 +9,10 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli import api
 from deepbots_cli.cli import copying, terminal
 from deepbots_cli.cli.options import Json
-from deepbots_cli.cli.starters import templates
+from deepbots_cli.cli.starters import robots, templates
 from deepbots_cli.errors import UsageError
 
 
@@ -26,11 +27,15 @@ def command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="What to call it: NAME.yaml is written.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to put it.")] = Path("."),
     template: Annotated[Template | None, typer.Option("--template", help="What to begin with.")] = None,
+    urdf: Annotated[
+        str | None, typer.Option("--urdf", metavar="ROBOT", help="A robot file: a path, package://..., or the name of a shipped one.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a first scenario, with a comment on every part.
 
-    Nothing is overwritten. What the templates are:
+    Nothing is overwritten. With --urdf, the task depends on what the robot file shows: wheels, an arm, legs, rotors, something
+    that would fall over. What the templates are:
 
     \b
       cartpole  a cart that balances a pole
@@ -41,11 +46,15 @@ def command(
     \b
       deepbots new mine --template wheeled
       deepbots new reach experiments --template arm
+      deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
     """
     name = templates.check(name)
-    if template is None:
-        raise UsageError(f"say what to begin with: --template {'|'.join(templates.TEMPLATES)}")
-    written = copying.write(templates.files(template, name), folder)
+    if (template is None) is (urdf is None):
+        raise UsageError(f"say what to begin with: --template {'|'.join(templates.TEMPLATES)}, or --urdf ROBOT")
+    made = robots.files(urdf, name, folder) if urdf else templates.files(template or "", name)
+    written = copying.write(made, folder)
+    if urdf:
+        terminal.mention(api.lint(written[0]), str(written[0]))
     if as_json:
         terminal.show_json({"scenario": written[0], "files": written})
         return
