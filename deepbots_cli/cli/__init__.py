@@ -5,7 +5,9 @@ group.py     how the verbs hang together
 options.py   arguments that several verbs share
 terminal.py  what goes to stdout and stderr, and when in colour
 outlets.py   stdout and stderr whose reader may be gone
-tables.py    aligned columns               reports.py   findings in the formats of `lint`
+tables.py    aligned columns
+linting.py   what `lint` looks at          reports.py   its formats
+settings.py  how a project wants it
 exits.py     from exceptions to exit codes
 anatomy.py   what `inspect` shows, robot_file.py of a robot file
 measure.py   what `bench` times

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import Literal
 
-from deepbots_cli import api
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.settings import Format
 from deepbots_cli.diagnostics import Finding, Severity
 from deepbots_cli.diagnostics.render import render
 
-Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
-
 
 def report(findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]) -> str:
-    """The text for standard output; `names` are the scenarios, as they were asked for."""
+    """The text for standard output; `names` are the scenarios, as findings call them."""
     match format:
         case "github":
             from deepbots_cli.diagnostics import github
@@ -28,7 +25,7 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
         case "junit":
             from deepbots_cli.diagnostics import junit
 
-            return junit.render(findings, [api.locate(name)[1] for name in names], failing)
+            return junit.render(findings, names, failing)
         case _:
             return render(findings, format, terminal.colourful(sys.stdout), terminal.width())
 

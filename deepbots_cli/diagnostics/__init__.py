@@ -3,6 +3,7 @@
 finding.py   Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead
 registry.py  the catalogue of rules: code, name, severity
 suppress.py  comments that suppress a warning
+selection.py which findings are asked for
 nearest.py   the word that was probably meant
 render.py    findings to text: full, concise, json
 github.py    the same for the log of a workflow

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli.diagnostics.finding import Severity
+from deepbots_cli.diagnostics.nearest import nearest
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,7 @@ _CATALOGUE = (
     Rule("DB806", "ends-at-reset", "error", "an ending that already holds when an episode begins"),
     Rule("DB807", "unreachable-goal", "warning", "a success that asks for more nearness than there can be"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
+    Rule("DB902", "preview-rule-selected", "warning", "a rule in preview is selected by itself, and does not run"),
 )
 
 _RETIRED = (
@@ -146,3 +148,11 @@ def with_prefix(word: str) -> tuple[Rule | Retired, ...]:
     return tuple(entry for entry in entries if wanted == entry.name) or tuple(
         entry for entry in entries if entry.code.lower().startswith(wanted)
     )
+
+
+def unknown(word: str) -> str:
+    """What to say of a word that fits no entry."""
+    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *RETIRED.values())
+    is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
+    near = nearest(word, [entry.code if is_code else entry.name for entry in entries])
+    return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")

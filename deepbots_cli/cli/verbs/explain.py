@@ -11,9 +11,8 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.diagnostics import RETIRED, RULES, Rule
-from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.registry import Retired, with_prefix
+from deepbots_cli.diagnostics import Rule
+from deepbots_cli.diagnostics.registry import Retired, unknown, with_prefix
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rules.pages import pages_of
 
@@ -34,20 +33,13 @@ def command(
     """
     found = with_prefix(finding)
     if not found:
-        raise UsageError(_unknown(finding))
+        raise UsageError(unknown(finding))
     if as_json:
         terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
     elif len(found) > 1:
         terminal.say(table([_row(entry) for entry in found], indent=""))
     else:
         terminal.say("\n".join(_lines(found[0])))
-
-
-def _unknown(word: str) -> str:
-    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *RETIRED.values())
-    codes = word[:2].upper() == "DB" and word[2:3].isdigit()
-    near = nearest(word, [entry.code if codes else entry.name for entry in entries])
-    return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")
 
 
 def _row(entry: Rule | Retired) -> Row:

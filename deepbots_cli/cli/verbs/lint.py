@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.linting import STDIN, Look, findings_of, named
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets
 from deepbots_cli.cli.reports import report
-from deepbots_cli.diagnostics import Finding, Severity
+from deepbots_cli.cli.settings import settings
+from deepbots_cli.diagnostics import Finding, Severity, Source
 from deepbots_cli.diagnostics.render import summary
+from deepbots_cli.diagnostics.selection import Selection, Words
 from deepbots_cli.errors import UsageError
-
-_SCENARIO = re.compile(rb"^(?:\xef\xbb\xbf)?deepbots[ \t]*:", re.MULTILINE)
-_LOOKED_AT = 65_536
 
 
 class Format(StrEnum):
@@ -38,90 +35,115 @@ class FailOn(StrEnum):
     never = "never"
 
 
-_FAILING: dict[FailOn, tuple[Severity, ...]] = {FailOn.error: ("error",), FailOn.warning: ("error", "warning"), FailOn.never: ()}
+_FAILING: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
+
+Codes = list[str] | None
 
 
 def command(
-    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO", help="Files, names of shipped scenarios, or folders of scenarios.")],
+    scenarios: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENARIO", help="Files, shipped scenarios by name, folders, or - for standard input."),
+    ],
     sets: Sets = None,
-    format: Annotated[Format, typer.Option("--format", help="With the lines in question, one line each, or for programs.")] = Format.full,
+    format: Annotated[Format | None, typer.Option("--format", help="With the lines in question, a line each, or a report.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
-    fail_on: Annotated[FailOn, typer.Option("--fail-on", help="What makes the exit code 1.")] = FailOn.error,
-    preview: Annotated[bool, typer.Option("--preview", help="Also the rules that may still misfire.")] = False,
+    select: Annotated[Codes, typer.Option("--select", metavar="CODES", help="Only these: codes, beginnings of codes or names.")] = None,
+    ignore: Annotated[Codes, typer.Option("--ignore", metavar="CODES", help="Not these; the longer of two beginnings counts.")] = None,
+    fail_on: Annotated[FailOn | None, typer.Option("--fail-on", help="What makes the exit code 1; errors, unless said otherwise.")] = None,
+    exit_zero: Annotated[bool, typer.Option("--exit-zero", help="The same as --fail-on never.")] = False,
+    preview: Annotated[bool | None, typer.Option("--preview/--no-preview", help="Also the rules that may still misfire.")] = None,
     fix: Annotated[bool, typer.Option("--fix", help="Write what can only have been meant into the files.")] = False,
     unsafe_fixes: Annotated[bool, typer.Option("--unsafe-fixes", help="Good guesses as well, with --fix or --diff.")] = False,
     diff: Annotated[bool, typer.Option("--diff", help="Show what --fix would change, and write nothing.")] = False,
+    stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="The file that standard input is of.")] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes, which pay from some ten files on.")] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Say everything that is wrong with scenarios.
 
     Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed.
-    In a folder, every .yaml file with a `deepbots:` key is read.
+    In a folder, every .yaml file with a `deepbots:` key is read. What a project always wants stands in its deepbots.toml,
+    under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
 
     \b
       deepbots lint cartpole.yaml
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
       deepbots lint cartpole.yaml --fix --unsafe-fixes
+      deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
 
     A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB603]
     """
-    names = list(dict.fromkeys(name for given in scenarios for name in _expanded(given)))
-    for name in names:
-        api.locate(name)
+    project = settings()
+    previewed = bool(project.preview) if preview is None else preview
+    selection = Selection(_words("--select", select) or project.select, _words("--ignore", ignore) or project.ignore, preview=previewed)
+    look = Look(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, stdin_name)
+    names = named(scenarios, project)
+    if stdin_name and STDIN not in names:
+        raise UsageError("--stdin-filename goes with - for standard input")
+    format_ = Format.json if as_json else format or Format(project.format or Format.full)
+    failing = _FAILING["never" if exit_zero else fail_on or project.fail_on or "error"]
+    changes = False
     if fix or diff or unsafe_fixes:
-        _check_fixing(fix, diff, sets)
-        from deepbots_cli.cli.mending import Mender, mend
-
-        mender = Mender(names, unsafe=unsafe_fixes, allow_paths=allow_paths or (), allow_code=allow_code, preview=preview)
-        left, changes = mend(mender, show=diff)
-        if not diff:
-            _show(left, names, Format.json if as_json else format, _FAILING[fail_on])
-        if _fails(left, fail_on) or (diff and changes):
-            raise typer.Exit(FAILED)
-        return
-    linted = (api.lint(name, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code, preview=preview) for name in names)
-    # What scenarios share is read for each of them, and told once.
-    findings = list({finding.sort_key: finding for found in linted for finding in found}.values())
-    _show(findings, names, Format.json if as_json else format, _FAILING[fail_on])
-    if format is Format.full and not as_json and any(finding.fix for finding in findings):
-        from deepbots_cli.cli.mending import hint
-
-        terminal.note(hint(findings) or "")
-    if _fails(findings, fail_on):
+        _check_fixing(fix, diff, sets, names)
+        findings, changes = _mended(names, look, selection, unsafe=unsafe_fixes, show=diff)
+    else:
+        findings = findings_of(names, look, jobs)
+    shown = [*selection.doubts(), *filter(selection.wants, findings)]
+    if not diff:
+        print(report(shown, format_.value, [look.called(name) for name in names], failing), end="")
+        if format_ is Format.full:
+            _sum_up(shown, names, selection, fixed=fix)
+    hidden = [finding for finding in findings if finding.severity == "error" and not selection.wants(finding)]
+    _confess(hidden)
+    if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
 
 
-def _check_fixing(fix: bool, diff: bool, sets: list[str] | None) -> None:
+def _words(option: str, given: Codes) -> Words | None:
+    """The codes of an option, which may be repeated and hold several."""
+    if given is None:
+        return None
+    text = ",".join(given)
+    return Words(tuple(word.strip() for word in text.split(",")), Source(option, text))
+
+
+def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence[str]) -> None:
     if not (fix or diff):
         raise UsageError("--unsafe-fixes goes with --fix, or with --diff to see what it would do")
     if sets:
         raise UsageError("--set changes values for one look only; fix the files without it")
+    if STDIN in names:
+        raise UsageError("standard input is no file that could be fixed; name the file")
 
 
-def _expanded(given: str) -> Iterator[str]:
-    """The scenarios meant by one argument."""
-    folder = Path(given)
-    if not folder.is_dir():
-        yield given
+def _mended(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
+    """What is left after fixing, and whether anything changes."""
+    from deepbots_cli.cli.mending import Mender, mend
+
+    wanted = selection.wants
+    mender = Mender(names, unsafe=unsafe, wanted=wanted, allow_paths=look.allow_paths, allow_code=look.allow_code, preview=look.preview)
+    return mend(mender, show=show)
+
+
+def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixed: bool) -> None:
+    """How many there are, or a friendly word; and how many of them can be fixed."""
+    if not findings:
+        called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
+        terminal.say(f"{called}: no findings{'' if selection.is_everything else ' of those asked for'}")
         return
-    found = [str(path) for path in sorted(folder.glob("*.yaml")) if path.is_file() and _is_scenario(path)]
-    if not found:
-        raise UsageError(f"there is no scenario in {given}: no .yaml file there has a `deepbots:` key")
-    yield from found
+    terminal.say(summary(findings))
+    if not fixed and any(finding.fix for finding in findings):
+        from deepbots_cli.cli.mending import hint
+
+        terminal.note(hint(findings) or "")
 
 
-def _is_scenario(path: Path) -> bool:
-    with path.open("rb") as file:
-        return _SCENARIO.search(file.read(_LOOKED_AT)) is not None
-
-
-def _show(findings: list[Finding], names: list[str], format: Format, failing: tuple[Severity, ...]) -> None:
-    print(report(findings, format.value, names, failing), end="")
-    if format is Format.full:
-        terminal.say(summary(findings) if findings else f"{names[0] if len(names) == 1 else f'{len(names)} scenarios'}: no findings")
-
-
-def _fails(findings: list[Finding], fail_on: FailOn) -> bool:
-    return any(finding.severity in _FAILING[fail_on] for finding in findings)
+def _confess(hidden: list[Finding]) -> None:
+    """Say which errors are not shown: they keep a scenario from being compiled all the same, and other rules from looking at it."""
+    if hidden:
+        places = ", ".join(dict.fromkeys(finding.span.source.name for finding in hidden))
+        codes = ", ".join(sorted({finding.code for finding in hidden}))
+        terminal.note(f"{summary(hidden)} not asked for ({codes}) in {places}; nothing more was looked for there")

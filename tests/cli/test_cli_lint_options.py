@@ -1,0 +1,187 @@
+"""What `deepbots lint` is asked for, by options and by the settings of a project."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.source import shipped
+
+CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+WARNED = CARTPOLE.replace("summary:", "summary: on #").replace("15 deg", "15 rad")
+BROKEN = CARTPOLE.replace("abs(x) > track", "abs(xx) > track")
+
+
+@pytest.fixture
+def files(deepbots, tmp_path):
+    """Two scenarios: one with a DB003 and a DB504, one with a DB402."""
+    (tmp_path / "warned.yaml").write_text(WARNED)
+    (tmp_path / "broken.yaml").write_text(BROKEN)
+    return tmp_path
+
+
+def codes(ran):
+    return [finding["code"] for finding in json.loads(ran.out)["findings"]]
+
+
+def test_codes_are_selected_and_ignored(deepbots, files):
+    assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB003", "DB504"]
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB5")) == ["DB504"]
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB5,yaml11-boolean", "--ignore", "degrees-as-radians")) == ["DB003"]
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--ignore", "DB0", "--ignore", "DB5")) == []
+
+
+def test_what_is_not_asked_for_does_not_fail(deepbots, files):
+    assert deepbots("lint", "warned.yaml", "--fail-on", "warning").code == 1
+    ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
+    assert (ran.code, ran.out) == (0, "warned.yaml: no findings of those asked for\n")
+
+
+def test_an_error_that_is_not_asked_for_still_fails_and_is_told_in_one_line(deepbots, files):
+    ran = deepbots("lint", "broken.yaml", "--select", "DB7", "--format", "concise")
+    assert (ran.code, ran.out) == (1, "")
+    assert ran.err == "1 error not asked for (DB402) in broken.yaml; nothing more was looked for there\n"
+
+
+def test_an_unknown_code_is_wrong_usage_before_anything_is_read(deepbots, files):
+    ran = deepbots("lint", "broken.yaml", "--ignore", "degrees-as-radian")
+    assert (ran.code, ran.out) == (2, "")
+    assert "did you mean degrees-as-radians?" in ran.err
+
+
+def test_a_rule_in_preview_that_does_not_run_is_a_warning_at_the_word_that_selected_it(deepbots, files):
+    (found,) = json.loads(deepbots("lint", "warned.yaml", "--json", "--select", "DB706").out)["findings"]
+    assert (found["code"], found["file"], found["start"]) == ("DB902", "--select", {"line": 1, "column": 1})
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--preview")) == []
+
+
+def test_findings_can_be_told_without_failing(deepbots, files):
+    ran = deepbots("lint", "broken.yaml", "--exit-zero", "--format", "concise")
+    assert ran.code == 0
+    assert "DB402" in ran.out
+
+
+def feed(monkeypatch, data: bytes) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+
+
+def test_standard_input_is_linted_as_the_file_that_it_is_of(deepbots, files, monkeypatch):
+    (files / "worlds").mkdir()
+    (files / "worlds" / "base.yaml").write_text(CARTPOLE)
+    feed(monkeypatch, b"deepbots: 1\nextends: base.yaml\nsummary: on\n")
+    ran = deepbots("lint", "-", "--stdin-filename", "worlds/unsaved.yaml", "--format", "concise")
+    assert ran.code == 0
+    assert ran.out.startswith("worlds/unsaved.yaml:3:10: warning DB003")
+
+
+def test_standard_input_needs_no_name_and_is_any_bytes(deepbots, files, monkeypatch):
+    feed(monkeypatch, b"\xff\xfe\x00")
+    ran = deepbots("lint", "-", "--json")
+    assert ran.code == 1
+    assert {finding["file"] for finding in json.loads(ran.out)["findings"]} == {"<stdin>"}
+
+
+@pytest.mark.parametrize("words", [["-", "--fix"], ["warned.yaml", "--stdin-filename", "a.yaml"]])
+def test_standard_input_that_cannot_be_meant_is_wrong_usage(deepbots, files, words):
+    ran = deepbots("lint", *words)
+    assert (ran.code, ran.out) == (2, "")
+    assert "standard input" in ran.err
+
+
+def test_several_processes_say_the_same_in_the_same_order(deepbots, files):
+    for name in ("b", "a", "c"):
+        (files / f"{name}.yaml").write_text(WARNED)
+    one = deepbots("lint", "c.yaml", ".", "--format", "concise")
+    several = deepbots("lint", "c.yaml", ".", "--format", "concise", "--jobs", 3)
+    assert several == one
+    assert len(one.out.splitlines()) == 9
+
+
+def test_only_what_is_asked_for_is_fixed(deepbots, files):
+    text = CARTPOLE.replace("timestep:", "timstep:")
+    (files / "a.yaml").write_text(text)
+    deepbots("lint", "a.yaml", "--fix", "--select", "DB5")
+    assert "timestep:" in (files / "a.yaml").read_text()  # DB101 is never left out
+    (files / "a.yaml").write_text(WARNED)
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", "--select", "DB0")
+    assert "15 rad" in (files / "a.yaml").read_text()
+
+
+@pytest.mark.parametrize(("file", "head"), [("deepbots.toml", "[lint]"), ("pyproject.toml", "[project]\nname = 'x'\n[tool.deepbots.lint]")])
+def test_a_project_says_how_it_wants_to_be_linted(deepbots, files, file, head):
+    (files / file).write_text(f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\nexclude = ['drafts/*']\n")
+    ran = deepbots("lint", "warned.yaml")
+    assert (ran.code, codes(ran)) == (1, ["DB504"])
+
+
+def test_the_command_line_wins_over_the_project(deepbots, files):
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\npreview = true\n")
+    ran = deepbots("lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise", "--no-preview")
+    assert ran.code == 0
+    assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]"]
+
+
+def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deepbots, files):
+    (files / "drafts").mkdir()
+    (files / "drafts" / "new.yaml").write_text(BROKEN)
+    (files / "drafts" / "kept.yaml").write_text(CARTPOLE)
+    (files / "deepbots.toml").write_text("[lint]\nexclude = ['drafts/n*']\n")
+    assert deepbots("lint", "drafts").code == 0
+    assert deepbots("lint", "drafts/new.yaml").code == 1
+    (files / "deepbots.toml").write_text("[lint]\nexclude = ['drafts/']\n")
+    assert deepbots("lint", "drafts").out == "0 scenarios: no findings\n"
+
+
+def test_the_settings_are_those_of_the_project_one_stands_in(deepbots, files, monkeypatch):
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB6']\n")
+    (files / "inner").mkdir()
+    monkeypatch.chdir(files / "inner")
+    assert codes(deepbots("lint", "../warned.yaml", "--json")) == []
+
+
+def test_a_rule_in_preview_in_the_settings_is_shown_at_its_place(deepbots, files):
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5', 'DB706']\n")
+    found = json.loads(deepbots("lint", "warned.yaml", "--json").out)["findings"]
+    assert next((one["code"], one["file"], one["start"]["line"]) for one in found) == ("DB902", "deepbots.toml", 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[lint]\nselct = ['DB5']\n", "unknown key 'selct'; did you mean 'select'?"),
+        ("[lnt]\nselect = ['DB5']\n", "unknown key 'lnt'; did you mean 'lint'?"),
+        ("[lint]\nselect = 'DB5'\n", "'select' is a list of codes in quotes"),
+        ("[lint]\nselect = ['DB77']\n", "deepbots.toml: there is no finding 'DB77'"),
+        ("[lint]\nfail-on = 'errors'\n", "did you mean 'error'?"),
+        ("[lint]\nformat = 3\n", "it is one of full, concise"),
+        ("[lint]\npreview = 'yes'\n", "'preview' is true or false"),
+        ("[lint]\nexclude = [3]\n", "'exclude' is a list of patterns"),
+        ("lint = 3\n", "'lint' is a table of settings"),
+        ("[lint\n", "deepbots.toml cannot be read"),
+    ],
+)
+def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files, text, said):
+    (files / "deepbots.toml").write_text(text)
+    ran = deepbots("lint", "warned.yaml")
+    assert (ran.code, ran.out) == (2, "")
+    assert said in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_a_project_of_python_that_says_nothing_of_lint_changes_nothing(deepbots, files):
+    (files / "pyproject.toml").write_text("[project]\nname = 'deepbots-worlds'\n[tool.other]\nlint = true\n")
+    assert deepbots("lint", "warned.yaml").code == 0
+
+
+def test_the_settings_in_the_docs_are_settings(deepbots, files):
+    page = (Path(__file__).parents[2] / "docs" / "linting.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (files / "deepbots.toml").write_text(shown)
+    ran = deepbots("lint", "warned.yaml")
+    assert ran.code == 1
+    assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]", "DB504[degrees-as-radians]"]

@@ -1,0 +1,91 @@
+"""Which findings are asked for."""
+
+from __future__ import annotations
+
+import pytest
+
+from deepbots_cli.diagnostics import Finding, Source, Span
+from deepbots_cli.diagnostics.selection import Selection, Words
+from deepbots_cli.errors import UsageError
+
+
+def words(*given: str, option: str = "--select") -> Words:
+    return Words(given, Source(option, ",".join(given)))
+
+
+def shown(selection: Selection, *codes: str) -> list[str]:
+    found = [Finding(code, Span(Source("a.yaml", "a"), 0, 1), "x") for code in codes]
+    return [finding.code for finding in found if selection.wants(finding)]
+
+
+def test_without_a_word_everything_is_shown() -> None:
+    assert shown(Selection(), "DB003", "DB504", "DB603") == ["DB003", "DB504", "DB603"]
+    assert Selection().is_everything
+
+
+def test_the_beginning_of_codes_a_code_and_a_name_select() -> None:
+    selection = Selection(words("DB5", "DB603", "never-true"))
+    assert shown(selection, "DB003", "DB504", "DB505", "DB603", "DB611", "DB801", "DB804") == ["DB504", "DB505", "DB603", "DB801"]
+    assert not selection.is_everything
+
+
+def test_what_is_ignored_is_not_shown() -> None:
+    assert shown(Selection(None, words("DB5")), "DB003", "DB504") == ["DB003"]
+
+
+@pytest.mark.parametrize(
+    ("select", "ignore", "left"),
+    [("DB5", "DB505", ["DB504"]), ("DB505", "DB5", ["DB505"]), ("implausible-magnitude", "DB5", ["DB505"]), ("DB5", "DB5", [])],
+)
+def test_the_longer_of_two_words_counts_and_ignoring_among_equals(select: str, ignore: str, left: list[str]) -> None:
+    assert shown(Selection(words(select), words(ignore)), "DB504", "DB505") == left
+
+
+def test_an_error_in_text_or_shape_is_shown_whatever_is_asked_for() -> None:
+    selection = Selection(words("DB7"), words("DB0", "DB101"))
+    assert shown(selection, "DB001", "DB003", "DB101", "DB402", "DB702") == ["DB001", "DB101", "DB702"]
+
+
+def test_case_and_blanks_do_not_matter() -> None:
+    assert shown(Selection(words(" db5 ")), "DB003", "DB504") == ["DB504"]
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("DB77", "--select: there is no finding 'DB77'; did you mean DB"),
+        ("term-dominate", "did you mean term-dominates?"),
+        ("DB604", "DB604 is retired, take it out: the space follows from `action`"),
+        ("", "there is no finding ''"),
+        ("zzzzz", "deepbots explain lists them"),
+    ],
+)
+def test_a_word_that_fits_nothing_is_refused(word: str, said: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        Selection(words(word))
+    assert said in str(refused.value)
+
+
+def test_a_selection_of_nothing_is_refused() -> None:
+    with pytest.raises(UsageError, match="nothing is selected"):
+        Selection(words())
+
+
+def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
+    (doubt,) = Selection(words("DB5", "hidden-state-reward")).doubts()
+    assert (doubt.code, doubt.span.where, doubt.span.text) == ("DB902", "--select:1:5", "hidden-state-reward")
+    assert "--preview" in (doubt.help or "")
+
+
+@pytest.mark.parametrize(
+    "selection",
+    [
+        Selection(words("DB706"), preview=True),
+        Selection(words("DB7")),
+        Selection(words("DB706"), words("DB902", option="--ignore")),
+        Selection(words("DB706"), words("DB706", option="--ignore")),
+        Selection(None, words("DB706", option="--ignore")),
+    ],
+)
+def test_nothing_is_told_where_previews_run_or_one_is_not_really_selected(selection: Selection) -> None:
+    assert selection.doubts() == []
