@@ -25,8 +25,9 @@ CHECKPOINT_SECONDS = 10.0
 
 
 class Rank(NamedTuple):
-    """What makes a model the best: that its trial meets what `solved` asks, then the mean return there."""
+    """What makes a model the best: that its trial has confirmed a solved task, that it meets what `solved` asks, the mean return there."""
 
+    proven: bool
     solves: bool
     mean_return: float
 
@@ -68,7 +69,7 @@ class Keeper:
             return None
         self._tried_at = steps
         self.proven = ends and shown.meets(solved)
-        rank = Rank(shown.meets(solved), shown.mean_return)
+        rank = Rank(self.proven, shown.meets(solved), shown.mean_return)
         if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
             self.best = rank
             weights.write(self.run.model("best"), networks, self._state())

@@ -199,7 +199,7 @@ def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | Non
         if stages is not None:
             curriculum.restore(stages)
         kept = state.optional_object("best")
-        best = None if kept is None else Rank(kept.flag("solves"), kept.number("mean_return"))
+        best = None if kept is None else Rank(kept.flag("proven"), kept.flag("solves"), kept.number("mean_return"))
         tried = state.count("trial_steps")
     if statistics.steps >= training.total_timesteps:
         raise UsageError(

@@ -113,6 +113,34 @@ def test_an_off_policy_algorithm_ends_after_a_longer_trial(tmp_path: Path) -> No
     assert sum(seed == PROOF_SEED for world in build.worlds for seed in world.seeds) == 1
 
 
+def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_earlier(tmp_path: Path) -> None:
+    class Late(Paying):
+        """Its episodes in training are successes from the 200th on."""
+
+        begun = 0
+
+        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+            self.begun += 1
+            return super().reset(seed=seed, options=options)
+
+        def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+            *outcome, info = super().step(action)
+            in_trial = bool(self.seeds) and self.seeds[-1] in TRIAL_SEEDS
+            return *outcome, info | {"is_success": in_trial or self.begun >= 200}  # type: ignore[return-value]
+
+    worlds = []
+
+    def build(ir: CompiledScenario, *, render_mode: str | None = None) -> Late:
+        worlds.append(Late(ir, lambda trial: 9.0 if trial == 0 else 1.0, lambda trial: True, render_mode))
+        return worlds[-1]
+
+    result = learned(tmp_path, build, 50_000, Solved(30, success_rate=1.0))
+    assert sum(seed == TRIAL_SEEDS[0] for world in worlds for seed in world.seeds) == 2
+    assert result.solved_at is not None
+    best = weights.read_state(result.run / "models" / "best.npz").count("steps")
+    assert best >= result.solved_at.steps
+
+
 def test_of_equal_trials_the_later_network_is_kept(tmp_path: Path) -> None:
     result = learned(tmp_path, Builder(lambda trial: 0.0))
     best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
