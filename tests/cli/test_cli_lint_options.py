@@ -150,6 +150,11 @@ def test_a_rule_in_preview_in_the_settings_is_shown_at_its_place(deepbots, files
     assert next((one["code"], one["file"], one["start"]["line"]) for one in found) == ("DB902", "deepbots.toml", 2)
 
 
+def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files):
+    (files / "pyproject.toml").write_text("[tool]\nother.x = 1\ndeepbots.lint.select = ['DB5']\n")
+    assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB504"]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
