@@ -12,6 +12,7 @@ VERBS: Mapping[str, str] = {
     "inspect": "Show what a scenario means: spaces, messages, reward, timing.",
     "run": "Run episodes without a trained policy, and show the reward terms.",
     "compile": "Print the Python that a scenario is compiled to.",
+    "diff": "Say in what two scenarios differ by meaning.",
     "new": "Write a first scenario, with a comment on every part.",
     "copy": "Copy a scenario that comes with deepbots, to change it.",
     "eject": "Write a scenario out as a small Python project of its own.",

@@ -1,0 +1,148 @@
+"""What two scenarios do not share: by path, with the words of both."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Literal
+
+from deepbots_cli import canonical
+from deepbots_cli.cli.comparison.items import VALUE, Group, Item, items
+from deepbots_cli.cli.comparison.sides import Side
+from deepbots_cli.cli.tables import cell
+from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
+
+_NAME = re.compile(r"[a-z_][a-z0-9_]*")
+_LISTED = 3
+_MISSING = object()
+
+
+@dataclass(frozen=True)
+class Change:
+    """`one` and `other` are the texts of both sides; `through` names the parameters that make a difference where the texts are the same."""
+
+    path: str
+    group: Group
+    kind: Literal["changed", "added", "removed"]
+    one: str
+    other: str
+    through: tuple[str, ...] = ()
+
+
+def changes(one: Side, other: Side) -> list[Change]:
+    """All differences, the gravest group first; empty exactly if both compile to the same, but for the place of files."""
+    found = [*_of_items(one, other, items(one.ir), items(other.ir)), *_of_settings(one, other)]
+    if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
+        found.append(Change("order of entries, or last digits", Group.task, "changed", "", ""))
+    ranks = list(Group)
+    gravest: dict[str, Change] = {}
+    for change in sorted(found, key=lambda change: ranks.index(change.group)):
+        gravest.setdefault(change.path, change)
+    return list(gravest.values())
+
+
+def _of_items(one: Side, other: Side, before: dict[str, Item], after: dict[str, Item]) -> Iterator[Change]:
+    altered = _altered_parameters(one, other)
+    for path in dict.fromkeys((*before, *after)):
+        old, new = before.get(path), after.get(path)
+        if old and new and old.value == new.value:
+            continue
+        if path.startswith("order of ") and not (old and new and _is_reordered(old.value, new.value)):
+            continue  # other names, which are told one by one
+        known = new or old
+        assert known is not None  # the path is of one of the two
+        shown = _place(path, one, other)
+        texts = _texts(one, other, shown, old, new)
+        used = set(_NAME.findall(texts[0])) if texts[0] == texts[1] else set()
+        through = tuple(name for name in altered if name in used)
+        if texts[0] == texts[1] and not through:
+            texts = _figures(old, new)
+        yield Change(shown, known.group, "changed" if old and new else "removed" if old else "added", *texts, through)
+
+
+def _is_reordered(old: object, new: object) -> bool:
+    return isinstance(old, tuple) and isinstance(new, tuple) and sorted(old) == sorted(new)
+
+
+def _place(path: str, one: Side, other: Side) -> str:
+    """The path as it is written: what the supervisor adds stands under `augment`, a value that is observed under its own name."""
+    section, _, name = path.partition(".")
+    if section == "signals" and any(name in side.names("augment") for side in (one, other)):
+        return f"augment.{name}"
+    return path.removesuffix(VALUE)
+
+
+def _texts(one: Side, other: Side, path: str, old: Item | None, new: Item | None) -> tuple[str, str]:
+    return one.wording(path) if old else "", other.wording(path) if new else ""
+
+
+def _altered_parameters(one: Side, other: Side) -> dict[str, tuple[str, str]]:
+    """The parameters whose texts differ, and those that are made of such."""
+    names = list(dict.fromkeys((*one.names("parameters"), *other.names("parameters"))))
+    texts = {name: (one.wording(f"parameters.{name}"), other.wording(f"parameters.{name}")) for name in names}
+    altered = {name: pair for name, pair in texts.items() if pair[0] != pair[1]}
+    while more := {n: p for n, p in texts.items() if n not in altered and altered.keys() & set(_NAME.findall(p[0]))}:
+        altered |= more
+    return altered
+
+
+def _of_settings(one: Side, other: Side) -> Iterator[Change]:
+    """Cases and stages: what each makes of its scenario, apart from what that is."""
+    for section, before, after in (
+        ("evaluation.cases", _settings(one.ir, "cases"), _settings(other.ir, "cases")),
+        ("curriculum", _settings(one.ir, "curriculum"), _settings(other.ir, "curriculum")),
+    ):
+        for name in dict.fromkeys((*before, *after)):
+            if before.get(name, _MISSING) != after.get(name, _MISSING):
+                kind: Literal["changed", "added", "removed"] = (
+                    "added" if name not in before else "removed" if name not in after else "changed"
+                )
+                texts = (side.stage(name) if section == "curriculum" else side.wording(f"{section}.{name}") for side in (one, other))
+                yield Change(f"{section}.{name}", Group.training, kind, *texts)
+        if before.keys() == after.keys() and list(before) != list(after):
+            yield Change(f"order of {section}", Group.training, "changed", ", ".join(before), ", ".join(after))
+
+
+def _settings(scenario: CompiledScenario, section: Literal["cases", "curriculum"]) -> dict[str, object]:
+    base = items(scenario)
+    found: dict[str, object] = {}
+    for entry in getattr(scenario, section):
+        made = items(entry.scenario)
+        different = {
+            path: (item.value if (item := made.get(path)) else None) for path in {**base, **made} if base.get(path) != made.get(path)
+        }
+        found[entry.name] = (getattr(entry, "episodes", None), getattr(entry, "until", None), different)
+    return found
+
+
+def _figures(old: Item | None, new: Item | None) -> tuple[str, str]:
+    """Both values by what differs in them, where the scenario's text says nothing of it: a default, or another file."""
+    here = dict(_leaves(old.value)) if old else {}
+    there = dict(_leaves(new.value)) if new else {}
+    differing = [name for name in dict.fromkeys((*here, *there)) if here.get(name) != there.get(name)]
+    shown = differing[:_LISTED]
+    rest = f", ... {len(differing)} in all" if len(differing) > len(shown) else ""
+    one, other = (", ".join(f"{name} {leaves[name]}".strip() for name in shown if name in leaves) for leaves in (here, there))
+    return (one + rest if old else "", other + rest if new else "")
+
+
+def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
+    """The single figures in a value, each with its place there."""
+    match value:
+        case Const(figure):
+            yield path, cell(figure)
+        case Name() | World() | Op() | State() | Draw():
+            yield path, str(value)
+        case (str() as name, inner) if name and not isinstance(inner, str):
+            yield from _leaves(inner, f"{path}.{name}".lstrip("."))
+        case tuple():
+            for number, item in enumerate(value):
+                named = isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
+                yield from _leaves(item, path if named or len(value) == 1 else f"{path}.{number}".lstrip("."))
+        case _ if is_dataclass(value) and not isinstance(value, type):
+            for f in fields(value):
+                yield from _leaves(getattr(value, f.name), f"{path}.{f.name}".lstrip("."))
+        case _:
+            yield path, cell(value)

@@ -1,0 +1,75 @@
+"""One side of a comparison: a scenario that is compiled, or the one that a run was trained on, with its text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli import api
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.learning.run import Run
+from deepbots_cli.source import Mapping, Node, Scalar, descend, shipped
+from deepbots_cli.source.parse import parse
+
+_MOST_TEXT = 4_000_000
+
+
+@dataclass(frozen=True)
+class Side:
+    """`root` is the text, after includes and settings; None where it is lost."""
+
+    name: str
+    ir: CompiledScenario
+    root: Node | None
+
+    def wording(self, path: str) -> str:
+        """What is written at a path, on one line; nothing where nothing is."""
+        words = path.split(".")
+        # A name may hold dots: `observation.cart.pole_angle`, `reset.set.cart.pole_hinge`.
+        for first in range(len(words), 0, -1):
+            keys = (*words[: first - 1], ".".join(words[first - 1 :]))
+            node, _, reached = descend(self.root, keys) if self.root else (None, None, 0)
+            if node is not None and reached == len(keys):
+                return " ".join((node.text if isinstance(node, Scalar) else node.span.text).split())
+        return ""
+
+    def stage(self, name: str) -> str:
+        """What is written of a stage of the curriculum."""
+        listed = [stage.name for stage in self.ir.curriculum]
+        node = descend(self.root, ("curriculum", listed.index(name)))[0] if self.root and name in listed else None
+        return " ".join(node.span.text.split()) if isinstance(node, Mapping) else ""
+
+    def names(self, section: str) -> list[str]:
+        node, _, reached = descend(self.root, (section,)) if self.root else (None, None, 0)
+        return list(node.entries) if reached == 1 and isinstance(node, Mapping) else []
+
+
+def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool) -> Side:
+    """The scenario of a file or of a shipped name, or that of a run directory.
+
+    Raises:
+        UsageError: There is no such file or run.
+        ScenarioError: The scenario has errors.
+    """
+    path = Path(source)
+    if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
+        if sets:
+            raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
+        return _of_run(path)
+    checked = api.load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    return Side(source, api.compile(checked).ir, checked.document.root)
+
+
+def _of_run(path: Path) -> Side:
+    try:
+        run = Run.open(path)
+    except RunError as error:
+        raise UsageError(str(error)) from error
+    resolved, text = path / "resolved.yaml", ""
+    if resolved.is_file() and not resolved.is_symlink():
+        with resolved.open(encoding="utf-8", errors="replace") as file:
+            text = file.read(_MOST_TEXT)
+    return Side(str(path), run.ir, parse(Source(str(resolved), text), Findings()) if text else None)

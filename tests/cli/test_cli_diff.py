@@ -1,0 +1,166 @@
+"""`deepbots diff`: what two scenarios do not share, by meaning and in the words of the language."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.learning.record import Record
+from deepbots_cli.source import shipped
+
+SINGLE = [
+    ("observation.speed=-1 .. 1 m/s", "policy", "observation.speed"),
+    ("agent={stack: 2}", "policy", "agent.stack"),
+    ("action.drive.choices.forward=0.5", "policy", "action.drive"),
+    ("observation.speed={range: -0.8 .. 0.8 m/s, noise: 0.1 m/s}", "task", "observation.speed.noise"),
+    ("augment.x=position(cart).y", "task", "augment.x"),
+    ("reward.alive=2", "task", "reward.alive"),
+    ("truncation.max_steps=300", "task", "truncation.max_steps"),
+    ("robots.cart.actuators.wheels.max_torque=5 N*m", "task", "robots.cart.actuators.wheels"),
+    ("robots.cart.apply.wheels=2 * drive * wheel_speed", "task", "robots.cart.apply.wheels"),
+    ("robots.cart.sensors.pole_angle.noise=1 deg", "task", "robots.cart.sensors.pole_angle"),
+    ("robots.cart.emit={pole_angle: 2 * pole_angle}", "task", "robots.cart.emit.pole_angle"),
+    ("world.timestep=16 ms", "world", "world.timestep"),
+    ("world.gravity=0 0 -1.6 m/s^2", "world", "world.gravity"),
+    ("world.arena.size=2 2 m", "world", "world.arena"),
+    ("robots.cart.links={pole: {mass: 1 kg}}", "world", "robots.cart.links.pole"),
+    ("messages.timing=paper", "world", "messages.timing"),
+    ("messages.to_robot={latency: 40 ms}", "world", "messages.to_robot"),
+    ("reset.set.cart\\.pole_hinge=uniform(-5 .. 5 deg)", "world", "reset.set.cart.pole_hinge"),
+    ("agent={repeat: 2}", "world", "agent.repeat"),
+    ("train.gamma=0.9", "training", "train.gamma"),
+    ("train.policy.hidden=[32]", "training", "train.policy.hidden"),
+    ("solved.mean_return=100", "training", "solved"),
+    ("evaluation.episodes=7", "training", "evaluation.episodes"),
+    ("evaluation.cases={steep: {set: {fall_angle: 10 deg}}}", "training", "evaluation.cases.steep"),
+    ("name=Other", "cosmetic", "name"),
+    ("summary=Other words.", "cosmetic", "summary"),
+    ("world.arena.colour=red", "cosmetic", "look of world.arena"),
+]
+
+
+def differences(deepbots, *words: object) -> tuple[int, dict[tuple[str, str], dict]]:
+    ran = deepbots("diff", *words, "--json")
+    assert ran.err == "" or ran.code != 2, ran.err
+    found = json.loads(ran.out)
+    listed = {(row["group"], row["path"]): row for row in found["differences"]}
+    assert found["same_meaning"] is (ran.code == 0)
+    assert found["policy_fits"] is not any(group == "policy" for group, _ in listed)
+    return ran.code, listed
+
+
+@pytest.mark.parametrize(("setting", "group", "path"), SINGLE, ids=[setting.partition("=")[0] for setting, _, _ in SINGLE])
+def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, setting, group, path):
+    if "cart\\." in setting:
+        (Path("other.yaml")).write_text("deepbots: 1\nextends: cartpole.yaml\nreset: {set: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n")
+        deepbots("copy", "cartpole")
+        code, found = differences(deepbots, "cartpole.yaml", "other.yaml")
+    else:
+        code, found = differences(deepbots, "cartpole", "cartpole", "--set", setting)
+    assert list(found) == [(group, path)]
+    assert code == (0 if group == "cosmetic" else 1)
+
+
+@pytest.mark.parametrize("name", shipped.scenario_names())
+def test_a_scenario_has_no_difference_to_itself(deepbots, name):
+    ran = deepbots("diff", name, name)
+    assert (ran.code, ran.out) == (0, f"{name} and {name} mean the same\n")
+
+
+VARIANTS = {
+    ("pit_escape", "pit_escape_as_printed"): {"task": {"reward.progress"}, "training": {"solved", "train.total_timesteps"}},
+    ("find_and_avoid", "find_and_avoid_unmasked"): {"task": {"action.change.forbid"}, "training": {"train.algorithm"}},
+}
+
+
+@pytest.mark.parametrize(("one", "other"), VARIANTS)
+def test_variants_differ_in_what_they_were_made_for(deepbots, one, other):
+    code, found = differences(deepbots, one, other)
+    assert code == 1
+    expected = {(group, path) for group, paths in VARIANTS[one, other].items() for path in paths}
+    assert {key for key in found if key[0] != "cosmetic"} == expected
+    assert {path for group, path in found if group == "cosmetic"} == {"name", "summary"}
+
+
+def test_a_longer_pole_no_longer_fits_and_is_another_world(deepbots):
+    _, found = differences(deepbots, "cartpole", "cartpole_long")
+    assert found["policy", "observation.tip_speed"]["other"] == "-3 .. 3 m/s"
+    assert ("world", "robots.cart.links.pole") in found
+    assert not any(group == "task" for group, _ in found)
+
+
+def test_every_pair_of_shipped_variants_is_the_same_from_both_sides(deepbots):
+    pairs = [("find_ball", "find_ball_as_printed"), ("cartpole", "cartpole_wireless"), ("cartpole", "cartpole_continuous")]
+    for one, other in pairs:
+        _, forth = differences(deepbots, one, other)
+        _, back = differences(deepbots, other, one)
+        assert set(forth) == set(back)
+        assert api.compile(one).digest != api.compile(other).digest
+        assert any(group != "cosmetic" for group, _ in forth)
+        opposite = {"added": "removed", "removed": "added", "changed": "changed"}
+        assert all(back[key]["kind"] == opposite[row["kind"]] for key, row in forth.items())
+
+
+def test_layout_comments_units_and_the_order_of_keys_count_for_nothing(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    text = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
+    changed = text.replace("0.39 m", "39 cm").replace("32 ms", "0.032 s  # a tick") + "\n# the end\n"
+    (tmp_path / "same.yaml").write_text(
+        changed.replace("solved: {mean_return: 195, episodes: 100}", "solved: {episodes: 100, mean_return: 195}")
+    )
+    ran = deepbots("diff", "cartpole.yaml", "same.yaml")
+    assert (ran.code, ran.out) == (0, "cartpole.yaml and same.yaml mean the same\n")
+
+
+def test_a_parameter_is_told_by_what_it_changes(deepbots):
+    ran = deepbots("diff", "cartpole", "cartpole", "--set", "fall_angle=10deg")
+    assert ran.code == 1
+    assert "termination.failure.fallen\n      abs(cart.pole_angle) > fall_angle\n      by another value of fall_angle" in ran.out
+
+
+def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    text = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
+    line = "  x:               -0.4 .. 0.4 m\n"
+    (tmp_path / "turned.yaml").write_text(text.replace(line, "").replace("\nreward:", f"{line}\nreward:", 1), encoding="utf-8")
+    _, found = differences(deepbots, "cartpole.yaml", "turned.yaml")
+    assert list(found) == [("policy", "order of what is observed, done and sent")]
+
+
+def test_colours_count_where_a_camera_sees_them(deepbots):
+    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.colour=green")
+    assert {group for group, _ in found} == {"world"}
+
+
+def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
+    head = "deepbots: 1\nextends: cartpole.yaml\ncurriculum:\n"
+    deepbots("copy", "cartpole")
+    for name, angle in (("one", 25), ("two", 20)):
+        stages = f"  - {{name: wide, set: {{fall_angle: {angle} deg}}, until: mean_return >= 150 over 20 episodes}}\n  - {{name: usual}}\n"
+        (tmp_path / f"{name}.yaml").write_text(head + stages)
+    _, found = differences(deepbots, "one.yaml", "two.yaml")
+    assert list(found) == [("training", "curriculum.wide")]
+    assert "25 deg" in found["training", "curriculum.wide"]["one"]
+
+
+def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    trained = deepbots("train", "cartpole.yaml", "--run", "run", "--set", "train.total_timesteps=512", "--set", "evaluation.episodes=1")
+    assert trained.code == 0, trained.err
+    assert isinstance(Record.read(tmp_path / "run").digest, str)
+    _, found = differences(deepbots, "run", "cartpole.yaml")
+    assert set(found) == {("training", "train.total_timesteps"), ("training", "evaluation.episodes")}
+    assert found["training", "train.total_timesteps"]["one"] == "512"
+
+
+@pytest.mark.parametrize("words", [("cartpole",), ("cartpole", "nowhere"), ("cartpole", "folder"), ("cartpole", "bad.yaml")])
+def test_what_cannot_be_compared_ends_with_2(deepbots, tmp_path, words):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "bad.yaml").write_text("deepbots: 1\n")
+    ran = deepbots("diff", *words)
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.err
+    assert "Traceback" not in ran.err
