@@ -72,6 +72,9 @@ def test_an_installed_wheel_uses_its_own_data_from_an_empty_folder(installed: Pa
     assert "cartpole" in listed.stdout
     linted = deepbots(installed, tmp_path, "lint", "cartpole")
     assert (linted.returncode, linted.stderr) == (0, "")
+    explained = deepbots(installed, tmp_path, "explain", "DB402")
+    assert (explained.returncode, explained.stderr) == (0, "")
+    assert "abs(cart.pole_angle) > fall_angle" in explained.stdout
     script = "from deepbots_cli.source import shipped; print(shipped.data_dir())"
     environment = os.environ | {"PYTHONPATH": str(installed)}
     where = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
