@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from xml.etree import ElementTree
 
-from deepbots_cli.diagnostics.escape import safe
+from deepbots_cli.diagnostics.escape import safe, said
 from deepbots_cli.diagnostics.finding import Finding, Severity
 from deepbots_cli.diagnostics.outside import relative, told
 
@@ -40,10 +40,11 @@ def _counts(findings: Sequence[Finding], failing: Collection[Severity], suites: 
 
 def _case(suite: ElementTree.Element, file: str, finding: Finding, fails: bool) -> None:
     line, column = finding.span.begin
-    name = f"{finding.code} {finding.name} at {line}:{column}"
+    # Programs take cases of one name for one case.
+    name = f"{finding.code} {finding.name} at {line}:{column}: {said(finding.headline)}"
     case = ElementTree.SubElement(suite, "testcase", name=name, classname=safe(file), file=safe(file), line=str(line), time="0")
     if fails:
-        inner = ElementTree.SubElement(case, "failure", type=finding.code, message=safe(finding.headline))
+        inner = ElementTree.SubElement(case, "failure", type=finding.code, message=said(finding.headline))
     else:
         inner = ElementTree.SubElement(case, "system-out")
     inner.text = told(finding)

@@ -241,10 +241,20 @@ def test_a_report_of_tests_has_a_suite_for_each_file_and_a_case_for_each_finding
     assert root.attrib["failures"] == "2"
     suites = {suite.attrib["name"]: suite for suite in root}
     assert list(suites) == ["a.yaml", "b.yaml", "c.yaml"]
-    assert [case.attrib["name"] for case in suites["a.yaml"]] == ["DB003 yaml11-boolean at 1:4", "DB101 unknown-key at 2:3"]
+    assert [case.attrib["name"] for case in suites["a.yaml"]] == [
+        "DB003 yaml11-boolean at 1:4: `on` is text",
+        "DB101 unknown-key at 2:3: the key is not known",
+    ]
     assert [[part.tag for part in case] for case in suites["a.yaml"]] == [["system-out"], ["failure"]]
     assert suites["a.yaml"][1][0].attrib == {"type": "DB101", "message": "the key is not known"}
     assert [(case.attrib["name"], len(case)) for case in suites["c.yaml"]] == [("no findings", 0)]
+
+
+def test_two_findings_of_one_code_at_one_place_are_two_cases_of_a_report() -> None:
+    span = Span(Source("a.yaml", "a: 1\n"), 0, 4)
+    missing = [Finding("DB102", span, f"missing key `{key}`") for key in ("name", "world")]
+    (suite,) = ElementTree.fromstring(junit.render(missing, ["a.yaml"], ("error",)))
+    assert len({case.attrib["name"] for case in suite}) == 2
 
 
 def test_a_warning_is_a_failure_of_a_report_where_warnings_fail() -> None:
