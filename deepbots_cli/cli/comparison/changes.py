@@ -99,8 +99,8 @@ def _of_settings(one: Side, other: Side) -> Iterator[Change]:
                 kind: Literal["changed", "added", "removed"] = (
                     "added" if name not in before else "removed" if name not in after else "changed"
                 )
-                texts = (side.stage(name) if section == "curriculum" else side.wording(f"{section}.{name}") for side in (one, other))
-                yield Change(f"{section}.{name}", Group.training, kind, *texts)
+                was, now = (side.stage(name) if section == "curriculum" else side.wording(f"{section}.{name}") for side in (one, other))
+                yield Change(f"{section}.{name}", Group.training, kind, was, now)
         if before.keys() == after.keys() and list(before) != list(after):
             yield Change(f"order of {section}", Group.training, "changed", ", ".join(before), ", ".join(after))
 

@@ -15,6 +15,7 @@ VERBS: Mapping[str, str] = {
     "diff": "Say in what two scenarios differ by meaning.",
     "new": "Write a first scenario, with a comment on every part.",
     "copy": "Copy a scenario that comes with deepbots, to change it.",
+    "upgrade": "Bring a scenario file to the current version of the language.",
     "eject": "Write a scenario out as a small Python project of its own.",
     "list": "List the scenarios that come with deepbots, and your runs.",
     "bench": "Time a step of the environment against bare physics.",
