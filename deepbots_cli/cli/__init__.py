@@ -16,6 +16,8 @@ picture.py   a picture as PNG              replay.py   episodes of a policy with
 progress.py  how many of them are done
 mending.py   fixes of findings           rewriting.py  files of the user written anew
 copying.py   what `copy` writes            project.py  what `eject` writes
+upgrading.py steps from one version of the language to the next
+comparison/  what `diff` shows              starters/   what `new` writes
 health.py    what `doctor` looks at
 """
 

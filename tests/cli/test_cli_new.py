@@ -115,6 +115,14 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
     assert ran.code == 0, ran.err
 
 
+@pytest.mark.parametrize(("robot", "way"), [("a1/a1", "x"), ("quadruped/minitaur", "x"), ("laikago/laikago_toes", "y")])
+def test_what_has_legs_walks_the_way_that_its_body_is_long(deepbots, tmp_path, robot, way):
+    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf")
+    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    assert f"clamp(v.{way} / (m/s)" in text
+    assert ("roll: 90 deg" in text) is (way == "y")
+
+
 def test_every_shipped_robot_is_among_those_that_are_tried():
     assert set(shipped.robot_names()) <= set(ROBOTS)
 

@@ -60,11 +60,11 @@ def reach(survey: Survey, robot: Robot) -> Draft | None:
 
 
 def walk(survey: Survey, robot: Robot) -> Draft:
-    """Forwards along x, on legs."""
+    """Along the line that most of the hips lie on, x or y, on legs."""
     draft = Draft("A robot on legs walks forwards.")
     turn, legs = _upright(survey), [joint for limb in survey.limbs for joint in limb.moving if joint in survey.driven]
     positions = _standing(survey, turn)
-    height = -_lowest(survey, positions, turn)
+    height, way = -_lowest(survey, positions, turn), _way(survey, turn)
     draft.add(
         "parameters",
         "swing: 0.3 rad    # that a joint leaves its posture by, at most",
@@ -89,7 +89,7 @@ def walk(survey: Survey, robot: Robot) -> Draft:
     draft.add("augment", "v: velocity(robot)")
     draft.add("observation", "v: -2 .. 2 m/s", "robot.down: -1 .. 1", "robot.gyro: -8 .. 8 rad/s", "robot.angles: -1 .. 1 rad")
     draft.add("observation", "robot.rates: -20 .. 20 rad/s", "previous_action: auto")
-    draft.add("reward", "forward: clamp(v.x / (m/s), -1 .. 1)", "alive:   0.2", "jerk:    -0.05 * mean(delta(stride)^2)")
+    draft.add("reward", f"forward: clamp(v.{way} / (m/s), -1 .. 1)", "alive:   0.2", "jerk:    -0.05 * mean(delta(stride)^2)")
     draft.add("termination", "failure: {fell: duration(position(robot).z < low) > 0.2 s}")
     draft.add("truncation", "max_time: 10 s")
     place = {
@@ -98,6 +98,7 @@ def walk(survey: Survey, robot: Robot) -> Draft:
     }
     draft.add("reset", "settle: 0.3 s    # it lands before the episode begins")
     robot.into(draft, place)
+    draft.remarks.append(f"Forwards is along {way}, the longer way from hip to hip; which end is the front, the file does not say.")
     draft.remarks.append("Its legs were bent so that the feet are below the hips; a better posture is worth more than a longer training.")
     train(draft, "PPO", 2_000_000, 128)
     return draft
@@ -197,6 +198,15 @@ def _upright(survey: Survey) -> tuple[float, float]:
     if abs(y) > 0.8:
         return (90.0 if y < 0 else -90.0), 0.0
     return (0.0, 90.0 if x > 0 else -90.0) if abs(x) > 0.8 else (0.0, 0.0)
+
+
+def _way(survey: Survey, turn: tuple[float, float]) -> str:
+    """The axis of the world, x or y, along which its hips lie farther apart."""
+    roll, pitch = (angle / 57.29577951308232 for angle in turn)
+    tilted = quaternion(roll, pitch, 0.0)
+    hips = [frames.rotate(tilted, survey.frames[limb.moving[0].child][0]) for limb in survey.limbs]
+    spread = [max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1)]
+    return "x" if spread[0] >= spread[1] else "y"
 
 
 def _standing(survey: Survey, turn: tuple[float, float]) -> Positions:
