@@ -54,7 +54,7 @@ from deepbots_cli.compiler.strokes import lines
 from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
-from deepbots_cli.diagnostics import Finding, Findings
+from deepbots_cli.diagnostics import Finding, Findings, Fix
 from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
 from deepbots_cli.lang import agree
 from deepbots_cli.lang.dimensions import TIME
@@ -129,16 +129,19 @@ def _joined(findings: Findings) -> Findings:
         if found.severity == "error":
             errors.setdefault(found.span.source.name, []).append(found)
     notes: dict[int, list[str]] = {}
+    fixes: dict[int, Fix] = {}
     absorbed = set()
     for warning in warnings:
         error = _absorber(warning, errors.get(warning.span.source.name, []))
         if error is not None:
             notes.setdefault(id(error), []).append(warning.headline)
             absorbed.add(id(warning))
+            if warning.code == "DB004" and warning.fix is not None:
+                fixes[id(error)] = warning.fix
     joined = Findings()
     for found in everything:
         if id(found) not in absorbed:
-            joined.append(replace(found, notes=(*found.notes, *notes.get(id(found), ()))))
+            joined.append(replace(found, notes=(*found.notes, *notes.get(id(found), ())), fix=found.fix or fixes.get(id(found))))
     return joined
 
 

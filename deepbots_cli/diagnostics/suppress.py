@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from deepbots_cli.diagnostics.finding import Finding, Source, Span
+from deepbots_cli.diagnostics.finding import Edit, Finding, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
 
@@ -25,6 +25,7 @@ class _Suppression:
     code: str
     span: Span
     line: int
+    removal: Edit
 
 
 def suppress(findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False) -> tuple[list[Finding], list[Finding]]:
@@ -63,7 +64,7 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             continue
         for code in re.finditer(r"[^\s,]+", comment[1]):
             span = Span(source, comment.start(1) + code.start(), comment.start(1) + code.end())
-            yield _Suppression(code.group(), span, line + 1 if alone else line)
+            yield _Suppression(code.group(), span, line + 1 if alone else line, _removal(source, comment, code.group()))
 
 
 def _is_preview(code: str) -> bool:
@@ -71,14 +72,37 @@ def _is_preview(code: str) -> bool:
 
 
 def _unused(entry: _Suppression) -> Finding:
-    rule = RULES.get(entry.code)
+    rule, removed = RULES.get(entry.code), Fix((entry.removal,), safe=True)
     if entry.code in RETIRED:
-        return Finding("DB901", entry.span, f"{entry.code} is retired", help=f"remove the comment: {RETIRED[entry.code].reason}")
+        help = f"remove the comment: {RETIRED[entry.code].reason}"
+        return Finding("DB901", entry.span, f"{entry.code} is retired", help=help, fix=removed)
     if rule is None:
-        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=_similar(entry.code))
+        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=_similar(entry.code), fix=_respelt(entry))
     if rule.severity == "error":
-        return Finding("DB901", entry.span, f"{entry.code} is an error, which cannot be suppressed", help="mend what it reports")
-    return Finding("DB901", entry.span, f"no finding {entry.code} is suppressed here", help="remove the comment")
+        return Finding(
+            "DB901", entry.span, f"{entry.code} is an error, which cannot be suppressed", help="mend what it reports", fix=removed
+        )
+    return Finding("DB901", entry.span, f"no finding {entry.code} is suppressed here", help="remove the comment", fix=removed)
+
+
+def _removal(source: Source, comment: re.Match[str], code: str) -> Edit:
+    """The edit that takes `code` out: of the list, or with the whole comment, unless a reason behind it is worth keeping."""
+    others = [other for other in re.findall(r"[^\s,]+", comment[1]) if other != code]
+    if others:
+        return Edit(Span(source, *comment.span(1)), ", ".join(others))
+    line_end = source.text.find("\n", comment.end())
+    line_end = len(source.text) if line_end < 0 else line_end
+    if comment[0].startswith("<") or source.text[comment.end() : line_end].strip():
+        return Edit(Span(source, *comment.span()), comment[0][: comment[0].index("deepbots")].rstrip())
+    start = len(source.text[: comment.start()].rstrip(" \t"))
+    if start == 0 or source.text[start - 1] == "\n":
+        return Edit(Span(source, start, min(line_end + 1, len(source.text))), "")
+    return Edit(Span(source, start, comment.end()), "")
+
+
+def _respelt(entry: _Suppression) -> Fix | None:
+    near = nearest(entry.code, RULES)
+    return Fix((Edit(entry.span, near),), safe=False) if near else None
 
 
 def _similar(code: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, TIME, Dimension
 from deepbots_cli.lang.typed import Constant, Reference, Typed, TypedRange, bare, zero
 from deepbots_cli.lang.types import Components, Report, shown
@@ -147,4 +148,5 @@ def warn_of_degrees(value: Typed, report: Report) -> None:
                 value.end,
                 f"{largest:g} rad is more than a full turn",
                 f"if degrees are meant, write `{largest:g} deg`",
+                meant=Meant(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.lexer import Token, TokenKind
 
 _INSTEAD = {
@@ -49,6 +50,32 @@ _INSTEAD = {
     "is": "compare with `==`",
     "in": "compare with `<` and `>`, joined by `and`",
 }
+
+
+# Signs with one meaning wherever they stand, each for one sign or word of ours. `!` binds differently elsewhere.
+_SAME = {"**": "^", "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/"} | {
+    "−": "-",
+    "–": "-",
+    "±": "+-",
+    "…": "..",
+    "°": " deg",
+    "²": "^2",
+    "³": "^3",
+    "\u00a0": " ",
+    "=": "==",
+}
+
+
+def instead(stream: list[Token], at: int) -> Meant | None:
+    """What to write for the sign at fault, with the blanks that a word needs around it."""
+    token, same = stream[at], _SAME.get(stream[at].text)
+    if same is None or (token.text == "=" and at >= 2 and stream[at - 2].text in ("(", ",")):
+        return None
+    if same.isalpha():
+        before = " " if at and stream[at - 1].end == token.start else ""
+        after = " " if stream[at + 1].start == token.end else ""
+        same = f"{before}{same}{after}"
+    return Meant(same, safe=True)
 
 
 def explain(stream: list[Token], at: int, missing: bool) -> tuple[Token, str, str | None]:

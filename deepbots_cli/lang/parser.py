@@ -54,7 +54,7 @@ def parse(text: str, report: Report) -> Node | None:
     try:
         tree = _Parser(text).text()
     except ExpressionError as fault:
-        report(fault.code, fault.start, fault.end, fault.headline, fault.help)
+        report(fault.code, fault.start, fault.end, fault.headline, fault.help, meant=fault.meant)
         return None
     if depth(tree) > MAX_DEPTH:
         report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} operations, one upon the other", _SMALLER)

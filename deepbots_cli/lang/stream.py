@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang import foreign
 from deepbots_cli.lang.lexer import Token, TokenKind, tokens
 from deepbots_cli.lang.syntax import Number
@@ -14,8 +15,11 @@ _MOST_FACTORS = 8
 class ExpressionError(Exception):
     """Carries the finding from where it arose to where it is reported."""
 
-    def __init__(self, start: int, end: int, headline: str, help: str | None = None, code: str = "DB401") -> None:
+    def __init__(
+        self, start: int, end: int, headline: str, help: str | None = None, code: str = "DB401", meant: Meant | None = None
+    ) -> None:
         super().__init__(headline)
+        self.meant = meant
         self.start, self.end, self.headline, self.help, self.code = start, end, headline, help, code
 
 
@@ -121,4 +125,5 @@ class TokenStream:
     def _fault(self, missing: bool) -> ExpressionError:
         """The fault at a token that cannot stand here; `missing` where a value was due."""
         token, headline, help = foreign.explain(self._tokens, self._at, missing)
-        return ExpressionError(token.start, token.end, headline, help)
+        meant = foreign.instead(self._tokens, self._at) if token is self._peek else None
+        return ExpressionError(token.start, token.end, headline, help, meant=meant)

@@ -10,6 +10,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
 from deepbots_cli.lang.types import Kind
 from deepbots_cli.source.nodes import Path
+from deepbots_cli.source.removal import removing
 from deepbots_cli.task import Task, Valued
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
@@ -34,8 +35,9 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
     used = {name for each in checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
     for name, definition in checked.namespace.definitions.items():
         if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
-            span = checked.namespace.values.key_span(definition.path)
-            yield Finding("DB205", span, f"`{name}` is {definition.origin.value} that nothing uses", help="use it or take it out")
+            values, headline = checked.namespace.values, f"`{name}` is {definition.origin.value} that nothing uses"
+            fix = removing(values.root, definition.path)
+            yield Finding("DB205", values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
 
 
 def unused_part(checked: Checked) -> Iterator[Finding]:
@@ -75,9 +77,10 @@ def unused_part(checked: Checked) -> Iterator[Finding]:
 def _idle(checked: Checked, path: Path, what: str, help: str) -> Iterator[Finding]:
     """The finding, where the part is written in the scenario's own file."""
     assert checked.namespace is not None  # there is a task
-    span = checked.namespace.values.key_span(path)
+    values = checked.namespace.values
+    span = values.key_span(path)
     if span.source is checked.document.source:
-        yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help)
+        yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removing(values.root, path))
 
 
 def _judged(task: Task) -> Iterator[Valued]:

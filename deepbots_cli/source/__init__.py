@@ -10,6 +10,7 @@ nodes.py      Scalar, Sequence, Mapping
 roots.py      which files a scenario may name
 shipped.py    the scenarios and robots that come with deepbots
 merge.py      two trees to one; dotted paths
+removal.py    an entry taken out of the text of a file
 overrides.py  `--set path=value`
 text.py       nodes back to YAML text
 load.py       a file with all that it extends and includes, as one Document

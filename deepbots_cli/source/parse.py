@@ -25,7 +25,7 @@ from yaml.events import (
     StreamEndEvent,
 )
 
-from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span
 from deepbots_cli.source import places, scalars, syntax, traps
 from deepbots_cli.source.nodes import Entry, Mapping, Node, Scalar, Sequence, Style
 from deepbots_cli.source.parsers import EventParser, begin, fast_parser, finish
@@ -36,6 +36,7 @@ MAX_EXPANDED = 20_000
 
 _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal", ">": "folded"}
 _ANCHOR = re.compile(r"&[\w-]+(?:\s+|#[^\n]*\n)*")
+_PATTERN = re.compile(r"\*_\w+")  # `*_joint`; without the underscore an anchor may have been forgotten
 _TAG = re.compile(r"!\S*")
 _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None): "empty"}
 
@@ -157,7 +158,8 @@ class _Composer:
         if anchored is None:
             name = span.text
             help = f'a leading `*` refers to an anchor; write "{name}" in quotes if a pattern is meant'
-            self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help=help)
+            fix = Fix((Edit(span, f'"{name}"'),), safe=True) if _PATTERN.fullmatch(name) else None
+            self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help=help, fix=fix)
             return None
         self.budget.expanded -= anchored.size
         self.size += anchored.size

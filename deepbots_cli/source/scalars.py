@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 
-from deepbots_cli.diagnostics import Findings, Span
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.source.nodes import Value
 
 _WORDS: dict[str, Value] = {
@@ -30,6 +30,8 @@ _YAML11 = {
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
 _RADIX = re.compile(r"([-+]?)0(?:x([0-9A-Fa-f]+)|o([0-7]+)|b([01]+))")
 _COMMA = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,(?![0-9]{3}$)[0-9]+")
+_THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(?:,[0-9]{3}){2,}")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
 _GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
 
@@ -54,11 +56,15 @@ def warn(text: str, span: Span, findings: Findings) -> None:
     """Report a plain value that older or looser readers take differently."""
     if text in _YAML11:
         help = f"write {_YAML11[text]}, or put it in quotes if text is meant"
-        findings.add("DB003", span, f"`{text}` is text, though older YAML reads it as {_YAML11[text]}", help=help)
+        headline = f"`{text}` is text, though older YAML reads it as {_YAML11[text]}"
+        # Where a truth value is needed there is an error, which is fixed first; here it stays the text that it is.
+        findings.add("DB003", span, headline, help=help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
     elif text and text[0] in "0123456789+-":
         odd = _odd_number(text)
         if odd:
-            findings.add("DB004", span, odd[0], help=odd[1])
+            number = _meant_number(text)
+            fix = Fix.replacing(span, text, number, safe=True) if number else None
+            findings.add("DB004", span, odd[0], help=odd[1], fix=fix)
 
 
 def _odd_number(text: str) -> tuple[str, str] | None:
@@ -82,3 +88,19 @@ def _odd_number(text: str) -> tuple[str, str] | None:
     if _GROUPS.fullmatch(text):
         return f"`{text}` is text: digits are grouped in threes", f"write {text.replace('_', '')}"
     return None
+
+
+def _meant_number(text: str) -> str | None:
+    """The number that an odd one can only mean; `1,500` may be a decimal, or have its thousands parted."""
+    if len(text) > 24:
+        return None
+    if _LEADING_ZERO.fullmatch(text):
+        return str(int(text))
+    if radix := _RADIX.fullmatch(text):
+        sign, hexadecimal, octal, binary = radix.groups()
+        return f"{sign}{int(hexadecimal, 16) if hexadecimal else int(octal, 8) if octal else int(binary, 2)}"
+    if _DECIMAL_COMMA.fullmatch(text):
+        return text.replace(",", ".")
+    if _THOUSANDS.fullmatch(text):
+        return text.replace(",", "_")
+    return text.replace("_", "") if _GROUPS.fullmatch(text) else None

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from deepbots_cli.diagnostics import Findings, Span
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.source.nodes import Node, Scalar
 
 Part = tuple[Scalar | None, Scalar | None]
 
 _COMMENT = re.compile(r":?[ \t]+(#[^\r\n]*)")
+_COLOUR = re.compile(r":[ \t]+(#[0-9A-Fa-f]{6})(?=\s|$)")
+_QUOTABLE = re.compile(r"""[^"\\#\n]*""")
 _COLON = re.compile(r"\s*:")
 _COLON_GLUED = re.compile(r"[\w.]+:\S")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
@@ -55,7 +57,8 @@ def _report_cut(span: Span, findings: Findings) -> None:
     text = " ".join(span.text.split())
     quoted = f': "{text}"' if len(text) <= 60 and '"' not in text else ""
     help = f"put the value in quotes{quoted}, or on a line of its own; draws need no comma: uniform(a .. b)"
-    findings.add("DB001", span, "a comma inside brackets cuts this value in two", help=help)
+    fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
+    findings.add("DB001", span, "a comma inside brackets cuts this value in two", help=help, fix=fix)
 
 
 def report_empty(key: Scalar, value: Scalar, flow: bool, findings: Findings) -> None:
@@ -76,7 +79,10 @@ def report_empty(key: Scalar, value: Scalar, flow: bool, findings: Findings) -> 
         help = "give it a value, or indent the lines that belong to it"
     else:
         help = "give it a value, or remove the key"
-    findings.add("DB107", key.span, f"`{key.text}` has no value", help=help)
+    colour = _COLOUR.match(text, key.span.end) if not flow and not value.text else None
+    hidden = Span(key.span.source, *colour.span(1)) if colour else None
+    fix = Fix((Edit(hidden, f'"{hidden.text}"'),), safe=True) if hidden else None
+    findings.add("DB107", key.span, f"`{key.text}` has no value", help=help, fix=fix)
 
 
 def help_for_key(key: Scalar) -> str:

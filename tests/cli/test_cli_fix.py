@@ -37,6 +37,11 @@ SAFE = {
     "a unit": ("32 ms", "32 milliseconds"),
     "case": ("algorithm: PPO", "algorithm: ppo"),
     "a section": ("observation: ", "obsevation: "),
+    "a hexadecimal number": ("substeps: 4", "substeps: 0x4"),
+    "an underscore too many": ("100_000", "1000_00"),
+    "signs of another language": ("abs(x) > track", "abs(x)>track&&not (x == 0 m)"),
+    "a value cut by a comma": ("0.04 m}", "max(0.04 m, 0.01 m)}"),
+    "a pattern without quotes": ("[wheel_*]", "[*_left]"),
 }
 UNSAFE = {
     "a joint": ("pole_hinge}", "pole_hnge}"),
@@ -62,6 +67,55 @@ def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, s
     assert path.read_text() == faulty(change)
     assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").code == 0
     assert path.read_text() == CARTPOLE
+
+
+@pytest.mark.parametrize("comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB702]\n"])
+def test_a_suppression_of_nothing_is_taken_out(deepbots, scenario, comment):
+    path = scenario(CARTPOLE.replace("  alive: 1\n", f"  alive: 1{comment}"))
+    assert deepbots("lint", "a.yaml", "--fix", "--fail-on", "warning").code == 0
+    assert path.read_text() == CARTPOLE
+
+
+def test_the_reason_beside_a_suppression_of_nothing_stays(deepbots, scenario):
+    path = scenario(CARTPOLE.replace("  alive: 1\n", "  alive: 1  # deepbots: ignore[DB603] paid in every step\n"))
+    deepbots("lint", "a.yaml", "--fix")
+    assert path.read_text() == CARTPOLE.replace("  alive: 1\n", "  alive: 1  # paid in every step\n")
+
+
+def test_what_looks_like_a_suppression_inside_a_text_is_left_alone(deepbots, scenario):
+    text = CARTPOLE.replace("summary: Keep a free pole upright", 'summary: "Keep # deepbots: ignore[DB603]"\n#')
+    path = scenario(text)
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    assert path.read_text() == text
+
+
+def test_suppressions_stay_as_long_as_there_are_errors(deepbots, scenario):
+    text = faulty(("  alive: 1\n", "  alive: 1  # deepbots: ignore[DB603]\n"), ("15 deg", "15 kg"))
+    path = scenario(text)
+    assert deepbots("lint", "a.yaml", "--fix").code == 1
+    assert path.read_text() == text
+
+
+def test_a_definition_that_nothing_uses_goes_with_its_line_where_guesses_are_allowed(deepbots, scenario):
+    text = CARTPOLE.replace("  tip_speed: velocity(cart.tip).x\n", "  tip_speed: velocity(cart.tip).x\n  more:      speed  # never seen\n")
+    path = scenario(text)
+    deepbots("lint", "a.yaml", "--fix")
+    assert path.read_text() == text
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    assert path.read_text() == CARTPOLE
+
+
+def test_a_word_that_older_yaml_takes_for_a_truth_value_stays_a_text(deepbots, scenario):
+    path = scenario(CARTPOLE.replace("summary: Keep a free pole upright by driving a four-wheeled cart back and forth.", "summary: no"))
+    deepbots("lint", "a.yaml", "--fix")
+    assert 'summary: "no"\n' in path.read_text()
+
+
+def test_a_word_where_a_truth_value_belongs_becomes_one(deepbots, scenario):
+    box = "objects: {box: {shape: box, size: 1 1 1 cm, pose: {x: 0.3 m}, fixed: %s}}\n"
+    path = scenario(CARTPOLE + box % "yes")
+    deepbots("lint", "a.yaml", "--fix")
+    assert path.read_text() == CARTPOLE + box % "true"
 
 
 def test_a_word_inside_quotes_and_folded_text_is_put_right_in_its_place(deepbots, scenario):
