@@ -12,6 +12,7 @@ shipped.py    the scenarios and robots that come with deepbots
 merge.py      two trees to one; dotted paths
 removal.py    an entry taken out of the text of a file
 overrides.py  `--set path=value`
+layout.py     the canonical layout of a file
 text.py       nodes back to YAML text
 load.py       a file with all that it extends and includes, as one Document
 """

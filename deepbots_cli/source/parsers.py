@@ -1,8 +1,9 @@
-"""The parsers of PyYAML, as far as they are used: a source of events."""
+"""The parsers of PyYAML, as far as they are used: sources of events and of tokens."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, cast
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
     from yaml.events import Event
@@ -28,6 +29,24 @@ def begin(event: Event) -> int:
 def finish(event: Event) -> int:
     """Where an event ends in the text."""
     return event.end_mark.index if event.end_mark else 0
+
+
+class Token(NamedTuple):
+    """A piece of YAML's syntax: a sign (`{`, `:`, `-`), `<scalar>`, or, taking no room, the `?` of a key and the bounds of blocks."""
+
+    kind: str
+    start: int
+    end: int
+
+
+_KINDS = {"<block mapping start>": "map", "<block sequence start>": "list", "<block end>": "end"}
+
+
+def tokens(text: str) -> Iterator[Token]:
+    """The tokens of a text that can be parsed, in order; blocks begin with `map` or `list` and finish with `end`."""
+    scanner = cast("Any", fast_parser(text))
+    while (token := scanner.get_token()) is not None:
+        yield Token(_KINDS.get(token.id, token.id), token.start_mark.index, token.end_mark.index)
 
 
 def fast_parser(text: str) -> EventParser:

@@ -9,6 +9,7 @@ VERBS: Mapping[str, str] = {
     "eval": "Evaluate the policy of a run on held-out episodes.",
     "lint": "Say everything that is wrong with scenarios.",
     "explain": "Say what a finding means, why it matters and what to write instead.",
+    "fmt": "Put scenario files into the canonical layout.",
     "inspect": "Show what a scenario means: spaces, messages, reward, timing.",
     "run": "Run episodes without a trained policy, and show the reward terms.",
     "compile": "Print the Python that a scenario is compiled to.",

@@ -1,0 +1,83 @@
+"""`deepbots fmt`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.rewriting import Rewrite, difference, write
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.errors import UsageError
+from deepbots_cli.source import Mapping, files
+from deepbots_cli.source.layout import tidy
+from deepbots_cli.source.parse import parse
+
+_BOM = b"\xef\xbb\xbf"
+
+
+def command(
+    paths: Annotated[list[Path], typer.Argument(metavar="FILE", help="Files, or folders of scenarios.")],
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; the exit code is 1 if a file would change.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="The same, and show what would change.")] = False,
+) -> None:
+    """Put scenario files into the canonical layout; what they say stays, comments and aligned columns too.
+
+    In a folder, every .yaml file with a `deepbots:` key is meant.
+
+    \b
+      deepbots fmt cartpole.yaml
+      deepbots fmt scenarios/ --check
+    """
+    rewrites, refused = [], False
+    for path in [path for given in paths for path in _expanded(given)]:
+        rewrite = _tidied(path)
+        refused = refused or rewrite is None
+        if rewrite is not None and rewrite.after != rewrite.before:
+            rewrites.append(rewrite)
+            if diff:
+                terminal.say(difference(rewrite).rstrip("\n"))
+            elif not check:
+                write(rewrite)
+            terminal.note(f"{'would change' if check or diff else 'changed'} {path}")
+    if refused or (rewrites and (check or diff)):
+        raise typer.Exit(FAILED)
+
+
+def _expanded(given: Path) -> Iterator[Path]:
+    if not given.exists():
+        raise UsageError(f"there is no file {given}")
+    if not given.is_dir():
+        yield given
+        return
+    found = [path for path in sorted(given.glob("*.yaml")) if path.is_file() and _is_scenario(path)]
+    if not found:
+        raise UsageError(f"there is no scenario in {given}: no .yaml file there has a `deepbots:` key")
+    yield from found
+
+
+def _is_scenario(path: Path) -> bool:
+    source, readable = files.decode(files.read(path), str(path), Findings())
+    root = parse(source, Findings()) if readable else None
+    return isinstance(root, Mapping) and "deepbots" in root.entries
+
+
+def _tidied(path: Path) -> Rewrite | None:
+    """The file in the canonical layout; None, and a word about it, if it cannot be had."""
+    if not path.is_file():
+        raise UsageError(f"{path} is not a regular file")
+    data, findings = files.read(path), Findings()
+    source, readable = files.decode(data, str(path), findings)
+    root = parse(source, findings) if readable else None
+    if root is None or findings.errors:
+        terminal.complain(f"{path} cannot be read as it stands, and is left alone; see: deepbots lint {path}")
+        return None
+    done = tidy(source.text)
+    if done is None:
+        terminal.complain(f"{path} is left alone: its layout cannot be changed without changing what it says")
+        return None
+    return Rewrite(path.resolve(), data, (_BOM if data.startswith(_BOM) else b"") + done.encode())

@@ -1,0 +1,38 @@
+"""`deepbots fmt`: files and folders, what it only shows, and what it refuses."""
+
+from __future__ import annotations
+
+UNTIDY = "deepbots:   1\nworld:\n    timestep: 32 ms   # a tick\n"
+TIDY = "deepbots: 1\nworld:\n  timestep: 32 ms   # a tick\n"
+
+
+def test_a_file_is_put_into_the_canonical_layout(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_bytes(b"\xef\xbb\xbf" + UNTIDY.replace("\n", "\r\n").encode())
+    assert deepbots("fmt", "a.yaml").code == 0
+    assert (tmp_path / "a.yaml").read_bytes() == b"\xef\xbb\xbf" + TIDY.replace("\n", "\r\n").encode()
+    assert deepbots("fmt", "a.yaml", "--check").code == 0
+
+
+def test_check_and_diff_write_nothing(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(UNTIDY)
+    assert deepbots("fmt", "a.yaml", "--check").code == 1
+    ran = deepbots("fmt", "a.yaml", "--diff")
+    assert ran.code == 1
+    assert "+deepbots: 1\n" in ran.out
+    assert (tmp_path / "a.yaml").read_text() == UNTIDY
+
+
+def test_in_a_folder_only_scenarios_are_touched(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(UNTIDY)
+    (tmp_path / "other.yaml").write_text("a:   1\n")
+    deepbots("fmt", ".")
+    assert (tmp_path / "a.yaml").read_text() == TIDY
+    assert (tmp_path / "other.yaml").read_text() == "a:   1\n"
+
+
+def test_a_file_that_cannot_be_read_is_left_alone(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text("a: {b:   1\n")
+    ran = deepbots("fmt", "a.yaml")
+    assert ran.code == 1
+    assert "deepbots lint a.yaml" in ran.err
+    assert (tmp_path / "a.yaml").read_text() == "a: {b:   1\n"
