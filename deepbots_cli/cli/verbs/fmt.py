@@ -25,7 +25,9 @@ def command(
     check: Annotated[bool, typer.Option("--check", help="Write nothing; the exit code is 1 if a file would change.")] = False,
     diff: Annotated[bool, typer.Option("--diff", help="The same, and show what would change.")] = False,
 ) -> None:
-    """Put scenario files into the canonical layout; what they say stays, comments and aligned columns too.
+    """Put scenario files into the canonical layout.
+
+    What they say stays, and so do comments and aligned columns.
 
     In a folder, every .yaml file with a `deepbots:` key is meant.
 
