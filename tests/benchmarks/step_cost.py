@@ -137,7 +137,7 @@ def substeps(environment: Supervisor) -> int:
 def blind(environment: Supervisor) -> None:
     """Let its engine look at nothing after a substep; that changes no motion."""
     hooks = environment.engine._substeps
-    for looking in (hooks._begins, hooks._watches, hooks._looks):
+    for looking in (hooks._begins, hooks._after):
         looking.clear()
     hooks._arrange()
 
