@@ -1,6 +1,6 @@
 """What a step of an environment costs beside the physics in it.
 
-    python -m tests.benchmarks.step_cost [--json] [--pairs 15] [--steps 4000]
+    python -m tests.benchmarks.step_cost [--json] [--pairs 7] [--steps 2000]
 
 Both sides go through the same episodes, in the same kind of engine, with the same substeps, and make the same motion: each holds
 one action throughout, so that the bare side, which takes untimed first steps to set its motors, goes where the other goes. (In
@@ -196,7 +196,7 @@ def beside_layered(steps: int, count: int) -> list[Row]:
 
 
 def main() -> None:
-    given = options(__doc__, pairs=15, steps=4000)
+    given = options(__doc__, pairs=7, steps=2000)
     rail = [
         (f"rail, {substeps} substep{'s' * (substeps > 1)}, {format}", bar, (f"world.substeps={substeps}", f"messages.format={format}"))
         for substeps, format, bar in ((4, "struct", 1.5), (1, "struct", 2.7), (4, "none", 1.4), (1, "none", 2.4))
