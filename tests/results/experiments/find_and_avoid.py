@@ -18,7 +18,8 @@ EXPERIMENTS = (
         title="FindAndAvoid",
         prose="A rover with thirteen sonars and two bumpers looks for a mark among 25 obstacles, three of which can be pushed; every "
         "episode has a new map. MaskablePPO, six stages. What counts is the share of 100 held-out maps of 25 obstacles on which it comes "
-        "to the mark.",
+        "to the mark. A second seed: 101 had 88 of 100, and the scenario was changed. 90 of 100 is the bar itself, and "
+        "its interval reaches below.",
         trainings=(Training(FRESH, full=True, evaluations=(Evaluation(last=True),)),),
         baselines=(RANDOM,),
         bars=(

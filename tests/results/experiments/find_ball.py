@@ -11,7 +11,13 @@ EXPERIMENTS = (
     Experiment(
         scenario="find_ball",
         title="FindBall",
-        prose="A small robot with eight infrared sensors has to find a ball behind a box without touching anything. DDPG, as in the paper.",
+        prose="A small robot with eight infrared sensors has to find a ball behind a box without touching anything. DDPG, as "
+        "in the paper. "
+        "This is the fourth set of seeds. Three before it each had one seed that failed the bar (of 1,000: 101 to 103 "
+        "98.8, 31.7 and 99.8 %; 111 to "
+        "115 99.9, 81.2, 99.9, 97.0 and 100 %; 121 to 125 99.8, 100, 100, 100 and 90.7 %). Each time an early or "
+        "unlucky network had been kept; how "
+        "it is chosen was mended, and fresh seeds were drawn.",
         trainings=(Training(FRESH, evaluations=(Evaluation(episodes=1000),)),),
         baselines=(RANDOM, Baseline("around the box", ("--script", "around"))),
         bars=(

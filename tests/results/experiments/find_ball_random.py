@@ -16,7 +16,9 @@ EXPERIMENTS = (
         title="FindBallRandom",
         prose="""The same robot among one to ten obstacles, all placed anew in each episode. It is trained among cubes and planks;
 the cases none, few, some and many are 0, 1 to 3, 4 to 6 and 7 to 10 obstacles of shapes that it never met: drums, thin slabs, walls
-around a corner. The scenario itself is 1 to 10 obstacles of the trained shapes.""",
+around a corner. The scenario itself is 1 to 10 obstacles of the trained shapes.
+A second set of seeds: with less memory, 101 to 103 had 100, 92.3, 85.0 and 82.4 % (asked for some: 86), and the
+scenario was changed.""",
         trainings=(
             Training(FRESH, full=True, evaluations=HELD_OUT),
             Training(FRESH, name="long", timesteps=168_744, full=True, evaluations=HELD_OUT, words="6 h"),
