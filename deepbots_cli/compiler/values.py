@@ -42,15 +42,28 @@ class Ends(NamedTuple):
     high: tuple[float, ...]
 
 
+class Reading(NamedTuple):
+    """A text that was read as an expression: what it sees from its place, and the trees that it came to.
+
+    A range comes to two, what is drawn at intervals also to their length; after a finding there may be none.
+    """
+
+    text: Text
+    scope: Scope
+    trees: tuple[Typed, ...]
+
+
 class Values:
     """Reads the values of one scenario.
 
-    `kinds` says what the schema wants at each path; `lost` holds the names whose definitions had findings.
+    `kinds` says what the schema wants at each path; `lost` holds the names whose definitions had findings. What was read
+    is kept in `readings`, for editors.
     """
 
     def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, Leaf], lost: Iterable[str] = ()) -> None:
         self.root = root
         self.findings = findings
+        self.readings: list[Reading] = []
         self._kinds = kinds
         self._lost = set(lost)
 
@@ -124,6 +137,7 @@ class Values:
         """The typed tree of an expression; `boolean` demands a truth value (True) or a number (False)."""
         tree = self.parsed(text)
         typed = check.check(tree, scope, self.report(text)) if tree else None
+        self.readings.append(Reading(text, scope, (typed,) if typed else ()))
         if typed is None or boolean is None:
             return typed
         agrees = agree.truths if boolean else agree.numbers
@@ -132,7 +146,10 @@ class Values:
     def drawn(self, text: Text, scope: Scope) -> check.Checked | None:
         """The same, where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
-        return check.check_drawn(tree, scope, self.report(text)) if tree else None
+        checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
+        period = checked.redraw.period if checked and checked.redraw else None
+        self.readings.append(Reading(text, scope, tuple(filter(None, (checked and checked.value, period)))))
+        return checked
 
     def redrawn(self, text: Text, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
         """As `quantity`, for a single figure that may be new in every step; with it, how often its draws are repeated."""
@@ -144,7 +161,9 @@ class Values:
 
     def range(self, text: Text, scope: Scope, *, falling: bool = False) -> TypedRange | None:
         tree = self.parsed(text)
-        return check.check_range(tree, scope, self.report(text), falling=falling) if tree else None
+        ends = check.check_range(tree, scope, self.report(text), falling=falling) if tree else None
+        self.readings.append(Reading(text, scope, (ends.low, ends.high) if ends else ()))
+        return ends
 
     def quantity(
         self,

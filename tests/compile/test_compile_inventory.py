@@ -1,0 +1,78 @@
+"""The names of a scenario, as editors offer them: complete, by kind, and each leading to where it is defined."""
+
+from __future__ import annotations
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler.inventory import definition, names
+
+
+@pytest.fixture(scope="module")
+def rocking():
+    return api.load("pit_escape")
+
+
+@pytest.fixture(scope="module")
+def searching():
+    return api.load("find_ball_random")
+
+
+def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_elsewhere(rocking):
+    inside = names(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
+    assert [found.name for found in inside] == ["pitch", "yaw"]
+    assert {found.what for found in inside} == {"a continuous joint"}
+    assert [found.name for found in names(rocking, "joints", ("reset", "set"))] == ["roller.pitch", "roller.yaw"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "path", "expected"),
+    [
+        ("sensor", ("robots", "roller", "emit", 0), ["gyro", "accel"]),
+        ("actuator", ("robots", "roller", "apply"), ["pitch_motor", "yaw_motor"]),
+        ("action", ("scripts", "mine"), ["roll"]),
+        ("choice", ("scripts", "mine", "roll"), ["forward", "backward", "turn_left", "turn_right"]),
+        ("choice", ("action", "roll", "forbid"), ["forward", "backward", "turn_left", "turn_right"]),
+        ("setting", ("curriculum", 0, "set"), ["radius", "time_limit", "speed"]),
+        ("body", ("reset", "place"), ["roller"]),
+        ("robot", ("agent", "each"), ["roller"]),
+        ("layout", ("reset", "layout"), []),
+    ],
+)
+def test_what_a_reference_may_name(rocking, kind, path, expected):
+    assert [found.name for found in names(rocking, kind, path)] == expected
+
+
+def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_ground(searching):
+    assert "epuck.base_link" in [found.name for found in names(searching, "body", ("disturbances", "gust", "body"))]
+    against = [found.name for found in names(searching, "links", ("robots", "epuck", "sensors", "bumper", "against"))]
+    assert {"ball", "obstacle", "ground", "epuck.base_link"} <= set(against)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "place"),
+    [
+        ("radius", "radius", "pit_escape.yaml:4"),
+        ("roller.gyro.y", "gyro", "pit_escape.yaml:14"),
+        ("pitch", "pitch", "pit_escape.yaml:21"),
+        ("roller.ball", "ball", "roller.urdf:16"),
+        ("escaped", "escaped", "pit_escape.yaml:33"),
+    ],
+)
+def test_a_name_leads_to_its_definition(rocking, name, text, place):
+    found = definition(rocking, name)
+    assert found.span.text == text
+    assert found.span.where.rpartition(":")[0].endswith(place)
+
+
+def test_on_board_the_names_of_the_robot_come_first(searching):
+    assert definition(searching, "proximity", "epuck").span.where.endswith("epuck.yaml:4:3")
+    assert definition(searching, "proximity") is None
+    assert definition(searching, "nothing.at.all") is None
+
+
+def test_a_scenario_that_cannot_be_read_has_no_names(tmp_path):
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("deepbots: 1\nname: {")
+    assert names(api.load(broken), "joint") == []
+    assert definition(api.load(broken), "joint") is None
