@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from pydantic_core import PydanticUndefinedType
-
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER, TIME
 from deepbots_cli.lang.examples import EXAMPLES
@@ -24,7 +22,7 @@ from deepbots_cli.lang.units import UNITS
 from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
-from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
 
@@ -137,11 +135,11 @@ class _Key:
     """One key of a part; equal to another that reads the same."""
 
     def __init__(self, part: type[Part], name: str, kind: str = "") -> None:
-        info = part.model_fields[name]
+        info = part.declared[name]
         self.name = name
         self.spec = fields(part)[name]
         self.meaning = _cell(str(info.description))
-        default = "**required**" if info.is_required() else _default(info.default)
+        default = "**required**" if info.default is REQUIRED else _default(info.default)
         example = found.text if (found := example_of(part, name)) else kind
         self.cells = (
             f"| `{name}` | {_value(self.spec)} | {_measured_in(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
@@ -203,7 +201,7 @@ def _settled(spec: Spec) -> str:
 
 
 def _default(value: object) -> str:
-    if value is None or isinstance(value, (dict, Part, PydanticUndefinedType)) or value in ("", ()):
+    if value is None or isinstance(value, (dict, Part)) or value in ("", ()):
         return ""
     text = str(value).lower() if isinstance(value, bool) else str(list(value)) if isinstance(value, tuple) else str(value)
     return f"`{text}`"

@@ -24,7 +24,6 @@ health.py    what `doctor` looks at
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Sequence
 
 __all__ = ["main"]
@@ -40,8 +39,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     3 a fault of deepbots; 130 interrupted.
     """
     gc.set_threshold(_COLLECT_EVERY)
-    # Pydantic would look for plugins in every installed package, which takes another 2 % of a `lint`, and we use none.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     from deepbots_cli.cli.exits import guarded
 
     def run() -> None:

@@ -19,7 +19,7 @@ from deepbots_cli.source import shipped
 State = Literal["ok", "missing", "broken"]
 
 _PACKAGES = {
-    "base": ("pydantic", "pyyaml", "typer"),
+    "base": ("pyyaml", "typer"),
     "sim": ("gymnasium", "msgspec", "numpy", "pybullet"),
     "train": ("imageio", "imageio-ffmpeg", "rich", "stable-baselines3", "tensorboard", "torch"),
 }

@@ -176,7 +176,7 @@ class _Pass:
             namespace.define(name, Origin.ROBOT, ("robots", name))
         for name, thing in spec.objects.items():
             namespace.define(name, Origin.OBJECT, ("objects", name))
-            if "count" in thing.model_fields_set:
+            if "count" in thing.given:
                 found = group(name, thing, namespace)
                 namespace.groups |= {name: found} if found else {}
                 if found is None:

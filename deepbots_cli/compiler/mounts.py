@@ -29,6 +29,6 @@ def _triple(values: Values, path: Path, spec: Mount, whole: str, parts: Componen
 
 
 def _one(values: Values, path: Path, spec: Mount, part: str, length: bool) -> float:
-    if part not in spec.model_fields_set:
+    if part not in spec.given:
         return 0.0
     return values.number((*path, part), getattr(spec, part), LENGTH if length else ANGLE) or 0.0

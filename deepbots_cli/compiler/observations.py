@@ -41,7 +41,7 @@ class Observations:
 
     def _entry(self, key: str, given: Observed | str) -> ObservedValue | None:
         place: Path = ("observation", key)
-        spec = Observed.model_construct(range=given) if isinstance(given, str) else given
+        spec = Observed(range=given) if isinstance(given, str) else given
         text = self._values.key_text(place)
         typed = self._observed(text)
         range_text = self._values.text(place if isinstance(given, str) else (*place, "range"), spec.range)
@@ -94,7 +94,7 @@ class Observations:
 
     def _noise(self, typed: Typed, place: Path, spec: Observed) -> ObservedNoise | None:
         """Its standard deviation: in the unit of the value, or a share of the value, which is written with `%`."""
-        if "noise" not in spec.model_fields_set:
+        if "noise" not in spec.given:
             return None
         path: Path = (*place, "noise")
         text = self._values.text(path, spec.noise)

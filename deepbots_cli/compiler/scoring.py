@@ -103,7 +103,7 @@ def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:
     values, limits = namespace.values, spec.truncation
     if limits is None:
         if not values.is_lost("truncation"):
-            span = values.key_span(("termination",) if "termination" in spec.model_fields_set else ("reward",))
+            span = values.key_span(("termination",) if "termination" in spec.given else ("reward",))
             values.findings.add(
                 "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )

@@ -125,7 +125,7 @@ class Sensing:
 
     def _reaching(self, sensor: ir.Sensor, spec: RaySensor, faults: ir.Faults | None, place: Path) -> ir.Sensor:
         """The sensor with rays that go to the end of its range."""
-        if "range" not in spec.model_fields_set:
+        if "range" not in spec.given:
             headline = f"how far `{sensor.name}` sees is not known"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help="give its `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0

@@ -1,4 +1,4 @@
-"""The compiled scenario: frozen, in SI units, free of YAML, of pydantic and of any engine.
+"""The compiled scenario: frozen, in SI units, free of YAML, of the schema and of any engine.
 
     CompiledScenario
     ├── world         what an engine builds: timestep, ground, arena, robots as data, objects

@@ -2,14 +2,15 @@
 
 scenario.py         the sections of a file
 world.py objects.py robot.py sensors.py actuators.py task.py reset.py training.py
-                    their parts: pydantic models, one module per part
+                    their parts: models, one module per part
 hyperparameters.py  the algorithms and what each may be given
 pose.py quantity.py names that the models use: poses, lengths, durations
 fields.py plain.py names.py
                     field kinds: what a single value may be; the metadata that the compiler reads
 part.py             the base of the models, and how parts, lists and mappings nest
+check.py            data to parts, or what is refused (refusal.py) and where
 walk.py             walking a scenario: every value with its path and kind
-validate.py         nodes to a Scenario; complaints of the models become findings
+validate.py         nodes to a Scenario; refusals become findings
 explain.py          their wording
 examples.py         an example of every key, from examples.yaml
 export.py           the JSON Schema for editors: `python -m deepbots_cli.schema.export`

@@ -117,8 +117,8 @@ def about(data: object, path: Path) -> str | None:
     """What the innermost known key of a path is for."""
     for depth in range(len(path), 0, -1):
         spec, key = spec_at(Scenario, data, path[: depth - 1]), path[depth - 1]
-        if isinstance(spec, type) and issubclass(spec, Part) and isinstance(key, str) and key in spec.model_fields:
-            text = (spec.model_fields[key].description or "").rstrip(".")
+        if isinstance(spec, type) and issubclass(spec, Part) and isinstance(key, str) and key in spec.declared:
+            text = spec.declared[key].description.rstrip(".")
             return f"`{key}`: {text[:1].lower()}{text[1:]}"
         if isinstance(key, str):
             return None

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import JsonSchema, Leaf
-from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import VERSION, Scenario
 
 FILE_NAME = f"deepbots-{VERSION}.schema.json"
@@ -54,7 +54,7 @@ class _Writer:
             case Leaf():
                 return spec.json_schema()
             case Listed():
-                return {"type": "array", "items": self.schema(spec.item)} | self._at_least("minItems", spec.least)
+                return {"type": "array", "items": self.schema(spec.item)} | self._at_least("minItems", spec.size.least)
             case Mapped():
                 return self._mapped(spec)
             case Alternatives():
@@ -73,7 +73,7 @@ class _Writer:
             "properties": {"include": _INCLUDE},
             "propertyNames": spec.key.json_schema(),
             "additionalProperties": self.schema(spec.value),
-        } | self._at_least("minProperties", min(spec.least, 1))
+        } | self._at_least("minProperties", min(spec.size.least, 1))
 
     def _alternatives(self, options: tuple[Spec, ...]) -> JsonSchema:
         first, *others = options
@@ -123,7 +123,7 @@ class _Writer:
         return schema | ({"allOf": demands} if demands else {})
 
     def _property(self, part: type[Part], name: str, spec: Spec) -> JsonSchema:
-        info = part.model_fields[name]
+        info = part.declared[name]
         schema = self.schema(spec) | {"description": info.description}
         if isinstance(info.default, (str, int, float)) and info.default != "":
             schema["default"] = info.default
@@ -131,7 +131,7 @@ class _Writer:
         return schema | ({"examples": [example.data]} if example else {})
 
     def _demands(self, part: type[Part]) -> Iterator[JsonSchema]:
-        required = [name for name, info in part.model_fields.items() if info.is_required()]
+        required = [name for name, info in part.declared.items() if info.default is REQUIRED]
         if required and not self._fragment:
             yield {"anyOf": [{"required": required}, _WITH_INCLUDE]}
         for keys in part.needs:

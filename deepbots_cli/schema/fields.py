@@ -13,11 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from pydantic import GetCoreSchemaHandler, ValidationError
-from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
-
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.units import UNITS
+from deepbots_cli.schema.refusal import at, mismatch, problem
 
 Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
@@ -25,26 +23,6 @@ JsonSchema = dict[str, object]
 
 # Beyond this a number means nothing physical, and arithmetic on it overflows.
 LARGEST = 1e30
-
-
-def problem(
-    code: str, headline: str, help: str | None = None, missing: tuple[str, ...] = (), meant: Meant | None = None
-) -> PydanticCustomError:
-    """A complaint in our own words; `validate` gives it a place. Raised, it is an ordinary schema error.
-
-    `meant` is what to write instead of the whole value.
-    """
-    return PydanticCustomError(code, "{headline}", {"headline": headline, "help": help, "missing": missing, "meant": meant})
-
-
-def mismatch(expected: str, help: str | None = None, meant: Meant | None = None) -> PydanticCustomError:
-    """A value of the wrong type: `validate` adds what was found instead."""
-    return PydanticCustomError("DB103", "{expected}", {"expected": expected, "help": help, "meant": meant})
-
-
-def at(step: str | int, error: PydanticCustomError, value: object) -> ValidationError:
-    """The same complaint one step further down."""
-    return ValidationError.from_exception_data("", [InitErrorDetails(type=error, loc=(step,), input=value)])
 
 
 class Leaf:
@@ -93,9 +71,6 @@ class Leaf:
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string"}
-
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.bound(source).check)
 
 
 # What each measure is called in a sentence, and how one is written.
@@ -342,7 +317,7 @@ class Reference(Leaf):
             raise problem("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise at(index, mismatch(f"the name of {article(self.kind[:-1])}"), item)
+                raise at(index, mismatch(f"the name of {article(self.kind[:-1])}"))
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:

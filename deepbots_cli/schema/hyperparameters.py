@@ -10,9 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
-from deepbots_cli.schema.part import FORMS, Part
+from deepbots_cli.schema.part import FORMS, Part, field
 from deepbots_cli.schema.plain import Count, Frequency, Real, Schedule, Word
 from deepbots_cli.schema.quantity import OnOff, Whole
 
@@ -25,19 +23,19 @@ Positive = Annotated[float, Real(0, exclusive=True)]
 class ActionNoise(Part):
     """Noise on the actions while training."""
 
-    type: Annotated[Literal["normal", "ornstein_uhlenbeck"], Word()] = Field(
+    type: Annotated[Literal["normal", "ornstein_uhlenbeck"], Word()] = field(
         description="Independent (`normal`) or drifting (`ornstein_uhlenbeck`)."
     )
-    sigma: Ramp = Field(description="Standard deviation in the agent's [-1, 1], or a schedule such as `0.5 -> 0.1`.")
-    theta: Positive = Field(default=0.15, description="How fast drifting noise returns to zero: by the factor `exp(-theta)` in a step.")
+    sigma: Ramp = field(description="Standard deviation in the agent's [-1, 1], or a schedule such as `0.5 -> 0.1`.")
+    theta: Positive = field(default=0.15, description="How fast drifting noise returns to zero: by the factor `exp(-theta)` in a step.")
 
 
 class Hindsight(Part):
     """Hindsight experience replay, for a scenario with a `goal`."""
 
-    type: Annotated[Literal["her"], Word()] = Field(description="The kind of replay.")
-    n_sampled_goal: Whole = Field(default=4, description="Goals that are made up for each step.")
-    goal_selection_strategy: Annotated[Literal["future", "final", "episode"], Word()] = Field(
+    type: Annotated[Literal["her"], Word()] = field(description="The kind of replay.")
+    n_sampled_goal: Whole = field(default=4, description="Goals that are made up for each step.")
+    goal_selection_strategy: Annotated[Literal["future", "final", "episode"], Word()] = field(
         default="future", description="Where they come from: later in the episode, its end, or anywhere in it."
     )
 

@@ -6,7 +6,8 @@ import re
 from dataclasses import dataclass
 
 from deepbots_cli.lang.units import UNITS
-from deepbots_cli.schema.fields import JsonSchema, Leaf, problem
+from deepbots_cli.schema.fields import JsonSchema, Leaf
+from deepbots_cli.schema.refusal import problem
 
 # Every scenario has these values; what they hold is the compiler's business.
 BUILT_IN = frozenset(

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
-
 from deepbots_cli.schema.fields import Quantity, Scalar
-from deepbots_cli.schema.part import Kinds, Part, Size
+from deepbots_cli.schema.part import Kinds, Part, Size, field
 from deepbots_cli.schema.pose import Pose
 from deepbots_cli.schema.quantity import (
     DrawnCount,
@@ -27,55 +25,55 @@ from deepbots_cli.schema.quantity import (
 class Material(Part):
     """What a body is made of; in `one_of`, a variant overrides it."""
 
-    mass: DrawnMass | None = Field(
+    mass: DrawnMass | None = field(
         default=None, description="Mass, kg; by default as much as water has in this shape. A mesh that can move needs one."
     )
-    colour: Paint | None = Field(default=None, description="Colour: a word, `'#rrggbb'`, or `choice(red | green)`.")
-    friction: DrawnFactor | None = Field(default=None, description="Coulomb's coefficient of friction.")
-    spinning_friction: DrawnFactor | None = Field(default=None, description="Friction against spinning on the spot.")
-    rolling_friction: DrawnFactor | None = Field(default=None, description="Friction against rolling.")
-    restitution: DrawnShare | None = Field(default=None, description="Share of the speed that a bounce keeps, 0 to 1.")
-    fixed: OnOff | None = Field(default=None, description="Whether it never moves; by default false.")
-    solid: OnOff | None = Field(default=None, description="Whether things bump into it; `false` makes a mark that is only seen.")
+    colour: Paint | None = field(default=None, description="Colour: a word, `'#rrggbb'`, or `choice(red | green)`.")
+    friction: DrawnFactor | None = field(default=None, description="Coulomb's coefficient of friction.")
+    spinning_friction: DrawnFactor | None = field(default=None, description="Friction against spinning on the spot.")
+    rolling_friction: DrawnFactor | None = field(default=None, description="Friction against rolling.")
+    restitution: DrawnShare | None = field(default=None, description="Share of the speed that a bounce keeps, 0 to 1.")
+    fixed: OnOff | None = field(default=None, description="Whether it never moves; by default false.")
+    solid: OnOff | None = field(default=None, description="Whether things bump into it; `false` makes a mark that is only seen.")
 
 
 class Shaped(Material):
     """A body of one shape."""
 
-    shape: Prose = Field(description="The shape of the body.")
+    shape: Prose = field(description="The shape of the body.")
 
 
 class Box(Shaped):
     """A box."""
 
-    size: Extent = Field(description="Lengths along x, y and z, such as `10 10 10 cm`.")
+    size: Extent = field(description="Lengths along x, y and z, such as `10 10 10 cm`.")
 
 
 class Sphere(Shaped):
     """A ball."""
 
-    radius: Thickness = Field(description="Radius, m.")
+    radius: Thickness = field(description="Radius, m.")
 
 
 class Cylinder(Shaped):
     """A cylinder along z."""
 
-    radius: Thickness = Field(description="Radius, m.")
-    height: Thickness = Field(description="Height, m.")
+    radius: Thickness = field(description="Radius, m.")
+    height: Thickness = field(description="Height, m.")
 
 
 class Capsule(Shaped):
     """A cylinder along z with half a ball on either end."""
 
-    radius: Thickness = Field(description="Radius, m.")
-    height: Thickness = Field(description="Height of the cylinder between the half balls, m.")
+    radius: Thickness = field(description="Radius, m.")
+    height: Thickness = field(description="Height of the cylinder between the half balls, m.")
 
 
 class Mesh(Shaped):
     """A body from a mesh file."""
 
-    file: MeshFile = Field(description="The mesh.")
-    scale: Annotated[Scalar, Quantity("number", components=3)] | None = Field(default=None, description="Factors along x, y and z.")
+    file: MeshFile = field(description="The mesh.")
+    scale: Annotated[Scalar, Quantity("number", components=3)] | None = field(default=None, description="Factors along x, y and z.")
 
 
 SHAPES: dict[str, type[Shaped]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "mesh": Mesh}
@@ -84,8 +82,8 @@ SHAPES: dict[str, type[Shaped]] = {"box": Box, "sphere": Sphere, "cylinder": Cyl
 class Placed(Part):
     """What an object has besides its shape."""
 
-    pose: Pose = Field(default_factory=Pose, description="Where it stands unless `reset` places it.")
-    count: DrawnCount = Field(default=1, description="How many copies there are; the name then names a group.")
+    pose: Pose = field(default=Pose(), description="Where it stands unless `reset` places it.")
+    count: DrawnCount = field(default=1, description="How many copies there are; the name then names a group.")
 
 
 class BoxObject(Placed, Box):
@@ -111,7 +109,7 @@ class MeshObject(Placed, Mesh):
 class VariedObject(Placed, Material):
     """Copies of different shapes: each is drawn from the variants."""
 
-    one_of: Annotated[dict[LocalName, Annotated[Shaped, Kinds("shape", tuple(SHAPES), SHAPES.__getitem__)]], Size(1, "variant")] = Field(
+    one_of: Annotated[dict[LocalName, Annotated[Shaped, Kinds("shape", tuple(SHAPES), SHAPES.__getitem__)]], Size(1, "variant")] = field(
         description="The variants that each copy is drawn from, by names of your choice."
     )
 

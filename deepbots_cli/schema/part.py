@@ -16,19 +16,32 @@ from __future__ import annotations
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin
-
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, Strict
-from pydantic_core import CoreSchema, core_schema
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from deepbots_cli.diagnostics.nearest import meant
-from deepbots_cli.schema.fields import Leaf, article, at, count, mismatch, problem
+from deepbots_cli.schema.fields import Leaf, article, count
 from deepbots_cli.schema.plain import choose_from
+from deepbots_cli.schema.refusal import Refusal, at, mismatch, problem
 
 T = TypeVar("T")
-Many = Annotated[tuple[T, ...], Strict(False)]
+Many = tuple[T, ...]
 """A list in the file, a tuple in the model."""
+
+REQUIRED: Final = object()
+"""The default of a field that has none."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """What is said of a key beside its type; `default` is shared by all parts that leave it out."""
+
+    description: str
+    default: object = REQUIRED
+
+
+def field(*, description: str, default: object = REQUIRED) -> Any:
+    """How a part declares a key, beside its type."""
+    return Field(description, default)
 
 
 @dataclass(frozen=True)
@@ -40,38 +53,52 @@ class Keys:
     most: int = 1
 
 
-class Part(BaseModel):
-    """A mapping whose keys the language knows.
+class Part:
+    """A mapping whose keys the language knows: the base of every model.
 
-    Schemas are built when they are first used: a scenario uses a third of them.
+    A model declares its keys as annotated fields. The annotations are read when a scenario first has such a part (`fields`),
+    since it uses a third of them. `check` makes parts of data. They are not to be changed.
     """
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
     needs: ClassVar[tuple[Keys, ...]] = ()
     marks: ClassVar[frozenset[str]] = frozenset()
     """Among several mapping forms, the keys that give this one away."""
 
+    declared: ClassVar[Mapping[str, Field]] = {}
+    """The fields by their keys, in order, those of the bases first."""
+    _defaults: ClassVar[Mapping[str, object]] = {}
+
+    given: frozenset[str]
+    """The keys that the user wrote."""
+
+    def __init_subclass__(cls) -> None:
+        members = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
+        cls.declared = types.MappingProxyType({name: value for name, value in members.items() if isinstance(value, Field)})
+        cls._defaults = {name: field.default for name, field in cls.declared.items() if field.default is not REQUIRED}
+
+    def __init__(self, **given: object) -> None:
+        self.__dict__.update(self._defaults, **given, given=frozenset(given))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a {type(self).__name__} cannot be changed")
+
 
 @dataclass(frozen=True)
 class Size:
-    """The least number of entries of a list or mapping.
-
-    It is not asked for again after faulty entries were taken out, which `validate` says in the context.
-    """
+    """The least number of entries of a list or mapping, and what one is called."""
 
     least: int = 1
     noun: str = "entry"
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.with_info_after_validator_function(self._check, handler(source))
-
-    def _check(self, value: Any, info: core_schema.ValidationInfo) -> Any:
-        if len(value) < self.least and not info.context:
-            if not value:
+    def check(self, size: int) -> None:
+        """Raise a `problem` if there are too few."""
+        if size < self.least:
+            if not size:
                 raise problem("DB107", "is empty", f"give at least {count(self.least, self.noun)}")
-            raise problem("DB106", f"expected at least {count(self.least, self.noun)}, found {len(value)}")
-        return value
+            raise problem("DB106", f"expected at least {count(self.least, self.noun)}, found {size}")
+
+
+ANY_SIZE = Size(0)
 
 
 @dataclass(frozen=True)
@@ -79,7 +106,7 @@ class Listed:
     """The spec of a list."""
 
     item: Spec
-    least: int = 0
+    size: Size = ANY_SIZE
 
 
 @dataclass(frozen=True)
@@ -88,7 +115,7 @@ class Mapped:
 
     key: Leaf
     value: Spec
-    least: int = 0
+    size: Size = ANY_SIZE
 
 
 @dataclass(frozen=True)
@@ -101,21 +128,14 @@ class Alternatives:
         """Which form `value`, raw or validated, has."""
         return next((i for i, option in enumerate(self.options) if _fits(option, value)), None)
 
-    def tag(self, index: int | None) -> int | str | None:
-        """A mark of this form that is no step into data of this form."""
-        return "list" if index is not None and isinstance(self.options[index], Listed) else index
-
     def choose(self, value: object) -> Spec | None:
         index = self.index(value)
         return None if index is None else self.options[index]
 
-    def complaint(self) -> dict[str, str | int | float]:
+    def complaint(self) -> Refusal:
         """What is said of a value that has none of the forms; how the first that is a single value is written."""
-        told: dict[str, str | int | float] = {"expected": " or ".join(dict.fromkeys(noun_of(option) for option in self.options))}
-        hints = [hint for option in self.options if isinstance(option, Leaf) if (hint := option.help_for(None))]
-        if hints:
-            told["help"] = hints[0]
-        return told
+        hints = (option.help_for(None) for option in self.options if isinstance(option, Leaf))
+        return mismatch(noun_of(self), next((hint for hint in hints if hint), None))
 
 
 def _fits(spec: Spec, value: object) -> bool:
@@ -135,24 +155,8 @@ def _fits(spec: Spec, value: object) -> bool:
             return False
 
 
-@dataclass(frozen=True)
 class Forms:
-    """Marks a union whose member is told by the shape of the data; members with `marks` come first.
-
-    A tagged union puts its tag into the place of an error. No tag here can be mistaken for a step into the data (a
-    number where a mapping or a text stands, a word where a list stands), so that `validate` can take them out again.
-    """
-
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        options = get_args(source)
-        spec = Alternatives(tuple(spec_of(option) for option in options))
-        return core_schema.tagged_union_schema(
-            {spec.tag(index): handler.generate_schema(option) for index, option in enumerate(options)},
-            discriminator=lambda value: spec.tag(spec.index(value)),
-            custom_error_type="DB103",
-            custom_error_message="{expected}",
-            custom_error_context=spec.complaint(),
-        )
+    """Marks a union whose member is told by the shape of the data; members with `marks` come first."""
 
 
 FORMS = Forms()
@@ -170,9 +174,6 @@ class Kinds:
     model: Callable[[str], type[Part]]
     marked: tuple[tuple[str, type[Part]], ...] = ()
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.with_info_plain_validator_function(self._validate)
-
     def find(self, value: object) -> type[Part] | None:
         """The model for `value`, raw or validated; None if its kind is unknown."""
         if isinstance(value, Part):
@@ -184,13 +185,8 @@ class Kinds:
             return self.model(word)
         return next((model for mark, model in self.marked if word is None and mark in value), None)
 
-    def _validate(self, value: object, info: core_schema.ValidationInfo) -> Part:
-        model = self.find(value)
-        if model is None:
-            raise self._complaint(value)
-        return model.model_validate(value, context=info.context)
-
-    def _complaint(self, value: object) -> Exception:
+    def complaint(self, value: object) -> Refusal:
+        """What is said of a value whose model `find` does not know."""
         if not isinstance(value, Mapping):
             return mismatch("a mapping", f"write it like `{{{self.key}: {self.names[0]}}}`")
         marks = [mark for mark, _ in self.marked]
@@ -204,9 +200,9 @@ class Kinds:
             )
         word = value[self.key]
         if not isinstance(word, str):
-            return at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names)), word)
+            return at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names)))
         near = meant(word, self.names, ours=True)
-        return at(self.key, problem("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=near), word)
+        return at(self.key, problem("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=near))
 
 
 Spec = Leaf | type[Part] | Listed | Mapped | Alternatives | Kinds
@@ -225,17 +221,23 @@ def noun_of(spec: Spec) -> str:
             return "a mapping"
 
 
-@cache
+_FIELDS: dict[type[Part], Mapping[str, Spec]] = {}
+
+
 def fields(part: type[Part]) -> Mapping[str, Spec]:
     """The keys of a part, in order, each with its spec."""
-    return types.MappingProxyType({name: spec_of(info.annotation, tuple(info.metadata)) for name, info in part.model_fields.items()})
+    found = _FIELDS.get(part)
+    if found is None:
+        annotations = get_type_hints(part, include_extras=True)
+        found = _FIELDS[part] = types.MappingProxyType({name: spec_of(annotations[name]) for name in part.declared})
+    return found
 
 
 def spec_of(annotation: Any, metadata: tuple[object, ...] = ()) -> Spec:
     """The spec of an annotation; one that the language has no spec for is a mistake in a model."""
     if get_origin(annotation) is Annotated:
         return spec_of(annotation.__origin__, (*annotation.__metadata__, *metadata))
-    least = 0
+    size = ANY_SIZE
     for item in metadata:
         match item:
             case Leaf():
@@ -245,7 +247,7 @@ def spec_of(annotation: Any, metadata: tuple[object, ...] = ()) -> Spec:
             case Forms():
                 return Alternatives(tuple(spec_of(option) for option in get_args(annotation)))
             case Size():
-                least = item.least
+                size = item
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin in (Union, types.UnionType):
         (only,) = (option for option in arguments if option is not types.NoneType)
@@ -253,9 +255,9 @@ def spec_of(annotation: Any, metadata: tuple[object, ...] = ()) -> Spec:
     if origin is dict:
         key = spec_of(arguments[0])
         if isinstance(key, Leaf):
-            return Mapped(key, spec_of(arguments[1]), least)
+            return Mapped(key, spec_of(arguments[1]), size)
     if origin is tuple:
-        return Listed(spec_of(arguments[0]), least)
+        return Listed(spec_of(arguments[0]), size)
     if isinstance(annotation, type) and issubclass(annotation, Part):
         return annotation
     raise TypeError(f"no spec for {annotation!r}")

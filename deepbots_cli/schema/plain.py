@@ -12,7 +12,8 @@ from typing import get_args
 
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.lang.types import shown
-from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds, mismatch, problem
+from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds
+from deepbots_cli.schema.refusal import mismatch, problem
 
 _REAL = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 # Compiled when they are first used: most scenarios need few of them.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from pydantic import Field
-
 from deepbots_cli.schema.fields import Quantity, Scalar
-from deepbots_cli.schema.part import Keys, Part
+from deepbots_cli.schema.part import Keys, Part, field
 from deepbots_cli.schema.quantity import DrawnAngle, DrawnCoordinate
 
 _ONE_WAY = tuple(Keys((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
@@ -21,16 +19,16 @@ class Mount(Part):
 
     needs: ClassVar[tuple[Keys, ...]] = _ONE_WAY
 
-    x: Coordinate = Field(default=0, description="Position along x of the link, m.")
-    y: Coordinate = Field(default=0, description="Position along y of the link, m.")
-    z: Coordinate = Field(default=0, description="Position along z of the link, m.")
-    xyz: Annotated[Scalar, Quantity("length", components=3)] | None = Field(
+    x: Coordinate = field(default=0, description="Position along x of the link, m.")
+    y: Coordinate = field(default=0, description="Position along y of the link, m.")
+    z: Coordinate = field(default=0, description="Position along z of the link, m.")
+    xyz: Annotated[Scalar, Quantity("length", components=3)] | None = field(
         default=None, description="All three coordinates at once, such as `30 0 40 mm`."
     )
-    roll: Angle = Field(default=0, description="Turn about x.")
-    pitch: Angle = Field(default=0, description="Turn about y.")
-    yaw: Angle = Field(default=0, description="Turn about z; left is positive.")
-    rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = Field(
+    roll: Angle = field(default=0, description="Turn about x.")
+    pitch: Angle = field(default=0, description="Turn about y.")
+    yaw: Angle = field(default=0, description="Turn about z; left is positive.")
+    rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = field(
         default=None, description="Roll, pitch and yaw at once, such as `0 0 90 deg`."
     )
 
@@ -40,11 +38,11 @@ class Pose(Part):
 
     needs: ClassVar[tuple[Keys, ...]] = _ONE_WAY
 
-    x: DrawnCoordinate | None = Field(default=None, description="Position along x of the world, m.")
-    y: DrawnCoordinate | None = Field(default=None, description="Position along y of the world, m.")
-    z: DrawnCoordinate | None = Field(default=None, description="Height above the ground or the terrain, m.")
-    xyz: Annotated[Scalar, Quantity("length", 3, "episode")] | None = Field(default=None, description="All three coordinates at once.")
-    roll: DrawnAngle | None = Field(default=None, description="Turn about x; `any` draws it from the whole circle.")
-    pitch: DrawnAngle | None = Field(default=None, description="Turn about y; `any` draws it from the whole circle.")
-    yaw: DrawnAngle | None = Field(default=None, description="Turn about z; `any` draws it from the whole circle.")
-    rpy: Annotated[Scalar, Quantity("angle", 3, "episode")] | None = Field(default=None, description="Roll, pitch and yaw at once.")
+    x: DrawnCoordinate | None = field(default=None, description="Position along x of the world, m.")
+    y: DrawnCoordinate | None = field(default=None, description="Position along y of the world, m.")
+    z: DrawnCoordinate | None = field(default=None, description="Height above the ground or the terrain, m.")
+    xyz: Annotated[Scalar, Quantity("length", 3, "episode")] | None = field(default=None, description="All three coordinates at once.")
+    roll: DrawnAngle | None = field(default=None, description="Turn about x; `any` draws it from the whole circle.")
+    pitch: DrawnAngle | None = field(default=None, description="Turn about y; `any` draws it from the whole circle.")
+    yaw: DrawnAngle | None = field(default=None, description="Turn about z; `any` draws it from the whole circle.")
+    rpy: Annotated[Scalar, Quantity("angle", 3, "episode")] | None = field(default=None, description="Roll, pitch and yaw at once.")

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
-
 from deepbots_cli.schema.fields import Column, Quantity, Range, Reference, Scalar
-from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part, Size
+from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part, Size, field
 from deepbots_cli.schema.plain import Count, Word
 from deepbots_cli.schema.pose import Mount
 from deepbots_cli.schema.quantity import DrawnDelay, JointName, JointNames, LinkName, LinkNames, LocalName, Period, Prose
@@ -16,20 +14,20 @@ from deepbots_cli.schema.quantity import DrawnDelay, JointName, JointNames, Link
 class Sensor(Part):
     """What all sensors have: the faults of real ones."""
 
-    type: Prose = Field(description="The kind of sensor.")
-    period: Period | None = Field(default=None, description="Time between two readings, a multiple of the timestep; by default one tick.")
-    latency: DrawnDelay = Field(default="0 ms", description="Age of a reading when the robot gets it.")
-    noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = Field(
+    type: Prose = field(description="The kind of sensor.")
+    period: Period | None = field(default=None, description="Time between two readings, a multiple of the timestep; by default one tick.")
+    latency: DrawnDelay = field(default="0 ms", description="Age of a reading when the robot gets it.")
+    noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = field(
         default=0, description="Standard deviation of each reading: in the unit of the sensor, or as `2 %` of the value."
     )
-    bias: Annotated[Scalar, Quantity("reading", stage="episode", relative=True)] = Field(
+    bias: Annotated[Scalar, Quantity("reading", stage="episode", relative=True)] = field(
         default=0, description="Constant error in an episode."
     )
-    drift: Annotated[Scalar, Quantity("any", stage="episode")] = Field(default=0, description="Growth of the bias per second.")
-    quantise: Annotated[Scalar, Quantity("reading", minimum=0)] = Field(
+    drift: Annotated[Scalar, Quantity("any", stage="episode")] = field(default=0, description="Growth of the bias per second.")
+    quantise: Annotated[Scalar, Quantity("reading", minimum=0)] = field(
         default=0, description="Step between two readings that can be told apart."
     )
-    range: Annotated[str, Range("reading")] | None = Field(
+    range: Annotated[str, Range("reading")] | None = field(
         default=None, description="What it can measure at all; readings are clipped to it."
     )
 
@@ -39,15 +37,15 @@ class JointSensor(Sensor):
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), least=1),)
 
-    joint: JointName | None = Field(default=None, description="The joint that it reads.")
-    joints: JointNames | None = Field(default=None, description="The joints that it reads: names, patterns such as `wheel_*`, or a group.")
+    joint: JointName | None = field(default=None, description="The joint that it reads.")
+    joints: JointNames | None = field(default=None, description="The joints that it reads: names, patterns such as `wheel_*`, or a group.")
 
 
 class LinkSensor(Sensor):
     """Sits on one link."""
 
-    link: LinkName = Field(description="The link that it sits on.")
-    pose: Mount = Field(default_factory=Mount, description="Where it sits on the link, and how it is turned.")
+    link: LinkName = field(description="The link that it sits on.")
+    pose: Mount = field(default=Mount(), description="Where it sits on the link, and how it is turned.")
 
 
 class ContactSensor(Sensor):
@@ -55,14 +53,14 @@ class ContactSensor(Sensor):
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), least=1),)
 
-    link: LinkName | None = Field(default=None, description="The link that feels.")
-    links: LinkNames | None = Field(default=None, description="The links that feel: names, patterns such as `*_toe`, or a group.")
+    link: LinkName | None = field(default=None, description="The link that feels.")
+    links: LinkNames | None = field(default=None, description="The links that feel: names, patterns such as `*_toe`, or a group.")
 
 
 class TouchSensor(ContactSensor):
     """Whether a link touches anything, in any substep."""
 
-    against: Annotated[str | tuple[str, ...], Reference("links")] | None = Field(
+    against: Annotated[str | tuple[str, ...], Reference("links")] | None = field(
         default=None, description="Feels only these bodies or links, or the `ground`."
     )
 
@@ -70,19 +68,19 @@ class TouchSensor(ContactSensor):
 class Lookup(Part):
     """What the sensor reports at which distance; columns of equal length, straight in between."""
 
-    distance: Annotated[Scalar, Column("length")] = Field(description="Distances in rising order, such as `0 5 10 mm`.")
-    value: Annotated[Scalar, Column("any")] = Field(description="The reading at each distance.")
-    noise: Annotated[Scalar, Column("any")] | None = Field(default=None, description="Noise at each distance, such as `0.2 0.3 %`.")
+    distance: Annotated[Scalar, Column("length")] = field(description="Distances in rising order, such as `0 5 10 mm`.")
+    value: Annotated[Scalar, Column("any")] = field(description="The reading at each distance.")
+    noise: Annotated[Scalar, Column("any")] | None = field(default=None, description="Noise at each distance, such as `0.2 0.3 %`.")
 
 
 class Fan(LinkSensor):
     """Looks along rays: given by name, or as a fan of a number of them."""
 
-    rays: Annotated[Annotated[dict[LocalName, Mount], Size(1, "ray")] | Annotated[int, Count(maximum=4096)], FORMS] | None = Field(
+    rays: Annotated[Annotated[dict[LocalName, Mount], Size(1, "ray")] | Annotated[int, Count(maximum=4096)], FORMS] | None = field(
         default=None,
         description="Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one.",
     )
-    fan: Annotated[str, Range("angle")] | None = Field(
+    fan: Annotated[str, Range("angle")] | None = field(
         default=None, description="Yaw of the first and of the last ray, such as `90 .. -90 deg`."
     )
 
@@ -90,16 +88,16 @@ class Fan(LinkSensor):
 class RaySensor(Fan):
     """Measures how far each ray is free; rays look along x of their frames."""
 
-    measure: Annotated[Literal["each", "nearest", "mean"], Word()] = Field(
+    measure: Annotated[Literal["each", "nearest", "mean"], Word()] = field(
         default="each", description="Each ray by its name, or one figure of all: that of the nearest thing, or the mean."
     )
-    lookup: Lookup | None = Field(default=None, description="What is reported at which distance; without it, the distance itself.")
+    lookup: Lookup | None = field(default=None, description="What is reported at which distance; without it, the distance itself.")
 
 
 class Reflectance(Fan):
     """Measures how bright the ground is below each ray's frame: 1 is white, painted lines have their own reflectance."""
 
-    spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = Field(
+    spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = field(
         default="4 mm", description="Diameter of the spot that it sees."
     )
 
@@ -107,13 +105,13 @@ class Reflectance(Fan):
 class Camera(LinkSensor):
     """Pictures along x of its frame."""
 
-    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True)] = Field(
+    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True)] = field(
         description="Columns and rows, such as `64 64`."
     )
-    fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = Field(
+    fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = field(
         default="60 deg", description="Angle of view from top to bottom."
     )
-    channels: Annotated[Literal["rgb", "grey", "depth", "mask"], Word()] = Field(default="rgb", description="What a pixel holds.")
+    channels: Annotated[Literal["rgb", "grey", "depth", "mask"], Word()] = field(default="rgb", description="What a pixel holds.")
 
 
 SENSORS: dict[str, type[Sensor]] = {

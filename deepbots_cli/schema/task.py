@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from pydantic import Field
-
 from deepbots_cli.schema.fields import Expression, Quantity, Range, Reference, Scalar
-from deepbots_cli.schema.part import FORMS, Keys, Many, Part, Size
+from deepbots_cli.schema.part import FORMS, Keys, Many, Part, Size, field
 from deepbots_cli.schema.plain import Count, PythonPath, Real, Setting, Until
 from deepbots_cli.schema.quantity import LocalName, OnOff, Period, Share, SharedName, Signal, Whole
 
@@ -18,14 +16,14 @@ Number = Annotated[Scalar, Quantity("any")]
 class PythonTerm(Part):
     """A term computed by a function of an installed package; refused unless foreign code is allowed."""
 
-    python: Annotated[str, PythonPath()] = Field(description="The function, `package.module:function`.")
+    python: Annotated[str, PythonPath()] = field(description="The function, `package.module:function`.")
 
 
 class ContinuousAction(Part):
     """Numbers that the agent chooses; it acts in [-1, 1], and the range says what that means."""
 
-    range: Annotated[str, Range("any")] = Field(description="What -1 and 1 of the agent stand for, such as `0.25 .. 1`.")
-    each: Annotated[str, Reference("group")] | None = Field(
+    range: Annotated[str, Range("any")] = field(description="What -1 and 1 of the agent stand for, such as `0.25 .. 1`.")
+    each: Annotated[str, Reference("group")] | None = field(
         default=None, description="One number for each member of this group, actuator or vector."
     )
 
@@ -35,10 +33,10 @@ class DiscreteAction(Part):
 
     marks: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
-    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Number] | Number, FORMS]], Size(2, "choice")] = Field(
+    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Number] | Number, FORMS]], Size(2, "choice")] = field(
         description="The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."
     )
-    forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = Field(
+    forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = field(
         default={}, description="When an option may not be chosen."
     )
 
@@ -49,33 +47,33 @@ Action = Annotated[DiscreteAction | ContinuousAction | Annotated[str, Range("any
 class Agent(Part):
     """How the policy is joined to the scenario."""
 
-    repeat: Small = Field(default=1, description="Control ticks for which one action of the agent is held.")
-    stack: Small = Field(default=1, description="How many observations in a row the policy sees.")
-    each: Annotated[str, Reference("robot")] | None = Field(default=None, description="One shared policy over the copies of this robot.")
+    repeat: Small = field(default=1, description="Control ticks for which one action of the agent is held.")
+    stack: Small = field(default=1, description="How many observations in a row the policy sees.")
+    each: Annotated[str, Reference("robot")] | None = field(default=None, description="One shared policy over the copies of this robot.")
 
 
 class Observed(Part):
     """One entry of the observation, with more than its range."""
 
-    range: Annotated[str, Range("any", auto=True)] = Field(
+    range: Annotated[str, Range("any", auto=True)] = field(
         description="What is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes what is known."
     )
-    history: Small = Field(default=1, description="How many values in a row the policy sees, newest last.")
-    noise: Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)] = Field(
+    history: Small = field(default=1, description="How many values in a row the policy sees, newest last.")
+    noise: Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)] = field(
         default=0, description="Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value."
     )
-    clip: OnOff = Field(default=True, description="Whether values outside the range are clipped to it.")
+    clip: OnOff = field(default=True, description="Whether values outside the range are clipped to it.")
 
 
 class Goal(Part):
     """A task that is told by where to get: for hindsight replay."""
 
-    achieved: Annotated[Scalar, Expression("goal", boolean=False)] = Field(description="What the agent has reached.")
-    desired: Annotated[Scalar, Expression("goal", boolean=False)] = Field(description="What it shall reach.")
-    within: Annotated[Scalar, Quantity("any", minimum=0)] = Field(
+    achieved: Annotated[Scalar, Expression("goal", boolean=False)] = field(description="What the agent has reached.")
+    desired: Annotated[Scalar, Expression("goal", boolean=False)] = field(description="What it shall reach.")
+    within: Annotated[Scalar, Quantity("any", minimum=0)] = field(
         description="Distance between the two at which the goal counts as reached."
     )
-    range: Annotated[str, Range("any")] = Field(description="Bounds of both, for the observation.")
+    range: Annotated[str, Range("any")] = field(description="Bounds of both, for the observation.")
 
 
 Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=True)], FORMS]
@@ -84,10 +82,10 @@ Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=T
 class Termination(Part):
     """Conditions that end the task; they are part of what the agent has to learn."""
 
-    success: dict[SharedName, Condition] = Field(
+    success: dict[SharedName, Condition] = field(
         default={}, description="Conditions under which the agent has succeeded, by names of your choice."
     )
-    failure: dict[SharedName, Condition] = Field(default={}, description="Conditions under which it has failed; failure beats success.")
+    failure: dict[SharedName, Condition] = field(default={}, description="Conditions under which it has failed; failure beats success.")
 
 
 class Truncation(Part):
@@ -95,8 +93,8 @@ class Truncation(Part):
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("max_steps", "max_time"), least=1, most=2),)
 
-    max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = Field(default=None, description="Steps of the agent.")
-    max_time: Period | None = Field(default=None, description="Simulated time, such as `60 s`.")
+    max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = field(default=None, description="Steps of the agent.")
+    max_time: Period | None = field(default=None, description="Simulated time, such as `60 s`.")
 
 
 Decision = Annotated[
@@ -113,11 +111,11 @@ Settings = dict[Annotated[str, Reference("setting")], Annotated[str | int | floa
 class Stage(Part):
     """A stage of the curriculum."""
 
-    name: LocalName = Field(description="Name of the stage.")
-    set: Settings = Field(
+    name: LocalName = field(description="Name of the stage.")
+    set: Settings = field(
         default={}, description="What is different: parameters by name, or other values by path, such as `reset.layout: paper`."
     )
-    until: Annotated[str, Until()] | None = Field(
+    until: Annotated[str, Until()] | None = field(
         default=None, description="When the next stage begins: `success_rate >= 0.7 over 40 episodes`, or after `50_000 steps`."
     )
 
@@ -125,15 +123,15 @@ class Stage(Part):
 class Case(Part):
     """One case of the evaluation."""
 
-    set: Settings = Field(default={}, description="What is different: parameters by name, or other values by path.")
-    episodes: Whole | None = Field(default=None, description="Episodes of this case.")
+    set: Settings = field(default={}, description="What is different: parameters by name, or other values by path.")
+    episodes: Whole | None = field(default=None, description="Episodes of this case.")
 
 
 class Evaluation(Part):
     """How a trained policy is examined."""
 
-    episodes: Whole = Field(default=100, description="Episodes, or episodes per case.")
-    cases: dict[LocalName, Case] = Field(default={}, description="Further conditions to examine it under, by names of your choice.")
+    episodes: Whole = field(default=100, description="Episodes, or episodes per case.")
+    cases: dict[LocalName, Case] = field(default={}, description="Further conditions to examine it under, by names of your choice.")
 
 
 class Solved(Part):
@@ -141,9 +139,9 @@ class Solved(Part):
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), least=1, most=2),)
 
-    mean_return: Annotated[float, Real()] | None = Field(default=None, description="Least mean return over the episodes.")
-    success_rate: Share | None = Field(default=None, description="Least share of successful episodes, 0 to 1.")
-    episodes: Whole = Field(default=100, description="Over how many episodes in a row.")
+    mean_return: Annotated[float, Real()] | None = field(default=None, description="Least mean return over the episodes.")
+    success_rate: Share | None = field(default=None, description="Least share of successful episodes, 0 to 1.")
+    episodes: Whole = field(default=100, description="Over how many episodes in a row.")
 
 
 Augmentation = Annotated[Many[Annotated[str, Reference("value")]] | dict[SharedName, Signal], FORMS]

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, create_model
-
 from deepbots_cli.schema.hyperparameters import ALGORITHMS
-from deepbots_cli.schema.part import Kinds, Many, Part
+from deepbots_cli.schema.part import Kinds, Many, Part, field
 from deepbots_cli.schema.plain import Count, Word
 from deepbots_cli.schema.quantity import Prose
 
@@ -17,10 +15,10 @@ from deepbots_cli.schema.quantity import Prose
 class Policy(Part):
     """The network of the policy."""
 
-    hidden: Many[Annotated[int, Count(maximum=8192)]] = Field(
+    hidden: Many[Annotated[int, Count(maximum=8192)]] = field(
         default=(64, 64), description="Units of each hidden layer, such as `[64, 64]`."
     )
-    activation: Annotated[Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"], Word()] = Field(
+    activation: Annotated[Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"], Word()] = field(
         default="tanh", description="Activation between the layers."
     )
 
@@ -28,28 +26,27 @@ class Policy(Part):
 class Training(Part):
     """What all algorithms have in common; the hyperparameters are fields of the model of each."""
 
-    algorithm: Prose = Field(description="The learning algorithm.")
-    total_timesteps: Annotated[int, Count(maximum=10**12)] = Field(
+    algorithm: Prose = field(description="The learning algorithm.")
+    total_timesteps: Annotated[int, Count(maximum=10**12)] = field(
         description="Steps of the agent to train for, summed over all environments."
     )
-    environments: Annotated[int, Count(maximum=1024)] = Field(
+    environments: Annotated[int, Count(maximum=1024)] = field(
         default=1, description="Copies of the environment that are trained in at once."
     )
-    policy: Policy = Field(default_factory=Policy, description="The network of the policy.")
+    policy: Policy = field(default=Policy(), description="The network of the policy.")
 
     @property
     def hyperparameters(self) -> Mapping[str, Any]:
         """What the user set of the algorithm's own, by its names, in the order of the table."""
-        return {name: getattr(self, name) for name in ALGORITHMS[self.algorithm] if name in self.model_fields_set}
+        return {name: getattr(self, name) for name in ALGORITHMS[self.algorithm] if name in self.given}
 
 
 @cache
 def training_with(algorithm: str) -> type[Training]:
     """The model of `train` for an algorithm of the table."""
-    own: dict[str, Any] = {
-        name: (entry.annotation | None, Field(default=None, description=entry.description)) for name, entry in ALGORITHMS[algorithm].items()
-    }
-    return create_model(f"{algorithm}Training", __base__=Training, __module__=__name__, **own)
+    own = {name: field(default=None, description=entry.description) for name, entry in ALGORITHMS[algorithm].items()}
+    annotations = {name: entry.annotation | None for name, entry in ALGORITHMS[algorithm].items()}
+    return type(f"{algorithm}Training", (Training,), {**own, "__annotations__": annotations, "__module__": __name__})
 
 
 AnyTraining = Annotated[Training, Kinds("algorithm", tuple(ALGORITHMS), training_with)]

@@ -11,15 +11,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import ValidationError
-
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span
 from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.schema.check import check
 from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place
 from deepbots_cli.schema.part import Keys
+from deepbots_cli.schema.refusal import Refusal
 from deepbots_cli.schema.scenario import VERSION, Scenario
 from deepbots_cli.schema.walk import parts, spec_at
-from deepbots_cli.source import nodes
 from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, descend, to_data, walk
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
@@ -72,8 +71,8 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
     earlier = tuple(findings)
     troubles = list(_key_troubles(data))
     for round_number in range(_ROUNDS):
-        scenario, refused = _attempt(root, data, lenient=round_number > 0)
-        troubles += refused
+        scenario, refusals = check(Scenario, data, lenient=round_number > 0)
+        troubles += [_trouble(root, data, refusal) for refusal in refusals]
         if round_number == 0:
             for trouble in troubles:
                 if not (_is_follow_up(root, trouble, earlier) or _is_misspelt(trouble, troubles)):
@@ -82,8 +81,7 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
         for trouble in troubles:
             _prune(data, trouble.path, pruned, trouble.missing)
         if scenario is not None and not troubles:
-            scenario._pruned = frozenset(pruned)
-            return scenario
+            return scenario.lacking(pruned) if pruned else scenario
         troubles = []
     return None
 
@@ -96,13 +94,6 @@ def _is_readable(root: Mapping, findings: Findings) -> bool:
     headline = f"this file is written in version {node.span.text[:9]} of the language, and this deepbots reads version {VERSION}"
     findings.add("DB105", node.span, headline, help="this file needs a newer deepbots: pip install --upgrade deepbots-cli")
     return False
-
-
-def _attempt(root: Mapping, data: Any, *, lenient: bool) -> tuple[Scenario | None, list[_Trouble]]:
-    try:
-        return Scenario.model_validate(data, context={"pruned": True} if lenient else None), []
-    except ValidationError as error:
-        return None, [_trouble(root, data, line) for line in error.errors(include_url=False, include_input=False)]
 
 
 def _key_troubles(data: Any) -> Iterator[_Trouble]:
@@ -123,61 +114,35 @@ def _lacking(path: Path, keys: Keys) -> _Trouble:
     return _Trouble("DB102", path, f"missing key {names} {place(path)}", "give one of them", keys.names, at_key=True)
 
 
-def _trouble(root: Mapping, data: Any, line: Any) -> _Trouble:
-    """One line of a schema error in our own words."""
-    loc: Path = line["loc"]
-    kind: str = line["type"]
-    context = line.get("ctx", {})
-    if kind == "missing":
-        parent, key = _steps(root, loc[:-1])[0], str(loc[-1])
-        return _Trouble("DB102", parent, f"missing key `{key}` {place(parent)}", about(data, (*parent, key)), (key,), at_key=True)
-    path, at_key = _steps(root, loc)
-    if kind == "extra_forbidden":
-        key = str(path[-1])
-        return _Trouble(
-            "DB101",
-            path,
-            f"unknown key `{key[:60]}` {place(path[:-1])}",
-            help_for_unknown(data, path[:-1], key),
-            at_key=True,
-            meant=meant_by(data, path),
-        )
-    if "headline" in context:
-        headline: str = context["headline"]
-        if kind == "DB102":
+def _trouble(root: Mapping, data: Any, refusal: Refusal) -> _Trouble:
+    """A refusal in our own words."""
+    code, path, help = refusal.code, refusal.path, refusal.help
+    match code, refusal.headline:
+        case "DB102", None:
+            (key,) = refusal.missing
+            return _Trouble(code, path, f"missing key `{key}` {place(path)}", about(data, (*path, key)), (key,), at_key=True)
+        case "DB101", None:
+            key = str(path[-1])
+            help, meant = help_for_unknown(data, path[:-1], key), meant_by(data, path)
+            return _Trouble(code, path, f"unknown key `{key[:60]}` {place(path[:-1])}", help, at_key=True, meant=meant)
+        case _, None:
+            node = descend(root, path)[0]
+            headline = f"expected {refusal.expected or expected_at(data, path)}, found {describe(node)}"
+            help = _glued_key(node) or help or keys_of(spec_at(Scenario, data, path))
+        case "DB102", str(headline):
             headline = f"{headline} {place(path)}"
-        if kind == "DB107":
-            headline = f"{'a key' if at_key else f'`{name_of(path)}`'} {headline}"
-        at_key = at_key or kind in ("DB102", "DB107")
-        return _Trouble(kind, path, headline, context["help"], context["missing"], at_key=at_key, meant=context["meant"])
-    node = descend(root, path)[0]
-    expected = context.get("expected") or expected_at(data, path)
-    help = _glued_key(node) or context.get("help") or keys_of(spec_at(Scenario, data, path))
-    return _Trouble("DB103", path, f"expected {expected}, found {describe(node)}", help, at_key=at_key, meant=context.get("meant"))
+        case "DB107", str(headline):
+            headline = f"{'a key' if refusal.at_key else f'`{name_of(path)}`'} {headline}"
+        case _, str(headline):
+            pass
+    at_key = refusal.at_key or code in ("DB102", "DB107")
+    return _Trouble(code, path, headline, help, refusal.missing, at_key=at_key, meant=refusal.meant)
 
 
 def _glued_key(node: Node) -> str | None:
     """What to write in place of `key:value`, which YAML takes for one text."""
     glued = re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", node.text) if isinstance(node, Scalar) and node.style == "plain" else None
     return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`" if glued else None
-
-
-def _steps(root: Mapping, loc: Path) -> tuple[Path, bool]:
-    """A place as the models tell it, without the tags of unions; and whether it is a key that they mean."""
-    path: list[str | int] = []
-    node: Node = root
-    for index, step in enumerate(loc):
-        match node:
-            case Mapping() if isinstance(step, str) and step in node.entries:
-                node = node.entries[step].value
-            case nodes.Sequence() if isinstance(step, int) and 0 <= step < len(node.items):
-                node = node.items[step]
-            case _:
-                if step == "[key]" and index == len(loc) - 1:
-                    return tuple(path), True
-                continue
-        path.append(step)
-    return tuple(path), False
 
 
 def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) -> bool:

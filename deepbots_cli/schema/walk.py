@@ -18,7 +18,7 @@ def visit(part: Part, path: Path = ()) -> Iterator[Visit]:
     what the entry holds. Values left to their defaults have no place in the file and are not visited.
     """
     for name, spec in fields(type(part)).items():
-        if name in part.model_fields_set:
+        if name in part.given:
             yield from _visit(spec, getattr(part, name), (*path, name))
 
 

@@ -71,7 +71,7 @@ def models(spec: Spec, kind: str = "") -> Iterator[tuple[type[Part], str]]:
 
 
 def declared(part: type[Part], name: str) -> type[Part]:
-    return [base for base in part.__mro__ if issubclass(base, Part) and name in base.model_fields][-1]
+    return [base for base in part.__mro__ if issubclass(base, Part) and name in base.declared][-1]
 
 
 PARTS = list(dict.fromkeys(models(Scenario)))
@@ -150,7 +150,7 @@ def test_every_key_has_an_example(part: type[Part]):
 
 
 def test_every_example_is_of_a_key():
-    known = {base.__name__: set(base.model_fields) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Part)}
+    known = {base.__name__: set(base.declared) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Part)}
     known["Training"] |= {name for part, _ in PARTS if part.__name__.endswith("Training") for name in fields(part)}
     assert [f"{part}.{key}" for part, keys in table().items() for key in keys if key not in known.get(part, set())] == []
 

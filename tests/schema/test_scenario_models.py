@@ -92,7 +92,7 @@ def test_every_key_has_a_sentence_for_the_editor() -> None:
     found = parts(Scenario, set())
     assert len(found) > 50
     for part in found:
-        for name, info in part.model_fields.items():
+        for name, info in part.declared.items():
             assert info.description, f"{part.__name__}.{name}"
             assert info.description.endswith("."), f"{part.__name__}.{name}"
 
