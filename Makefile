@@ -25,6 +25,10 @@ train: setup ## train and evaluate the CartPole
 test: dev ## the tests, without those that take minutes
 	$(BIN)/pytest -n 2 -m "not slow"
 
+.PHONY: fuzz
+fuzz: dev ## lint damaged files; COUNT=500000 takes most of an hour of CPU, START= goes on from a number
+	$(BIN)/python -m tests.fuzz --count $(or $(COUNT),20000) --start $(or $(START),0)
+
 .PHONY: check
 check: dev ## everything that a change must pass
 	$(BIN)/ruff check .

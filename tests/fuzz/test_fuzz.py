@@ -1,0 +1,54 @@
+"""Whatever becomes of a file: findings, in time, the same every time. A short share of `make fuzz`, and files made by hypothesis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.fuzz.mutations import CORPUS, PIECES, READS, SEEDS, Case, case
+from tests.fuzz.mutations import ROOT as REPOSITORY
+from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
+
+COUNT = 400
+FOLDER = SEEDS.relative_to(REPOSITORY)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+    with Workbench(tmp_path_factory.mktemp("bench")) as bench:
+        yield bench
+
+
+def test_a_damaged_file_gives_findings_at_its_places_in_time(bench: Workbench) -> None:
+    for number in range(COUNT):
+        bench.examine(number)
+
+
+def test_findings_are_the_same_under_another_hash_seed(bench: Workbench) -> None:
+    numbers = range(COUNT, COUNT + 30)
+    assert digests_elsewhere(numbers, 7) == [digest(bench.examine(number)) for number in numbers]
+
+
+def test_a_number_always_gives_the_same_damage() -> None:
+    assert [case(number) for number in range(50)] == [case(number) for number in range(50)]
+
+
+DAMAGE = st.lists(
+    st.tuples(st.floats(0, 1), st.integers(0, 30), st.sampled_from(PIECES) | st.binary(max_size=6) | st.text(max_size=6).map(str.encode)),
+    min_size=1,
+    max_size=5,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(main=st.sampled_from(sorted(READS)), data=st.data(), damage=DAMAGE)
+def test_bytes_put_anywhere_give_findings(bench: Workbench, main: str, data: st.DataObject, damage: list[tuple[float, int, bytes]]) -> None:
+    victim = data.draw(st.sampled_from([main, *READS[main]]))
+    text = CORPUS[victim]
+    for where, length, piece in damage:
+        at = int(where * len(text))
+        text = text[:at] + piece + text[at + length :]
+    bench.check(Case(0, FOLDER / main, FOLDER / victim, text))
