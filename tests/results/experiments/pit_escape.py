@@ -24,8 +24,7 @@ EXPERIMENTS = (
         "of 60 ReLU units, PPO. The paper asks for a mean of 0.8; the scenario counts as solved when the mean of 100 consecutive "
         "training episodes is at least 0.89, and the training ends there. The second training goes on for three hours. "
         "A second set of seeds: in a pit of 2.8 m, 101 passed 0.8 after 2.98 h and 102 never, and the pit was made "
-        "lower. Measured before the last "
-        "two changes of how the best network is chosen.",
+        "lower.",
         trainings=(
             Training(FRESH, evaluations=(Evaluation(), *_ELSEWHERE)),
             Training(FRESH, name="long", full=True, words="three simulated hours, whether solved or not"),
