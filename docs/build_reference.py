@@ -21,34 +21,14 @@ from deepbots_cli.lang.types import Context, Kind
 from deepbots_cli.lang.units import UNITS
 from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.schema.examples import example_of
-from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
+from deepbots_cli.schema.fields import Expression, Leaf, Quantity
+from deepbots_cli.schema.hover import default_of, unit_of
 from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
 
 FOLDER = Path(__file__).parent / "reference"
 _NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"
-_UNITS = {
-    "length": "m",
-    "time": "s",
-    "angle": "rad",
-    "mass": "kg",
-    "number": "1",
-    "speed": "m/s",
-    "angular speed": "rad/s",
-    "acceleration": "m/s^2",
-    "angular acceleration or acceleration": "rad/s^2 or m/s^2",
-    "force": "N",
-    "torque": "N*m",
-    "torque or force": "N*m or N",
-    "stiffness": "N*m/rad or N/m",
-    "damping": "N*m*s/rad or N*s/m",
-    "angle or length": "rad or m",
-    "angular speed or speed": "rad/s or m/s",
-    "reading": "of the sensor",
-    "any": "of the value",
-}
-
 Route = tuple[str, ...]
 
 
@@ -139,11 +119,9 @@ class _Key:
         self.name = name
         self.spec = fields(part)[name]
         self.meaning = _cell(str(info.description))
-        default = "**required**" if info.default is REQUIRED else _default(info.default)
+        default = "**required**" if info.default is REQUIRED else f"`{written}`" if (written := default_of(part, name)) else ""
         example = found.text if (found := example_of(part, name)) else kind
-        self.cells = (
-            f"| `{name}` | {_value(self.spec)} | {_measured_in(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
-        )
+        self.cells = f"| `{name}` | {_value(self.spec)} | {unit_of(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Key) and (self.cells, self.meaning) == (other.cells, other.meaning)
@@ -171,19 +149,6 @@ def _value(spec: Spec) -> str:
             return "mapping"
 
 
-def _measured_in(spec: Spec) -> str:
-    """The units in which a figure is kept, of the measures that it may be of."""
-    match spec:
-        case Quantity(dimension=measure) | Range(dimension=measure) | Column(dimension=measure):
-            return _UNITS[measure]
-        case Mapped(value=inner) | Listed(item=inner):
-            return _measured_in(inner)
-        case Alternatives(options=options):
-            return next((unit for unit in map(_measured_in, options) if unit), "")
-        case _:
-            return ""
-
-
 def _settled(spec: Spec) -> str:
     match spec:
         case Quantity(stage=stage):
@@ -198,13 +163,6 @@ def _settled(spec: Spec) -> str:
             return next((stage for stage in map(_settled, options) if stage), "")
         case _:
             return ""
-
-
-def _default(value: object) -> str:
-    if value is None or isinstance(value, (dict, Part)) or value in ("", ()):
-        return ""
-    text = str(value).lower() if isinstance(value, bool) else str(list(value)) if isinstance(value, tuple) else str(value)
-    return f"`{text}`"
 
 
 def _listed(names: Iterable[str]) -> str:

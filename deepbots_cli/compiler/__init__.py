@@ -23,7 +23,7 @@ resets.py       how an episode begins: layouts.py, groups.py; places.py where a 
                 starts.py joints, poses.py their named positions
 disturbances.py pushes while an episode runs
 inputs.py       the files that it was made from, as a run keeps copies of them
-inventory.py    the names of a scenario by kind, for editors
+inventory.py    the names of a scenario by kind, for editors; known.py those that its JSON Schema lists
 """
 
 from __future__ import annotations

@@ -25,14 +25,16 @@ _OF_ROBOTS = {
     "sensor": ("sensors",),
     "actuator": ("actuators",),
     "group": ("groups", "actuators"),
-    "body": ("links",),
+    "bodies or links": ("links",),
+    "body or link": ("links",),
+    "body": (),
 }
 """Which parts of a robot each kind may name."""
 _ORIGINS = {
     "robot": (Origin.ROBOT,),
     "line": (Origin.LINE,),
     "setting": (Origin.PARAMETER,),
-    "value": (Origin.PARAMETER, Origin.SIGNAL),
+    "parameter or signal": (Origin.PARAMETER, Origin.SIGNAL),
 }
 
 
@@ -60,14 +62,12 @@ def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
 
 def _of_robots(namespace: Namespace, kind: str, path: Path) -> Iterator[Named]:
     robot = str(path[1]) if path[:1] == ("robots",) and len(path) > 1 else None
-    if "against" in path[-2:]:  # what a touch sensor feels
+    if kind.startswith(("body", "bodies")):
         yield from _bodies(namespace)
-        yield Named("ground", "the ground")
         robot = None
-    if kind == "body":
-        yield from _bodies(namespace)
-    if kind != "body" or path[:1] == ("disturbances",):
-        yield from _parts(namespace, robot, _OF_ROBOTS[kind])
+    if kind == "bodies or links":  # what a touch sensor feels
+        yield Named("ground", "the ground")
+    yield from _parts(namespace, robot, _OF_ROBOTS[kind])
 
 
 def _keys(namespace: Namespace, spec: Scenario, kind: str, path: Path) -> list[Named]:
@@ -83,7 +83,7 @@ def _keys(namespace: Namespace, spec: Scenario, kind: str, path: Path) -> list[N
 
 
 def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:
-    if kind == "value" and path[:1] != ("augment",):
+    if kind == "value":
         return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
     return _defined(namespace, namespace.named(*_ORIGINS.get(kind, ())))
 

@@ -13,7 +13,9 @@ walk.py             walking a scenario: every value with its path and kind
 validate.py         nodes to a Scenario; refusals become findings
 explain.py          their wording
 examples.py         an example of every key, from examples.yaml
-export.py           the JSON Schema for editors: `python -m deepbots_cli.schema.export`
+hover.py            what is said of a key: unit, default, example
+export.py           the JSON Schema for editors: `python -m deepbots_cli.schema.export`; lowering.py how specs become schemas,
+                    known.py names that it lists
 """
 
 from deepbots_cli.schema.scenario import VERSION, Scenario

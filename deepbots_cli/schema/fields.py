@@ -178,7 +178,7 @@ class Quantity(Leaf):
         return super().help_for(value)
 
     def json_schema(self) -> JsonSchema:
-        return {"type": ["string", "number"] if self.components is None else "string"}
+        return {"type": ["number", "string"] if self.components is None else "string"}
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class Column(Leaf):
             examine_bounds(value, None, None)
 
     def json_schema(self) -> JsonSchema:
-        return {"type": ["string", "number"]}
+        return {"type": ["number", "string"]}
 
 
 def count(number: int, noun: str) -> str:
@@ -244,7 +244,7 @@ class Range(Leaf):
         return f"write it like `{self.example}`{', or `auto`' if self.auto else ''}"
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\."}
+        return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\.", "patternErrorMessage": self.help_for(None)}
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ class Expression(Leaf):
         return {"type": types[self.boolean]}
 
 
-_SEVERAL = ("joints", "links", "sensors", "values")
+_SEVERAL = {"joints": "joint", "links": "link", "bodies or links": "body or link"}
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class Reference(Leaf):
 
     @property
     def noun(self) -> str:
-        return f"a list of {self.kind[:-1]} names" if self.several else f"the name of {article(self.kind)}"
+        return f"a list of {_SEVERAL[self.kind]} names" if self.several else f"the name of {article(self.kind)}"
 
     @property
     def plural(self) -> str:
@@ -317,7 +317,7 @@ class Reference(Leaf):
             raise problem("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise at(index, mismatch(f"the name of {article(self.kind[:-1])}"))
+                raise at(index, mismatch(f"the name of {article(_SEVERAL[self.kind])}"))
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:

@@ -43,7 +43,8 @@ class Name(Leaf):
             _examine_taken(name)
 
     def json_schema(self) -> JsonSchema:
-        return {"pattern": f"^{NAME}$"}
+        about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
+        return {"pattern": f"^{NAME}$", "title": "name", "description": about, "patternErrorMessage": about}
 
 
 def _examine_taken(name: str) -> None:

@@ -23,6 +23,9 @@ _STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
 
 _LISTED = 24
 
+# Digits in groups of three are a number here, and a text to other readers of YAML 1.2, which editors are.
+_GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
+
 
 def choose_from(word: str, words: Sequence[str]) -> str:
     """The help of an unknown word: what was probably meant, and what there is."""
@@ -70,7 +73,9 @@ class Count(Leaf):
             examine_bounds(value, self.minimum, self.maximum)
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "integer", "minimum": self.minimum, "maximum": self.maximum}
+        message = f"expected {self.noun}, such as 100 or 100_000"
+        bounds: JsonSchema = {"minimum": self.minimum, "maximum": self.maximum}
+        return {"type": ["integer", "string"], **bounds, "pattern": f"^{_GROUPED}$", "patternErrorMessage": message}
 
 
 @dataclass(frozen=True)
@@ -94,12 +99,13 @@ class Real(Leaf):
             examine_bounds(value, self.minimum, self.maximum, exclusive=self.exclusive)
 
     def json_schema(self) -> JsonSchema:
-        number: JsonSchema = {"type": "number"}
+        pattern = f"^({self.text}|{_GROUPED})$" if self.text else f"^{_GROUPED}$"
+        schema: JsonSchema = {"type": ["number", "string"], "pattern": pattern, "patternErrorMessage": f"expected {self.noun}"}
         if self.minimum is not None:
-            number["exclusiveMinimum" if self.exclusive else "minimum"] = self.minimum
+            schema["exclusiveMinimum" if self.exclusive else "minimum"] = self.minimum
         if self.maximum is not None:
-            number["maximum"] = self.maximum
-        return {"anyOf": [number, {"type": "string", "pattern": f"^({self.text})$"}]} if self.text else number
+            schema["maximum"] = self.maximum
+        return schema
 
 
 class Switch(Leaf):
@@ -141,7 +147,8 @@ class Title(Leaf):
             )
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "string", "pattern": f"^{self.pattern}$"}
+        message = "a name has letters, digits, `_` and `-`, at most 64, and begins with a letter"
+        return {"type": "string", "pattern": f"^{self.pattern}$", "patternErrorMessage": message}
 
 
 COLOURS = {
@@ -182,6 +189,14 @@ class Colour(Leaf):
                 near = meant(word, tuple(COLOURS), ours=True) if word == value else None
                 raise problem("DB104", f"unknown colour `{word[:40]}`", help, meant=near)
 
+    def json_schema(self) -> JsonSchema:
+        words = "|".join(COLOURS)
+        return {
+            "type": "string",
+            "pattern": rf"^\s*(#[0-9a-fA-F]{{6}}|choice\(.*\)|{words})\s*$",
+            "patternErrorMessage": f"expected a colour: {', '.join(COLOURS)}, or '#ffa500'",
+        }
+
 
 def read_schedule(value: object) -> tuple[float, float] | None:
     """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is neither."""
@@ -205,7 +220,7 @@ class Schedule(Leaf):
             examine_bounds(bound, 0, None)
 
     def json_schema(self) -> JsonSchema:
-        return {"anyOf": [{"type": "number", "minimum": 0}, {"type": "string", "pattern": "->"}]}
+        return {"type": ["number", "string"], "minimum": 0, "pattern": f"->|^{_GROUPED}$", "patternErrorMessage": _expected(self)}
 
 
 def read_until(value: object) -> tuple[str, float, int] | None:
@@ -233,7 +248,8 @@ class Until(Leaf):
             examine_bounds(threshold, *((0, 1) if metric == "success_rate" else (1, None)))
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "string", "pattern": r"^\s*((success_rate|mean_return)\s*>=.* over .* episodes?|[0-9_]+\s+steps?)\s*$"}
+        pattern = r"^\s*((success_rate|mean_return)\s*>=.* over .* episodes?|[0-9_]+\s+steps?)\s*$"
+        return {"type": "string", "pattern": pattern, "patternErrorMessage": _expected(self)}
 
 
 class Frequency(Leaf):
@@ -252,7 +268,8 @@ class Frequency(Leaf):
             examine_bounds(value, 1, 1e9)
 
     def json_schema(self) -> JsonSchema:
-        return {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string", "pattern": "^[1-9][0-9]* (step|episode)s?$"}]}
+        pattern = f"^([1-9][0-9]* (step|episode)s?|{_GROUPED})$"
+        return {"type": ["integer", "string"], "minimum": 1, "pattern": pattern, "patternErrorMessage": _expected(self)}
 
 
 class Setting(Leaf):
@@ -280,4 +297,8 @@ class PythonPath(Leaf):
             raise mismatch(self.noun, self.help_for(value))
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "string", "pattern": f"^{self.pattern}$"}
+        return {"type": "string", "pattern": f"^{self.pattern}$", "patternErrorMessage": _expected(self)}
+
+
+def _expected(leaf: Leaf) -> str:
+    return f"expected {leaf.noun}, such as `{leaf.example}`"

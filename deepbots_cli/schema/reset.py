@@ -102,7 +102,7 @@ class Disturbance(Part):
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("force", "torque"), least=1, most=2), Keys(("every", "at"), least=1, most=2))
 
-    body: BodyName = field(description="The robot, link or object that is pushed.")
+    body: Annotated[str, Reference("body or link")] = field(description="The robot, link or object that is pushed.")
     force: Annotated[Scalar, Quantity("force", 3, "step")] | None = field(
         default=None, description="Force in the world frame, drawn anew for each push."
     )

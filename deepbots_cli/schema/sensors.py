@@ -60,7 +60,7 @@ class ContactSensor(Sensor):
 class TouchSensor(ContactSensor):
     """Whether a link touches anything, in any substep."""
 
-    against: Annotated[str | tuple[str, ...], Reference("links")] | None = field(
+    against: Annotated[str | tuple[str, ...], Reference("bodies or links")] | None = field(
         default=None, description="Feels only these bodies or links, or the `ground`."
     )
 

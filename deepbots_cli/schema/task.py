@@ -144,6 +144,6 @@ class Solved(Part):
     episodes: Whole = field(default=100, description="Over how many episodes in a row.")
 
 
-Augmentation = Annotated[Many[Annotated[str, Reference("value")]] | dict[SharedName, Signal], FORMS]
+Augmentation = Annotated[Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Signal], FORMS]
 Reward = dict[LocalName, Annotated[PythonTerm | Annotated[Scalar, Expression("reward")], FORMS]]
 Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Annotated[str, Range("any", auto=True)], FORMS]]

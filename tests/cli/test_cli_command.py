@@ -186,7 +186,15 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(words, ab
 
 
 def test_what_runs_nothing_needs_no_extra(tmp_path):
-    lines = ["lint cartpole", "compile cartpole", "inspect cartpole", "list", "schema", "copy cartpole there", "eject cartpole here"]
+    lines = [
+        "lint cartpole",
+        "compile cartpole",
+        "inspect cartpole",
+        "list",
+        "schema --for cartpole",
+        "copy cartpole there",
+        "eject cartpole here",
+    ]
     block = "".join(f"sys.modules['{name}'] = None; " for name in HEAVY)
     code = f"import sys; {block}from deepbots_cli.cli import main; print([main(line.split()) for line in {lines}], file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -220,14 +228,6 @@ def test_without_runs_the_list_says_how_to_make_one(deepbots):
     assert ran.code == 0
     assert "deepbots train cartpole" in ran.err
     assert "free pole" in ran.out
-
-
-def test_the_schema_is_the_committed_one(deepbots, tmp_path):
-    printed = deepbots("schema")
-    assert printed.code == 0
-    assert json.loads(printed.out)["title"] == "deepbots scenario"
-    assert deepbots("schema", "-o", "s.json").out == ""
-    assert Path("s.json").read_text(encoding="utf-8") == printed.out
 
 
 def test_the_doctor_finds_this_installation_in_order(deepbots):

@@ -44,8 +44,8 @@ def test_what_a_reference_may_name(rocking, kind, path, expected):
 
 
 def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_ground(searching):
-    assert "epuck.base_link" in [found.name for found in names(searching, "body", ("disturbances", "gust", "body"))]
-    against = [found.name for found in names(searching, "links", ("robots", "epuck", "sensors", "bumper", "against"))]
+    assert "epuck.base_link" in [found.name for found in names(searching, "body or link", ("disturbances", "gust", "body"))]
+    against = [found.name for found in names(searching, "bodies or links", ("robots", "epuck", "sensors", "bumper", "against"))]
     assert {"ball", "obstacle", "ground", "epuck.base_link"} <= set(against)
 
 

@@ -2,28 +2,62 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
 
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.options import AllowPaths
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.known import known
+from deepbots_cli.diagnostics.render import summary
+from deepbots_cli.errors import UsageError
 from deepbots_cli.schema.export import to_text
 
 
 def command(
+    scenario: Annotated[
+        str | None, typer.Option("--for", metavar="SCENARIO", help="List the joints, links, sensors and other names of this scenario too.")
+    ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced.")] = None,
+    allow_paths: AllowPaths = None,
 ) -> None:
     """Print the JSON Schema of scenario files, for editors.
 
-    An editor with a YAML language server then completes keys and explains them.
+    An editor with a YAML language server then completes keys, explains them and marks what is wrong. With --for it
+    also knows the names of one scenario, whatever can be read of it.
 
     \b
-      deepbots schema -o scenario.schema.json
+      deepbots schema -o deepbots.schema.json
+      deepbots schema --for mine.yaml -o mine.schema.json
 
-    and, as the first line of a scenario: # yaml-language-server: $schema=scenario.schema.json
+    and, as the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
     """
-    text = to_text()
+    if scenario is None:
+        _write(to_text(), output)
+        return
+    checked = api.load(scenario, allow_paths=allow_paths or ())
+    if output is not None and output.is_file() and output.read_bytes() in checked.inputs.contents().values():
+        raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
+    _write(to_text(known(checked)), output)
+    if checked.findings.errors:
+        terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
+    if output is not None:
+        terminal.note(f"as the first line of {checked.document.path.name}: {_modeline(checked, output)}")
+
+
+def _write(text: str, output: Path | None) -> None:
     if output is None:
         print(text, end="")
     else:
         output.write_text(text, encoding="utf-8")
+
+
+def _modeline(checked: Checked, schema: Path) -> str:
+    """The comment by which a language server finds the schema, relative to the scenario."""
+    way = os.path.relpath(schema.resolve(), checked.document.path.parent)
+    return f"# yaml-language-server: $schema={Path(way).as_posix()}"

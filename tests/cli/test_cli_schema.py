@@ -1,0 +1,56 @@
+"""`deepbots schema`: the JSON Schema for editors, in general and for one scenario."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+
+def test_the_schema_is_the_committed_one(deepbots):
+    printed = deepbots("schema")
+    assert printed.code == 0
+    assert json.loads(printed.out)["title"] == "deepbots scenario"
+    assert deepbots("schema", "-o", "s.json").out == ""
+    assert Path("s.json").read_text(encoding="utf-8") == printed.out
+
+
+def test_for_a_scenario_it_has_its_names(deepbots):
+    printed = deepbots("schema", "--for", "cartpole")
+    assert (printed.code, printed.err) == (0, "")
+    assert '"pole_hinge"' in printed.out
+    assert json.loads(printed.out)["$defs"]["Robot.cart"]
+
+
+def test_the_comment_that_leads_an_editor_to_it_is_told(deepbots):
+    deepbots("copy", "cartpole", "worlds")
+    Path("schemas").mkdir()
+    ran = deepbots("schema", "--for", "worlds/cartpole.yaml", "-o", "schemas/mine.json")
+    assert (ran.code, ran.out) == (0, "")
+    assert ran.err == "as the first line of cartpole.yaml: # yaml-language-server: $schema=../schemas/mine.json\n"
+    assert '"pole_hinge"' in Path("schemas/mine.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("text", ["robots: [", "deepbots: 1\nrobots: {a: {urdf: nowhere}}", ""], ids=["no yaml", "no robot", "empty"])
+def test_a_file_with_errors_gets_a_schema_and_a_word_about_them(deepbots, text):
+    Path("mine.yaml").write_text(text, encoding="utf-8")
+    ran = deepbots("schema", "--for", "mine.yaml")
+    assert ran.code == 0
+    assert json.loads(ran.out)["title"] == "deepbots scenario"
+    assert ran.err.endswith("what could not be read is not listed; see: deepbots lint mine.yaml\n")
+    assert ran.err.count("\n") == 1
+
+
+def test_the_scenario_itself_is_not_written_over(deepbots):
+    deepbots("copy", "cartpole", ".")
+    before = Path("cartpole.yaml").read_bytes()
+    ran = deepbots("schema", "--for", "cartpole.yaml", "-o", "cartpole.yaml")
+    assert ran.code == 2
+    assert Path("cartpole.yaml").read_bytes() == before
+
+
+def test_a_scenario_that_there_is_not_is_wrong_usage(deepbots):
+    ran = deepbots("schema", "--for", "nowhere.yaml", "-o", "s.json")
+    assert (ran.code, Path("s.json").exists()) == (2, False)
+    assert ran.err.startswith("error: there is no file nowhere.yaml")
