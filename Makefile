@@ -4,6 +4,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
 VENV := .venv
 BIN := $(VENV)/bin
+EDITORS := build/editors
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
 .DEFAULT_GOAL := help
 
@@ -23,7 +24,7 @@ train: setup ## train and evaluate the CartPole
 
 .PHONY: test
 test: dev ## the tests, without those that take minutes
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 -m "not slow and not editors"
 
 .PHONY: fuzz
 fuzz: dev ## lint damaged files; COUNT=500000 takes most of an hour of CPU, START= goes on from a number
@@ -35,7 +36,11 @@ check: dev ## everything that a change must pass
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 -m "not slow and not editors"
+
+.PHONY: editors
+editors: dev $(EDITORS)/installed ## what an editor makes of the JSON Schema; needs node and npm
+	YAML_LANGUAGE_SERVER=$(EDITORS)/node_modules/yaml-language-server/bin/yaml-language-server $(BIN)/pytest -m editors tests/editors
 
 .PHONY: results
 results: dev ## docs/results.md: what is missing or stale of it; SCENARIO=, PART=, OPTIONS=--anew
@@ -61,3 +66,11 @@ $(VENV)/ready-to-develop: pyproject.toml | $(VENV)/made
 	@echo "installing what tests and checks need; this takes a few minutes the first time"
 	@$(PIP) -e '.[dev]'
 	@touch $(VENV)/ready-to-train $@
+
+$(EDITORS)/installed: tests/editors/package.json
+	@command -v node >/dev/null && command -v npm >/dev/null || \
+		 { echo "node and npm are needed, which the YAML language server runs on" >&2; exit 1; }
+	@mkdir -p $(EDITORS)
+	@cp $< $(EDITORS)/
+	npm install --prefix $(EDITORS) --no-package-lock --no-audit --no-fund --loglevel error
+	@touch $@

@@ -31,11 +31,10 @@ class Offer:
         """
         if not self.names:
             return schema
-        names = list(self.names)
-        known: JsonSchema = {"title": "a known name", "enum": names}
+        known: JsonSchema = {"title": "a known name", "enum": list(self.names)}
         if any(self.names.values()):
             known["enumDescriptions"] = list(self.names.values())
-        return {"anyOf": [known, _WILD if self.only else {"title": noun, **schema, "not": {"enum": names}}]}
+        return {"anyOf": [known, _WILD if self.only else {"title": noun, **schema, "not": {"enum": list(self.names)}}]}
 
 
 Names = Mapping[str, Offer]

@@ -20,7 +20,7 @@ from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import JsonSchema, Leaf
 from deepbots_cli.schema.hover import as_markdown, hover
 from deepbots_cli.schema.known import Known, Names, listed, lists, offered
-from deepbots_cli.schema.part import REQUIRED, Alternatives, Keys, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.schema.part import REQUIRED, Alternatives, Keys, Kinds, Listed, Mapped, Part, Spec, fields, noun_of
 from deepbots_cli.schema.robot import Robot
 from deepbots_cli.schema.scenario import Scenario
 
@@ -65,7 +65,7 @@ class Lowering:
             case Mapped():
                 return self._mapped(spec)
             case Alternatives():
-                return self._alternatives(spec.options)
+                return self._alternatives(spec)
             case Kinds():
                 return self._kinds(spec)
             case _:
@@ -100,11 +100,16 @@ class Lowering:
         names = {**self._names, **self._known.robots[robot]}
         return Lowering(self.definitions, self._known, names, fragment=self._fragment, suffix=f".{robot}")
 
-    def _alternatives(self, options: tuple[Spec, ...]) -> JsonSchema:
-        first, *others = options
-        if not others:
-            return self.schema(first)
-        return {"if": _shape_of(first), "then": self.schema(first), "else": self._alternatives(tuple(others))}
+    def _alternatives(self, spec: Alternatives) -> JsonSchema:
+        """Names are listed beside the forms, where the YAML language server looks for what it may offer; there all forms hold."""
+        *others, schema = map(self._form, spec.options)
+        for option, form in zip(reversed(spec.options[:-1]), reversed(others), strict=True):
+            schema = {"if": _shape_of(option), "then": form, "else": schema}
+        offers = (offered(option, self._names) for option in spec.options if isinstance(option, Leaf))
+        return schema | next((offer.laid_upon({}, noun_of(spec)) for offer in offers if offer), {})
+
+    def _form(self, spec: Spec) -> JsonSchema:
+        return spec.json_schema() if isinstance(spec, Leaf) else self.schema(spec)
 
     def _kinds(self, spec: Kinds) -> JsonSchema:
         models = {name: spec.model(name) for name in spec.names}

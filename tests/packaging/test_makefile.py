@@ -31,3 +31,19 @@ def test_without_python_3_11_make_says_so_in_one_sentence_and_begins_nothing(tmp
     assert first.startswith("Python 3.11 is needed")
     assert len(rest) == 1  # make's own line on the target that failed
     assert not (tmp_path / ".venv").exists()
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
+def test_without_node_make_says_what_the_tests_of_editors_need(tmp_path: Path) -> None:
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / "sh").symlink_to("/bin/sh")
+    (tmp_path / "tests" / "editors").mkdir(parents=True)
+    (tmp_path / "tests" / "editors" / "package.json").write_text("{}")
+    make = shutil.which("make")
+    assert make is not None
+    command = [make, "-f", str(ROOT / "Makefile"), "build/editors/installed"]
+    done = subprocess.run(command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("node and npm are needed")
+    assert not (tmp_path / "build").exists()

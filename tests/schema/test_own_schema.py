@@ -103,7 +103,7 @@ def test_names_are_listed_where_they_may_stand(own: Own, definition: str, key: s
 
 def test_expressions_are_offered_the_names_that_they_may_use(own: Own) -> None:
     schema = own(CARTPOLE)
-    reward = schema["$defs"]["Scenario"]["properties"]["reward"]["additionalProperties"]["else"]["anyOf"][0]
+    reward = schema["$defs"]["Scenario"]["properties"]["reward"]["additionalProperties"]["anyOf"][0]
     said = dict(zip(reward["enum"], reward["enumDescriptions"], strict=True))
     assert said["fall_angle"] == "a parameter: 15 deg"
     assert said["fallen"] == "an ending"

@@ -1,0 +1,104 @@
+"""The YAML language server, which VS Code and Neovim use, as a process of its own; `make editors` says where it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler.known import known
+from deepbots_cli.schema.export import FILE_NAME, to_text
+from tests.editors.client import Client, Json, Place
+
+ROOT = Path(__file__).parents[2]
+CARTPOLE = (ROOT / "scenarios" / "cartpole.yaml").read_text(encoding="utf-8")
+CURSOR = "§"
+
+
+@dataclass(frozen=True)
+class Typed:
+    """What an editor shows while one types: the cursor is at `place` of the text in `file`."""
+
+    client: Client
+    file: Path
+    place: Place
+    problems: list[Json]
+
+    @property
+    def hover(self) -> str:
+        return self.client.hover(self.file, self.place)
+
+    @property
+    def offers(self) -> dict[str, Json]:
+        return {item["label"]: item for item in self.client.complete(self.file, self.place)}
+
+    @property
+    def said(self) -> list[tuple[str, str]]:
+        """What is wrong: the text that is underlined, and the message."""
+        lines = self.file.read_text(encoding="utf-8").splitlines()
+        return [(_underlined(lines, problem["range"]), problem["message"]) for problem in self.problems]
+
+
+Type = Callable[[str, str], Typed]
+
+
+def _underlined(lines: list[str], span: Json) -> str:
+    start, end = span["start"], span["end"]
+    line = lines[start["line"]]
+    return line[start["character"] : end["character"] if end["line"] == start["line"] else None]
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the schemas; below `general` and `own` a comment leads to them."""
+    root = tmp_path_factory.mktemp("scenarios")
+    (root / FILE_NAME).write_text(to_text(), encoding="utf-8")
+    (root / "cartpole.schema.json").write_text(to_text(known(api.load("cartpole"))), encoding="utf-8")
+    return root
+
+
+@pytest.fixture(scope="session")
+def client(folder: Path) -> Iterator[Client]:
+    """The server, without its catalogues in the net."""
+    server = os.environ.get("YAML_LANGUAGE_SERVER")
+    if server is None:
+        pytest.skip("`make editors` installs the server and runs this")
+    settings = {
+        "validate": True,
+        "hover": True,
+        "completion": True,
+        "schemas": {(folder / FILE_NAME).as_uri(): "*.scenario.yaml"},
+        "schemaStore": {"enable": False},
+        "kubernetesCRDStore": {"enable": False},
+    }
+    with Client(["node", str(Path(server).resolve()), "--stdio"], folder, {"yaml": settings}) as connected:
+        yield connected
+
+
+def _typing(client: Client, folder: Path, ending: str, comment: str) -> Type:
+    def typed(old: str, new: str) -> Typed:
+        assert old in CARTPOLE
+        text = comment + CARTPOLE.replace(old, new, 1)
+        before, _, after = text.partition(CURSOR)
+        place = Place(before.count("\n"), len(before) - before.rfind("\n") - 1) if after else Place(0, 0)
+        file = folder / f"case{len(list(folder.iterdir()))}{ending}"
+        file.write_text(before + after, encoding="utf-8")
+        return Typed(client, file, place, client.open(file, before + after))
+
+    return typed
+
+
+@pytest.fixture
+def typed(client: Client, folder: Path) -> Type:
+    """CartPole with a change, in a file that settings give the general schema; where the change has a `§`, the cursor is."""
+    return _typing(client, folder, ".scenario.yaml", "")
+
+
+@pytest.fixture
+def typed_for(client: Client, folder: Path) -> Type:
+    """The same in a file whose first line names the schema made for CartPole."""
+    return _typing(client, folder, ".yaml", "# yaml-language-server: $schema=cartpole.schema.json\n")

@@ -1,0 +1,182 @@
+"""What the YAML language server makes of our JSON Schema: what it offers, explains and marks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler.known import known
+from deepbots_cli.schema.export import FILE_NAME, to_text
+from deepbots_cli.schema.sensors import SENSORS
+from tests.editors.client import Client
+from tests.editors.conftest import ROOT, Type
+
+pytestmark = pytest.mark.editors
+
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
+JOINTS = {"pole_hinge", "wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right"}
+SENSOR = "{type: joint_position, joint: pole_hinge}"
+
+
+# What it offers
+
+
+def test_the_keys_of_a_section_are_offered(typed: Type) -> None:
+    offers = typed("  substeps: 4\n", "  substeps: 4\n  §\n").offers
+    assert {"gravity", "ground", "walls", "light"} <= set(offers)
+    assert not {"substeps", "urdf", "reward"} & set(offers)
+
+
+def test_a_key_comes_with_an_example_of_its_value(typed: Type) -> None:
+    offer = typed("  timestep: 32 ms\n", "  §\n").offers["timestep"]
+    assert offer["insertText"] == "timestep: ${1:32 ms}"
+    assert "**Unit:** `s`" in str(offer["documentation"])
+
+
+def test_the_kinds_of_sensors_are_offered(typed: Type) -> None:
+    assert list(typed(SENSOR, "{type: §}").offers) == list(SENSORS)
+
+
+def test_before_its_kind_is_known_a_sensor_is_offered_the_key_for_it(typed: Type) -> None:
+    assert set(typed(SENSOR, "\n        §").offers) == {"type", "include"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "own", "others"),
+    [
+        ("joint_position", {"joint", "joints", "noise"}, {"link", "resolution", "rays"}),
+        ("camera", {"link", "resolution", "fov", "noise"}, {"joint", "rays", "lookup"}),
+        ("lidar", {"link", "rays", "fan", "measure"}, {"joint", "resolution", "spot"}),
+    ],
+)
+def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, own: set[str], others: set[str]) -> None:
+    offers = set(typed(SENSOR, f"\n        type: {kind}\n        §").offers)
+    assert own <= offers
+    assert not others & offers
+
+
+def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:
+    offers = set(typed("  algorithm: PPO\n", "  algorithm: DQN\n  §\n").offers)
+    assert {"exploration_fraction", "buffer_size"} <= offers
+    assert "clip_range" not in offers
+
+
+def test_the_words_of_a_key_are_offered(typed: Type) -> None:
+    assert {"csv", "json", "struct", "msgpack", "none"} <= set(typed("format: csv", "format: §").offers)
+
+
+def test_the_joints_of_the_robot_are_offered(typed_for: Type) -> None:
+    assert set(typed_for(SENSOR, "{type: joint_position, joint: §}").offers) == JOINTS
+
+
+def test_the_joints_of_the_robot_are_offered_in_a_list(typed_for: Type) -> None:
+    assert set(typed_for("[wheel_*]", "[wheel_front_left, §]").offers) >= JOINTS
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "names"),
+    [
+        ("emit: [pole_angle]", "emit: [§]", {"pole_angle"}),
+        ("  alive: 1\n", "  alive: §\n", {"x", "speed", "cart.pole_angle", "fall_angle"}),
+        ("  tip_speed:       -2 .. 2 m/s\n", "  §\n", {"tip_speed", "previous_action"}),
+        ("set:   {cart.pole_hinge: uniform(-1 .. 1 deg)}", "set:\n    §", {"cart.pole_hinge"}),
+        ("wall_height: 0.1 m", "wall_height: §", {"track"}),
+    ],
+    ids=["sensors", "signals", "values", "joints by their full names", "parameters of the right unit"],
+)
+def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type, old: str, new: str, names: set[str]) -> None:
+    assert names <= set(typed_for(old, new).offers)
+
+
+# What it explains
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "shown"),
+    [
+        ("timestep:", "time§step:", ["One control tick", "**Unit:** `s` · **Required**", "```yaml\ntimestep: 32 ms\n```"]),
+        ("wall_height:", "wall§_height:", ["Height of the walls", "**Unit:** `m` · **Default:** `0.1 m`", "wall_height: 20 cm"]),
+        ("gae_lambda:", "gae§_lambda:", ["Trade-off of bias and variance", "gae_lambda: 0.95"]),
+        ("  alive: 1", "  al§ive: 1", ["The summands of the reward"]),
+        ("pole_angle: {", "pole§_angle: {", ["Reads one joint, or several under their names."]),
+    ],
+    ids=["a key", "a key with a default", "a key of a kind", "a name of one's own", "a part of a kind"],
+)
+def test_a_key_is_explained_with_unit_default_and_example(typed: Type, old: str, new: str, shown: list[str]) -> None:
+    hover = typed(old, new).hover
+    assert [text for text in shown if text not in hover] == []
+    assert hover.count("```yaml") <= 1
+
+
+def test_the_kinds_are_explained(typed: Type) -> None:
+    hover = typed("type: velocity_motor", "type: velo§city_motor").hover
+    assert "* `velocity_motor`: Drives a joint at a commanded velocity." in hover
+    assert "* `gripper`: Opens and closes fingers" in hover
+
+
+def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
+    hover = typed_for("joint: pole_hinge", "joint: pole§_hinge").hover
+    assert "The joint that it reads." in hover
+    assert "* `pole_hinge`: revolute, -1." in hover
+    assert "* `wheel_rear_left`: continuous" in hover
+
+
+# What it marks
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("  substeps: 4", "  substep: 4", ("substep", "Property substep is not allowed.")),
+        ("  timestep: 32 ms\n", "", ("world", 'Missing property "timestep".')),
+        ("substeps: 4", "substeps: four", ("four", "expected a whole number, such as 100 or 100_000")),
+        ("gamma: 0.98", "gamma: 1.98", ("1.98", "Value is above the maximum of 1.")),
+        ("-20 .. 20 deg", "20 deg", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
+        (", joint: pole_hinge", "", ("pole_angle", "missing key `joint` or `joints`")),
+        (SENSOR, "{joint: pole_hinge}", ("pole_angle", "missing key `type`")),
+        (", joint: pole_hinge", ", joint: pole_hinge, joints: all", ("joints", "`joints` cannot stand beside `joint`")),
+        ("joint: pole_hinge", "joint: pole_hinge, resolution: 64 64", ("resolution", "Property resolution is not allowed.")),
+    ],
+)
+def test_a_mistake_is_marked_in_its_place_once(typed: Type, old: str, new: str, said: tuple[str, str]) -> None:
+    assert typed(old, new).said == [said]
+
+
+def test_an_unknown_kind_is_marked_with_those_that_there_are(typed: Type) -> None:
+    ((place, message),) = typed("velocity_motor", "velocty_motor").said
+    assert place == "velocty_motor"
+    assert '"velocity_motor", "position_motor", "torque_motor"' in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [("joint: pole_hinge", "joint: pole_hing", "pole_hing"), ("[wheel_*]", "[wheel_*, pole]", "pole")],
+    ids=["an unknown joint", "a link in a list of joints"],
+)
+def test_a_joint_that_the_robot_has_not_is_marked_with_those_that_it_has(typed_for: Type, old: str, new: str, place: str) -> None:
+    ((marked, message),) = typed_for(old, new).said
+    assert marked == place
+    assert "wheel_front_left" in message
+    assert "pole_hinge" in message
+
+
+def test_without_the_names_of_the_scenario_any_joint_will_do(typed: Type) -> None:
+    assert typed("joint: pole_hinge", "joint: pole_hing").said == []
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_in_a_shipped_scenario_nothing_is_marked(client: Client, folder: Path, path: Path) -> None:
+    (folder / f"{path.stem}.own.json").write_text(to_text(known(api.load(path))), encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    for schema in (FILE_NAME, f"{path.stem}.own.json"):
+        comment = f"# yaml-language-server: $schema={schema}\n"
+        assert client.open(folder / f"{schema}.{path.name}", comment + text) == []
+
+
+def test_the_comment_leads_to_the_schema_and_not_past_it(client: Client, folder: Path) -> None:
+    """Without it, or where it leads nowhere, none of this would be marked."""
+    text = f"# yaml-language-server: $schema={FILE_NAME}\ndeepbots: 1\nnonsense: true\n"
+    assert "Property nonsense is not allowed." in [problem["message"] for problem in client.open(folder / "led.yaml", text)]
+    assert client.open(folder / "unled.yaml", "deepbots: 1\nnonsense: true\n") == []
