@@ -116,10 +116,10 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Mappi
 
 
 def _name_stages(axes: Any, entry: Mapping[str, Any]) -> None:
-    """Each by the line of its end; the last one has none."""
+    """Each above the line of its end, aslant, since short stages stand close together; the last one has none."""
     for end in entry["stages"]:
-        where = (end["simulated_hours"], 0.02)
-        axes.text(*where, f"{end['name']} ", transform=axes.get_xaxis_transform(), rotation=90, ha="right", va="bottom", fontsize=7)
+        where = (end["simulated_hours"], 1.01)
+        axes.text(*where, end["name"], transform=axes.get_xaxis_transform(), rotation=75, rotation_mode="anchor", fontsize=7)
 
 
 def _level(axes: Any, words: str, value: float) -> None:

@@ -37,19 +37,3 @@ def test_a_shipped_scenario_runs_under_random_actions(name: str) -> None:
 @pytest.mark.parametrize("name", shipped.scenario_names())
 def test_a_shipped_scenario_runs_for_long_under_random_actions(name: str) -> None:
     drive(name, 10_000)
-
-
-def test_rocking_leaves_the_pit_and_driving_forward_does_not() -> None:
-    """What makes the pit a task: no motor holds the ball on its wall, and swinging with the gyro's sign gets it out."""
-    with closing(api.make("pit_escape")) as environment:
-
-        def escapes(script: str, seed: int) -> bool:
-            environment.reset(seed=seed)
-            ended, info = False, {}
-            while not ended:
-                _, _, terminated, truncated, info = environment.step(environment.script(script))
-                ended = terminated or truncated
-            return bool(info["is_success"])
-
-        assert [escapes("rocking", seed) for seed in range(3)] == [True] * 3
-        assert not escapes("forward_only", 0)
