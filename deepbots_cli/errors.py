@@ -52,8 +52,12 @@ class MissingExtraError(UsageError):
 
 
 def installing(extra: str, python: tuple[int, int] = sys.version_info[:2]) -> str:
-    """How to install an extra; all of them simulate, and PyBullet has no wheels beyond Python 3.11."""
-    where = "" if python < (3, 12) else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
+    """How to install an extra; all but `editor` simulate, and PyBullet has no wheels beyond Python 3.11."""
+    where = (
+        ""
+        if python < (3, 12) or extra == "editor"
+        else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
+    )
     return f"install it{where} with: pip install 'deepbots-cli[{extra}]'"
 
 

@@ -20,7 +20,7 @@ from deepbots_cli.cli.rewriting import Rewrite, difference, write
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import files, roots, shipped
-from deepbots_cli.source.load import Drafts
+from deepbots_cli.source.load import NO_DRAFTS, Drafts
 from deepbots_cli.source.nodes import to_data
 from deepbots_cli.source.parse import parse
 
@@ -60,7 +60,8 @@ class Seen:
 class Mender:
     """The scenarios `names` and the drafts of their files; `fixed` lists the findings that are gone, as they were.
 
-    `unsafe` allows good guesses beside certain fixes, and `wanted` says of which findings the user wants to be rid.
+    `unsafe` allows good guesses beside certain fixes, and `wanted` says of which findings the user wants to be rid. What
+    files hold that are open in an editor is given as `drafts` from the beginning.
     """
 
     def __init__(
@@ -72,15 +73,16 @@ class Mender:
         allow_paths: Iterable[Path] = (),
         allow_code: bool = False,
         preview: bool = False,
+        drafts: Drafts = NO_DRAFTS,
     ) -> None:
         self._unsafe = unsafe
         self._wanted = wanted
         self._allow_paths = tuple(allow_paths)
         self._allow_code = allow_code
         self._preview = preview
-        self._originals: dict[Path, bytes] = {}
+        self._originals: dict[Path, bytes] = dict(drafts)
         self._looks = _LOOKS
-        self.drafts: dict[Path, bytes] = {}
+        self.drafts: dict[Path, bytes] = dict(drafts)
         self.fixed: list[Finding] = []
         self._seen = {name: self._look(name, self.drafts) for name in names}
 

@@ -50,13 +50,13 @@ class Settings:
         return any(fnmatchcase(part, pattern.rstrip("/")) for pattern in self.exclude for part in above)
 
 
-def settings() -> Settings:
-    """Those of the project that the working directory lies in.
+def settings(folder: Path | None = None) -> Settings:
+    """Those of the project that `folder` lies in, by default the working directory.
 
     Raises:
         UsageError: A file is no TOML, or holds a key or a value that means nothing; says which, and what was probably meant.
     """
-    root = roots.project_root(Path.cwd())
+    root = roots.project_root(folder or Path.cwd())
     for name, keys in _TABLES:
         path = root / name
         if path.is_file() and (data := path.read_bytes()) and (name == "deepbots.toml" or _TOOL.search(data)):

@@ -1,0 +1,29 @@
+"""`deepbots lsp`."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.errors import MissingExtraError
+
+
+def command(
+    port: Annotated[int | None, typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Listen on a port of this machine.")] = None,
+) -> None:
+    """Serve an editor that speaks the language server protocol.
+
+    It shows findings as you type, completes keys, names and functions, tells types, units and ranges, leads to
+    definitions, and offers fixes. Editors start it by themselves and talk to it over standard input and output.
+
+    \b
+      deepbots lsp
+      deepbots lsp --tcp 2087
+    """
+    if find_spec("pygls") is None:
+        raise MissingExtraError("editor", "the language server")
+    from deepbots_cli.lsp.server import serve
+
+    serve(port)

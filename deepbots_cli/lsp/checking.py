@@ -1,0 +1,99 @@
+"""Analyses behind the scenes: one at a time in a thread of its own, the newest version of each document only."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from lsprotocol import types
+
+from deepbots_cli.lsp.analysing import Analysis, analyse
+from deepbots_cli.lsp.desk import Desk
+from deepbots_cli.lsp.diagnosing import diagnostics
+from deepbots_cli.lsp.documents import Document
+
+_PAUSE = 0.05
+"""Seconds that a change waits for the next one; people type up to ten letters a second."""
+
+Publish = Callable[[str, int | None, list[types.Diagnostic]], None]
+Complain = Callable[[str], None]
+
+
+class Checker:
+    """Keeps what the desk knows up to date, and publishes what is found.
+
+    `publish` is given an address, its version if it is open, and all its diagnostics; `complain` a sentence for the user.
+    """
+
+    def __init__(self, desk: Desk, publish: Publish, complain: Complain) -> None:
+        self._desk = desk
+        self._publish = publish
+        self._complain = complain
+        self._waiting: dict[str, None] = {}
+        self._task: asyncio.Task[None] | None = None
+        self._thread = ThreadPoolExecutor(1, "analysis")
+        self._shown: dict[str, dict[str, list[types.Diagnostic]]] = {}
+        self._said: set[str] = set()
+
+    def want(self, *uris: str) -> None:
+        """Have documents looked at, soon."""
+        self._waiting.update(dict.fromkeys(uris))
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._work())
+
+    def forget(self, uri: str) -> None:
+        """Take back what was published because of a document."""
+        self._waiting.pop(uri, None)
+        self._tell(self._shown.pop(uri, {}))
+
+    def stop(self) -> None:
+        self._waiting.clear()
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    async def _work(self) -> None:
+        while self._waiting:
+            await asyncio.sleep(_PAUSE)
+            uri = next(iter(self._waiting), None)
+            document = self._desk.documents.get(uri) if uri else None
+            if uri is not None:
+                del self._waiting[uri]
+            if document is not None:
+                await self._look(document)
+
+    async def _look(self, document: Document) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            analysis = await loop.run_in_executor(self._thread, analyse, document, self._desk.drafts)
+        except Exception as error:  # noqa: BLE001  # a fault of ours, which must not end the service
+            self._say(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
+            return
+        self._desk.learn(analysis)
+        if self._desk.documents.get(document.uri) is document:  # else it is stale, and the next one is under way
+            self._show(analysis)
+
+    def _show(self, analysis: Analysis) -> None:
+        uri = analysis.document.uri
+        if analysis.complaint:
+            self._say(analysis.complaint)
+        before = self._shown.get(uri, {})
+        found = diagnostics(analysis, self._desk.open_uris)
+        for other in {*found, *before}:
+            document = self._desk.documents.get(other)
+            if document is not None and analysis.drafts.get(document.path) != document.bytes:  # changed meanwhile: what was said stays
+                found[other] = before.get(other, [])
+        self._shown[uri] = found
+        self._tell({*before, *found})
+
+    def _tell(self, uris: dict[str, list[types.Diagnostic]] | set[str]) -> None:
+        """Publish all that is known of some addresses; what several documents have found there is told once."""
+        for uri in sorted(uris):
+            all_found = [found for shown in self._shown.values() for found in shown.get(uri, [])]
+            unique = {(str(found.range), found.code, found.message): found for found in all_found}
+            document = self._desk.documents.get(uri)
+            self._publish(uri, document.version if document else None, list(unique.values()))
+
+    def _say(self, sentence: str) -> None:
+        if sentence not in self._said:
+            self._said.add(sentence)
+            self._complain(sentence)

@@ -1,0 +1,206 @@
+"""Completion: what may be written at a place, though the document may be broken there at the moment.
+
+What the language takes there is asked by the path of the place, and names come from the last analysis that was sound.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from lsprotocol.types import (
+    CompletionItem,
+    CompletionItemKind,
+    CompletionList,
+    MarkupContent,
+    MarkupKind,
+    Range,
+    TextEdit,
+)
+
+from deepbots_cli.compiler.inventory import names
+from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.lsp.asking import at, specs
+from deepbots_cli.lsp.describing import brief, of_key, of_kind
+from deepbots_cli.lsp.desk import View
+from deepbots_cli.lsp.expressing import Choice, begun, choices, is_expression, scope_of, units
+from deepbots_cli.lsp.files import files
+from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Quantity, Reference
+from deepbots_cli.schema.fields import Range as RangeLeaf
+from deepbots_cli.schema.part import Kinds, Mapped, Part, Spec, fields
+from deepbots_cli.schema.plain import COLOURS, Colour, Switch, Word
+from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import Path
+
+_ELSEWHERE = {"include": "a file with the value of this mapping; what stands beside it is merged over it"}
+_OF_FILES = {
+    "extends": "another scenario that this one changes",
+    "remove": "paths to take out of the extended scenario, such as `[observation.tip_speed]`",
+}
+_CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
+_COLON = re.compile(r"[\w]*[ \t]*:")
+
+
+def completion(view: View) -> CompletionList:
+    """Everything that may be written at the place; the client filters by what is there already."""
+    place = view.place
+    if place.role == "aside":
+        items = _codes(view)
+    elif place.role == "key":
+        items = [*_keys(view), *(_values(view) if place.path else ())]
+    else:
+        items = list(_values(view))
+    for index, item in enumerate(items):  # clients sort by the alphabet otherwise
+        item.sort_text = f"{index:04}"
+    return CompletionList(is_incomplete=False, items=items)
+
+
+# Keys
+
+
+def _keys(view: View) -> Iterator[CompletionItem]:
+    place, data = view.place, view.data
+    given = view.keys - {place.text}
+    colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
+    for choice in _unique(_key_choices(view, data)):
+        if choice.text not in given:
+            yield _item(view, choice, place.start, choice.text + colon)
+
+
+def _key_choices(view: View, data: Any) -> Iterator[Choice]:
+    path = view.place.path
+    for spec in specs(path, data):
+        match spec:
+            case Kinds():
+                yield from _kind_keys(spec, at(data, path))
+            case Mapped(key=key):
+                yield from _named(view, key, path)
+            case type():
+                yield from _part_keys(spec)
+            case _:
+                continue
+        yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _ELSEWHERE.items())
+    if not path and view.document.is_scenario:
+        yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _OF_FILES.items())
+    elif not path:
+        yield from _part_keys(Scenario)
+
+
+def _part_keys(part: type[Part]) -> Iterator[Choice]:
+    for key in fields(part):
+        yield Choice(key, CompletionItemKind.Property, brief(part, key), of_key(part, key))
+
+
+def _kind_keys(spec: Kinds, data: Any) -> Iterator[Choice]:
+    found = spec.find(data)
+    if found is not None:
+        yield from _part_keys(found)
+        return
+    yield Choice(spec.key, CompletionItemKind.Property, f"one of {', '.join(spec.names)}")
+    for mark, model in spec.marked:
+        yield Choice(mark, CompletionItemKind.Property, brief(model, mark), of_key(model, mark))
+
+
+# Values
+
+
+def _values(view: View) -> Iterator[CompletionItem]:
+    place, data = view.place, view.data
+    for choice in _unique(_word_choices(view, data)):
+        yield _item(view, choice, place.start)
+    for spec in specs(place.path, data):
+        if isinstance(spec, Leaf) and is_expression(spec) and view.analysis is not None and view.analysis.checked is not None:
+            scope = scope_of(view.analysis, spec, place.path)
+            start = view.offset - len(begun(place.text))
+            if scope is not None:
+                yield from (_item(view, choice, start) for choice in choices(place.text, scope, view.analysis.checked))
+            return
+        if isinstance(spec, Leaf) and is_expression(spec) and place.text[-1:] == " ":
+            yield from (_item(view, choice, view.offset) for choice in units())
+
+
+def _word_choices(view: View, data: Any) -> Iterator[Choice]:
+    path = view.place.path
+    for spec in specs(path[:-1], data) if path else ():
+        if isinstance(spec, Kinds) and spec.key == path[-1]:
+            yield from (Choice(word, CompletionItemKind.EnumMember, spec.key, _doc(spec.model(word))) for word in spec.names)
+    if path and path[-1] in ("include", "extends"):
+        yield from files(view, (".yaml", ".yml"))
+    for spec in specs(path, data):
+        if isinstance(spec, Leaf):
+            yield from _of_leaf(view, spec, path)
+
+
+def _of_leaf(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
+    match leaf:
+        case Word(words=words):
+            yield from _words(words, "a word of the language")
+        case Switch():
+            yield from _words(("true", "false"), "a switch")
+        case Colour():
+            yield from (Choice(word, CompletionItemKind.Color, "a colour") for word in COLOURS)
+        case Reference() | Pattern():
+            yield from _named(view, leaf, path)
+        case FilePath(kind=kind):
+            yield from files(view, _SUFFIXES.get(kind, ()), robots=kind == "robot file")
+        case RangeLeaf(auto=True):
+            yield Choice("auto", CompletionItemKind.Keyword, "the range that is known")
+        case Quantity(words=words, urdf=urdf):
+            yield from _words((*words, *(("urdf",) if urdf else ())), "a word of the language")
+        case Leaf(example=str() as example) if not is_expression(leaf):
+            yield Choice(example, CompletionItemKind.Value, of_kind(leaf))
+
+
+_SUFFIXES = {"robot file": (".urdf",), "mesh file": (".obj", ".stl", ".dae"), "picture": (".png",)}
+
+
+def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
+    return (Choice(word, CompletionItemKind.EnumMember, detail) for word in words)
+
+
+def _named(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
+    """The names that a reference may mean."""
+    checked = view.analysis.checked if view.analysis else None
+    if checked is not None and isinstance(leaf, (Reference, Pattern)):
+        yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in names(checked, leaf.kind, path))
+
+
+def _doc(spec: Spec) -> str:
+    return (spec.__doc__ or "").partition("\n\n")[0] if isinstance(spec, type) else ""
+
+
+# Comments
+
+
+def _codes(view: View) -> list[CompletionItem]:
+    """The warnings that a comment may suppress."""
+    found = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
+    if found is None:
+        return []
+    warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "comments")
+    start = view.offset - len(found[1])
+    return [_item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start) for rule in warnings]
+
+
+# Items
+
+
+def _unique(found: Iterable[Choice]) -> Iterable[Choice]:
+    first: dict[str, Choice] = {}
+    for choice in found:
+        first.setdefault(choice.text, choice)
+    return first.values()
+
+
+def _item(view: View, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
+    lines = view.document.lines
+    span = Range(lines.position(start), lines.position(view.offset))
+    return CompletionItem(
+        label=choice.text,
+        kind=choice.kind,
+        detail=choice.detail or None,
+        documentation=MarkupContent(MarkupKind.Markdown, choice.doc) if choice.doc else None,
+        text_edit=TextEdit(span, text or choice.text),
+        filter_text=choice.text,
+    )

@@ -1,0 +1,71 @@
+"""The files that an editor has open, as they stand in it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from pygls import uris
+
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.lsp.positions import Encoding, Lines
+from deepbots_cli.source import files
+from deepbots_cli.source.nodes import Node
+from deepbots_cli.source.parse import parse
+
+_SCENARIO = re.compile(r"^\ufeff?deepbots[ \t]*:", re.MULTILINE)
+_NAMELESS = "<untitled>"
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """One version of an open file; `path` is where it lies, or would lie."""
+
+    uri: str
+    version: int
+    text: str
+    path: Path
+    encoding: Encoding = "utf-16"
+
+    @cached_property
+    def lines(self) -> Lines:
+        return Lines(self.text, self.encoding)
+
+    @property
+    def plain(self) -> str:
+        """The text without a byte order mark, in which offsets count."""
+        return self.text.removeprefix("\ufeff")
+
+    @property
+    def is_scenario(self) -> bool:
+        """Whether this is a scenario, and no piece that others include."""
+        return _SCENARIO.search(self.text) is not None
+
+    @property
+    def is_robot(self) -> bool:
+        return self.path.suffix == ".urdf"
+
+    @cached_property
+    def bytes(self) -> bytes:
+        return self.text.encode("utf-8", "surrogatepass")
+
+    def read(self) -> tuple[Source, Node | None, Findings]:
+        """The text by itself: its source, its tree as far as it is sound, and what is wrong with it as YAML."""
+        findings = Findings()
+        source, readable = files.decode(self.bytes, str(self.path), findings)
+        return source, parse(source, findings) if readable else None, findings
+
+
+def path_of(uri: str) -> Path:
+    """The file of an address; what lies in no file is taken to lie in the working directory."""
+    named = uris.to_fs_path(uri) if uri.startswith("file:") else None
+    try:
+        return Path(named or _NAMELESS).resolve()
+    except (OSError, ValueError, RuntimeError):  # no name that a file can have
+        return Path(_NAMELESS).absolute()
+
+
+def uri_of(path: Path) -> str:
+    return str(uris.from_fs_path(str(path)))

@@ -1,0 +1,155 @@
+"""What may stand at a place of an expression that is being written: names, parts of the world, functions, units, words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from lsprotocol.types import CompletionItemKind
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.inventory import definition
+from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.lang.functions import ALLOWED, Family, Form, Param
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.lang.types import Context, Kind, Scope
+from deepbots_cli.lang.units import UNITS
+from deepbots_cli.lsp.analysing import Analysis
+from deepbots_cli.lsp.describing import of_function, of_symbol
+from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
+from deepbots_cli.source.nodes import Path
+
+_WORD = re.compile(r"[A-Za-z_][\w.]*$")
+_BEHIND_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(?:[A-Za-z%]+(?:\^-?\d)?\s?[*/]\s?)*$")
+_GRAMMAR = {
+    "when": "`a when c`: a where the condition holds, else 0",
+    "and": "both conditions hold",
+    "or": "one of the conditions holds",
+    "not": "the condition does not hold",
+    "true": "always holds",
+    "false": "never holds",
+}
+_REPEATS = {"every": "draws anew each so often: `uniform(0 .. 1) every 5 s`", "each step": "draws anew in every step"}
+_CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
+_MOST = 1000
+
+
+class Choice(NamedTuple):
+    """Something to write: what it is in a few words (`detail`), and at length."""
+
+    text: str
+    kind: CompletionItemKind
+    detail: str
+    doc: str = ""
+
+
+def is_expression(leaf: Leaf) -> bool:
+    return isinstance(leaf, (Expression, Quantity, Range, Column))
+
+
+def scope_of(analysis: Analysis, leaf: Leaf, path: Path) -> Scope | None:
+    """What an expression at `path`, of a field of this kind, may see."""
+    checked = analysis.checked
+    if checked is None or checked.namespace is None:
+        return None
+    if not isinstance(leaf, Expression):
+        drawn = isinstance(leaf, Quantity) and leaf.stage != "fixed"
+        return ParameterScope(checked.namespace, Context.FIELD if drawn else Context.FIXED)
+    if leaf.context in _CONTEXTS:
+        return ParameterScope(checked.namespace, _CONTEXTS[leaf.context])
+    context = Context[leaf.context.upper()]
+    if leaf.context not in ("emit", "apply"):
+        return SupervisorScope(checked.namespace, context)
+    robot = str(path[1]) if len(path) > 1 else ""
+    known = [reading.scope for reading in analysis.readings if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot]
+    same = next((scope for scope in known if scope.context is context), known[0] if known else None)
+    return RobotScope(checked.namespace, context, robot, dict(same.own) if same else {})
+
+
+def begun(text: str) -> str:
+    """The name that is being written at the end of `text`."""
+    found = _WORD.search(text)
+    return found.group() if found else ""
+
+
+def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
+    """What may come at the end of `text`, in the place of the name that is begun there."""
+    word = begun(text)
+    before = text[: len(text) - len(word)]
+    if _BEHIND_NUMBER.search(before):
+        yield from units()
+        return
+    kinds = _subjects(before)
+    if kinds is not None:
+        yield from _parts(scope, kinds)
+        return
+    if "." in word:
+        yield from _components(word.rpartition(".")[0], scope)
+    yield from _names(scope, checked)
+    for function in FUNCTIONS.values():
+        if function.family in ALLOWED[scope.context]:
+            yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, of_function(function))
+    for said, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
+        yield Choice(said, CompletionItemKind.Keyword, "", doc)
+
+
+def units() -> Iterator[Choice]:
+    for unit in UNITS.values():
+        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
+
+
+def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
+    robot = scope.robot if isinstance(scope, RobotScope) else None
+    for name in list(dict.fromkeys(scope.names()))[:_MOST]:
+        symbol = scope.lookup(name)
+        if symbol is not None and symbol.refused is None:
+            found = definition(checked, name, robot)
+            yield Choice(name, CompletionItemKind.Variable, of_symbol(symbol), found.what if found else "built in")
+
+
+def _components(name: str, scope: Scope) -> Iterator[Choice]:
+    """`.x` and the like, where what stands before the dot is a vector."""
+    symbol = scope.lookup(name)
+    known = symbol.type if symbol else None
+    for component in (known.components or ()) if known else ():
+        single = known and known._replace(components=None)
+        yield Choice(f"{name}.{component}", CompletionItemKind.Field, single.words if single else "")
+
+
+def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
+    for name in list(dict.fromkeys((*scope.subjects(), "ground")))[:_MOST]:
+        subject = scope.subject(name, kinds)
+        if subject is not None and subject.kind in kinds:
+            yield Choice(name, CompletionItemKind.Reference, subject.kind.words)
+
+
+def _subjects(before: str) -> frozenset[Kind] | None:
+    """Which parts of the world the argument that begins here may name; None where it is a value, or no argument at all."""
+    called = _call(before)
+    if called is None:
+        return None
+    name, index = called
+    function = FUNCTIONS.get(name)
+    params: tuple[Param, ...] = function.params if function is not None else ()
+    if not params or (function is not None and function.family is Family.DRAW):
+        return None
+    param = params[min(index, len(params) - 1)]
+    return param.kinds if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/")) else None
+
+
+def _call(before: str) -> tuple[str, int] | None:
+    """The function whose brackets are open at the end of the text, and which of its arguments that is."""
+    depth = commas = 0
+    for index in range(len(before) - 1, max(-1, len(before) - 2000), -1):
+        sign = before[index]
+        if sign == ")":
+            depth += 1
+        elif sign == "," and depth == 0:
+            commas += 1
+        elif sign == "(" and depth:
+            depth -= 1
+        elif sign == "(":
+            found = _WORD.search(before[:index])
+            return (found.group(), commas) if found else None
+    return None

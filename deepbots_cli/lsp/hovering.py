@@ -1,0 +1,134 @@
+"""Hover: what stands under the cursor, in a few lines."""
+
+from __future__ import annotations
+
+import re
+
+from lsprotocol import types
+
+from deepbots_cli.compiler.inventory import Named, definition, names
+from deepbots_cli.lang import syntax
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.lang.units import UNITS
+from deepbots_cli.lsp.asking import key_of, leaves, specs
+from deepbots_cli.lsp.describing import of_finding, of_function, of_key, of_kind, of_symbol, of_type
+from deepbots_cli.lsp.desk import View
+from deepbots_cli.lsp.pointing import Piece, Pointed, piece, pointed
+from deepbots_cli.schema.fields import Leaf, Pattern, Reference
+from deepbots_cli.schema.part import Mapped
+
+_CODE = re.compile(r"DB\d{3}")
+_LONGEST = 300
+
+
+def hover(view: View) -> types.Hover | None:
+    """What there is to say about the place; nothing about white space and what means nothing."""
+    found = _code(view) or _expression(view) or _key_or_value(view)
+    if found is None:
+        return None
+    text, start, end = found
+    lines = view.document.lines
+    return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text), types.Range(lines.position(start), lines.position(end)))
+
+
+Said = tuple[str, int, int]
+"""Markdown, and the offsets in the document that it is about."""
+
+
+def _code(view: View) -> Said | None:
+    """The code in a comment that suppresses it."""
+    text = view.document.plain
+    begin = text.rfind("\n", 0, view.offset) + 1
+    end = text.find("\n", view.offset)
+    line = text[begin : end if end >= 0 else len(text)]
+    comment = line.find("deepbots:")
+    for found in _CODE.finditer(line, max(0, comment)) if comment >= 0 else ():
+        if begin + found.start() <= view.offset <= begin + found.end() and (page := of_finding(found.group())):
+            return page, begin + found.start(), begin + found.end()
+    return None
+
+
+def _expression(view: View) -> Said | None:
+    found = piece(view)
+    if found is None or view.then is None:
+        return None
+    text = _of_piece(view, found)
+    if not text:
+        return None
+    span = found.reading.text.part(found.node.start, found.node.end)
+    moved = view.offset - view.then
+    return text, span.start + moved, span.end + moved
+
+
+def _of_piece(view: View, found: Piece) -> str | None:
+    node, name = found.node, found.name
+    if isinstance(node, syntax.Call) and found.cursor <= node.name_end and node.function in FUNCTIONS:
+        known = found.type
+        return of_function(FUNCTIONS[node.function]) + (f"\n\nHere it is {of_type(known)}." if known else "")
+    if name is not None:
+        return _of_name(view, found, name)
+    known = found.type
+    shown = " ".join(found.reading.text.text[node.start : node.end].split())
+    return f"`{shown[:_LONGEST]}`: {of_type(known)}" if known else None
+
+
+def _of_name(view: View, found: Piece, name: str) -> str | None:
+    checked = view.analysis.checked if view.analysis else None
+    if checked is None:
+        return None
+    leads = definition(checked, name, found.robot)
+    if found.kinds is not None:
+        subject = found.reading.scope.subject(name, found.kinds)
+        return f"`{name}`: {subject.kind.words}{_shown(leads)}" if subject else None
+    symbol = found.reading.scope.lookup(name)
+    if symbol is None:  # a component of a vector, or a unit
+        known = found.type
+        unit = UNITS.get(name)
+        return f"`{name}`: {of_type(known)}{_shown(leads)}" if known else f"`{name}`: {unit.dimension.words}" if unit else None
+    what = f"{leads.what}, " if leads else ""
+    return f"`{name}`: {what}{of_symbol(symbol)}{_shown(leads)}"
+
+
+def _shown(leads: Named | None) -> str:
+    """The line of the definition, where there is one."""
+    if leads is None or leads.span is None:
+        return ""
+    line = leads.span.source.line(leads.span.begin.line).strip()[:_LONGEST]
+    language = "xml" if line.startswith("<") else "yaml"
+    return f"\n\n```{language}\n{line}\n```"
+
+
+def _key_or_value(view: View) -> Said | None:
+    found = pointed(view)
+    if found is None or not found.text or not found.start <= view.offset <= found.end:
+        return None
+    text = _of_key(view, found) if found.is_key else _of_value(view, found)
+    return (text, found.start, found.end) if text else None
+
+
+def _of_key(view: View, found: Pointed) -> str | None:
+    part = key_of(found.path, view.data)
+    if part is not None:
+        return of_key(part, str(found.path[-1]))
+    for spec in specs(found.path[:-1], view.data):
+        if isinstance(spec, Mapped):
+            return _of_reference(view, found, spec.key) or f"`{found.text}`: a name of your choice, for {of_kind(spec.value)}"
+    return None
+
+
+def _of_value(view: View, found: Pointed) -> str | None:
+    for leaf in leaves(found.path, view.data):
+        named = _of_reference(view, found, leaf)
+        if named:
+            return named
+    steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
+    part = key_of(steps, view.data)
+    return of_key(part, str(steps[-1])) if part is not None else None
+
+
+def _of_reference(view: View, found: Pointed, leaf: Leaf) -> str | None:
+    checked = view.analysis.checked if view.analysis else None
+    if checked is None or not isinstance(leaf, (Reference, Pattern)):
+        return None
+    match = next((known for known in names(checked, leaf.kind, found.path) if known.name == found.text), None)
+    return f"`{match.name}`: {match.what}{_shown(match)}" if match else None

@@ -1,0 +1,151 @@
+"""Code actions: the fixes of findings, comments that suppress warnings, and all safe fixes at once."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+
+from lsprotocol import types
+
+from deepbots_cli.cli.mending import Mender
+from deepbots_cli.diagnostics import Edit, Finding, Source
+from deepbots_cli.errors import UsageError
+from deepbots_cli.lsp.analysing import Analysis
+from deepbots_cli.lsp.desk import Desk
+from deepbots_cli.lsp.diagnosing import Places, diagnostic
+from deepbots_cli.lsp.documents import Document
+from deepbots_cli.source.nodes import to_data
+
+FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
+KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
+
+_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
+_SHOWN = 40
+
+
+class Actions:
+    """What can be done about the findings of a document; edits are of the versions that are open, and of no other."""
+
+    def __init__(self, desk: Desk, document: Document, *, versioned: bool) -> None:
+        self._desk = desk
+        self._document = document
+        self._versioned = versioned
+
+    def at(self, range: types.Range, only: Iterable[str] | None = None) -> list[types.CodeAction]:
+        """Those for a range of the document, of the kinds that are asked for."""
+        found: list[types.CodeAction] = []
+        if _is_wanted(types.CodeActionKind.QuickFix.value, only):
+            for finding, analysis, source in self._findings(range):
+                found += self._of(finding, analysis, source)
+        if _is_wanted(FIX_ALL, only) and self._document.is_scenario and self._has_safe_fixes:
+            found.append(types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri}))
+        return found
+
+    def fix_all(self) -> types.WorkspaceEdit | None:
+        """All safe fixes of the scenario and of what it includes that do no harm, as `deepbots lint --fix` would make them."""
+        analysis = self._desk.latest.get(self._document.uri)
+        if analysis is None or analysis.document is not self._document:
+            return None
+        try:
+            rewrites = Mender([str(self._document.path)], drafts=self._desk.drafts, wanted=analysis.selection.wants).mend()
+        except UsageError:  # a file that is not there yet, or has changed meanwhile
+            return None
+        open_paths = {document.path: document for document in self._desk.documents.values()}
+        changes = {
+            open_paths[rewrite.path]: [types.TextEdit(open_paths[rewrite.path].lines.whole, rewrite.after.decode("utf-8"))]
+            for rewrite in rewrites
+            if rewrite.path in open_paths
+        }
+        return self._edit(changes) if changes else None
+
+    @property
+    def _has_safe_fixes(self) -> bool:
+        known = self._desk.latest.get(self._document.uri)
+        is_current = known is not None and known.document is self._document
+        return is_current and known is not None and any(found.fix is not None and found.fix.safe for found in known.findings)
+
+    def _findings(self, range: types.Range) -> Iterator[tuple[Finding, Analysis, Source]]:
+        """The findings in the document that touch the range, each once."""
+        lines, seen = self._document.lines, set()
+        start, end = lines.offset(range.start), lines.offset(range.end)
+        for analysis, source in self._desk.current(self._document):
+            for finding in analysis.findings:
+                here = finding.span.source is source or (analysis.checked is None and finding.span.source.name == source.name)
+                if here and finding.span.start <= end and finding.span.end >= start and finding.sort_key not in seen:
+                    seen.add(finding.sort_key)
+                    yield finding, analysis, source
+
+    def _of(self, finding: Finding, analysis: Analysis, source: Source) -> Iterator[types.CodeAction]:
+        places = Places(analysis, self._desk.open_uris)
+        about = [diagnostic(finding, places)]
+        changes = self._changes(finding, analysis)
+        if changes and finding.fix is not None:
+            title = f"{_title(finding.fix.edits[0])}{'' if finding.fix.safe else ' (a guess)'}"
+            edit = self._edit(changes)
+            yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit)
+        if finding.severity == "warning" and not finding.code.startswith("DB9") and not self._document.is_robot:
+            suppressing = self._suppressing(finding)
+            if suppressing is not None:
+                title = f"Suppress {finding.code} ({finding.name}) on this line"
+                edit = self._edit({self._document: [suppressing]})
+                yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, edit=edit)
+
+    def _changes(self, finding: Finding, analysis: Analysis) -> dict[Document, list[types.TextEdit]]:
+        """The edits of a fix by document; none unless all are in open documents as they are now."""
+        changes: dict[Document, list[types.TextEdit]] = {}
+        open_paths = {document.path: document for document in self._desk.documents.values()}
+        for edit in finding.fix.edits if finding.fix else ():
+            document = open_paths.get(analysis.path(edit.span.source))
+            if document is None or document.plain != edit.span.source.text:
+                return {}
+            span = document.lines.range(edit.span.start, edit.span.end)
+            changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
+        return changes
+
+    def _suppressing(self, finding: Finding) -> types.TextEdit | None:
+        """The edit that adds the code to a comment of the line, or a comment; None where that would change what the file says."""
+        text = self._document.plain
+        begin = text.rfind("\n", 0, finding.span.start) + 1
+        end = text.find("\n", begin)
+        end = len(text) if end < 0 else end
+        line = text[begin:end].rstrip()
+        known = _SUPPRESSION.search(line)
+        if known:
+            at, added = begin + known.end(1), f", {finding.code}"
+        else:
+            at, added = begin + len(line), f"  # deepbots: ignore[{finding.code}]"
+        if not _says_the_same(self._document, text[:at] + added + text[at:]):
+            return None
+        position = self._document.lines.position(at)
+        return types.TextEdit(types.Range(position, position), added)
+
+    def _edit(self, changes: dict[Document, list[types.TextEdit]]) -> types.WorkspaceEdit:
+        if not self._versioned:
+            return types.WorkspaceEdit(changes={document.uri: edits for document, edits in changes.items()})
+        return types.WorkspaceEdit(
+            document_changes=[
+                types.TextDocumentEdit(types.OptionalVersionedTextDocumentIdentifier(document.uri, document.version), list(edits))
+                for document, edits in changes.items()
+            ]
+        )
+
+
+def _is_wanted(kind: str, only: Iterable[str] | None) -> bool:
+    """Whether a kind is among those asked for: `source` stands for all that begin with it; what is not asked for is no source action."""
+    if only is None:
+        return not kind.startswith("source")
+    return any(kind == asked or kind.startswith(f"{asked}.") for asked in only)
+
+
+def _title(edit: Edit) -> str:
+    old, new = (" ".join(text.split())[:_SHOWN] for text in (edit.span.text, edit.text))
+    if new and not old:
+        return f"Insert `{new}`"
+    return f"Replace `{old}` with `{new}`" if new else f"Remove `{old}`"
+
+
+def _says_the_same(document: Document, text: str) -> bool:
+    """Whether the values are still those of the document."""
+    _, before, _ = document.read()
+    _, after, _ = Document(document.uri, document.version, text, document.path).read()
+    return before is not None and after is not None and to_data(before) == to_data(after)

@@ -1,0 +1,150 @@
+"""What stands under the cursor: a piece of an expression, or a key or a single value of the scenario."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from deepbots_cli.compiler.scopes import RobotScope
+from deepbots_cli.compiler.values import Reading, Text
+from deepbots_cli.lang import parser, syntax
+from deepbots_cli.lang.check import check
+from deepbots_cli.lang.functions import Form
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.lang.typed import Typed, children
+from deepbots_cli.lang.types import Kind, Type
+from deepbots_cli.lsp.desk import View
+from deepbots_cli.source.nodes import Path
+
+_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
+_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
+
+
+class Piece(NamedTuple):
+    """A node of the tree of an expression, `[start, end)` in its text; `kinds` where it names a part of the world.
+
+    `cursor` is where in the text the cursor is.
+    """
+
+    reading: Reading
+    cursor: int
+    node: syntax.Node
+    kinds: frozenset[Kind] | None = None
+
+    @property
+    def name(self) -> str | None:
+        """The dotted name under the cursor, up to the word that it is on."""
+        if not isinstance(self.node, syntax.Name):
+            return None
+        end = self.node.start
+        text = self.reading.text.text
+        for word in self.node.parts:
+            end = text.index(word, end) + len(word)
+            if self.cursor <= end:
+                break
+        return "".join(text[self.node.start : end].split())
+
+    @property
+    def robot(self) -> str | None:
+        """The robot on board of which it is computed."""
+        return self.reading.scope.robot if isinstance(self.reading.scope, RobotScope) else None
+
+    @property
+    def type(self) -> Type | None:
+        """What is known of the value of the node."""
+        for tree in self.reading.trees:
+            for node in _below(tree):
+                if (node.start, node.end) == (self.node.start, self.node.end):
+                    return node.type
+        if isinstance(self.node, (syntax.Range, syntax.Spread, syntax.Options)):
+            return None
+        typed = check(self.node, self.reading.scope, _ignored)
+        return typed.type if typed else None
+
+
+class Pointed(NamedTuple):
+    """A key, or a value, at a path of the scenario; `start` and `end` are offsets in the document as it is now."""
+
+    path: Path
+    text: str
+    start: int
+    end: int
+    is_key: bool
+
+
+def piece(view: View) -> Piece | None:
+    """The innermost node of the expression under the cursor."""
+    if view.analysis is None or view.source is None or view.then is None:
+        return None
+    found = [(size, reading) for reading in view.analysis.readings if (size := _held(view, reading)) is not None]
+    if not found:
+        return None
+    reading = min(found, key=lambda one: one[0])[1]
+    index = _index(reading.text, view.then)
+    tree = parser.parse(reading.text.text, _ignored)
+    return _innermost(Piece(reading, index, tree)) if tree is not None and tree.start <= index <= tree.end else None
+
+
+def pointed(view: View) -> Pointed | None:
+    """The key or the single value under the cursor."""
+    place, text = view.place, view.document.plain
+    if place.role == "aside":
+        return None
+    is_key = place.role == "key"
+    if is_key:
+        found = _KEY.match(text, view.offset)
+        end = found.end() if found else view.offset
+        again = view.placed(end)
+        word = text[again.start : end]
+        is_key = re.match(r"[\"']?[ \t]*:", text[end:]) is not None
+        path = (*again.path, word) if is_key else again.path
+        return Pointed(path, word, again.start, end, is_key)
+    found = _VALUE.match(text, max(place.start, view.offset - 1) if text[view.offset : view.offset + 1].isspace() else view.offset)
+    end = max(view.offset, found.end() if found else view.offset)
+    word = text[place.start : end]
+    return Pointed(place.path, word.strip("\"'"), place.start, end, is_key=False)
+
+
+def _held(view: View, reading: Reading) -> int | None:
+    """How long the text of the reading is, if the cursor is in it; a default stands nowhere."""
+    text, then = reading.text, view.then
+    first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
+    if first.source is not view.source or then is None or not first.start <= then <= last.end:
+        return None
+    is_default = first == last and first.end - first.start > 1
+    return None if is_default else last.end - first.start
+
+
+def _index(text: Text, offset: int) -> int:
+    """Which character of the text stands at the offset of its file."""
+    return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
+
+
+def _innermost(piece: Piece) -> Piece:
+    """The smallest node that holds the cursor; at the end of a name it is still that name."""
+    node, index = piece.node, piece.cursor
+    if isinstance(node, syntax.Call) and index <= node.name_end:
+        return piece
+    for child, kinds in _inside(node):
+        if child.start <= index <= child.end and not (child.start == index and isinstance(child, syntax.Binary)):
+            return _innermost(piece._replace(node=child, kinds=kinds))
+    return piece
+
+
+def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
+    """The nodes below; of arguments that name a part of the world, which kinds it may be of."""
+    function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
+    for index, child in enumerate((*syntax.children(node), *(node.items if isinstance(node, syntax.Vector) else ()))):
+        param = function.params[min(index, len(function.params) - 1)] if function and function.params else None
+        yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
+
+
+def _below(tree: Typed) -> Iterator[Typed]:
+    yield tree
+    for child in children(tree):
+        yield from _below(child)
+
+
+def _ignored(*_finding: object, **_more: object) -> None:
+    """Findings are told elsewhere."""
