@@ -61,7 +61,7 @@ def completion(view: View) -> CompletionList:
 
 def _keys(view: View) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
-    given = view.keys - {place.text}
+    given = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
     for choice in _unique(_key_choices(view, data)):
         if choice.text not in given:

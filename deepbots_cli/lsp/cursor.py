@@ -182,9 +182,9 @@ class _Reader:
     def _loose(self, start: int, column: int, end: int, last: bool) -> None:
         """A line without a key: more of the value above, brackets, or a key that is not complete yet."""
         holder, key, path = self.slot
-        quoted = _QUOTED.match(self.text, start)
-        if self.text[start] in "{[\"'" and holder[key] == "" and not (quoted and quoted.end() == len(self.text)):
-            self._value(start, end, column)
+        is_quote = self.text[start] in "\"'"
+        if (self.text[start] in "{[" or (is_quote and not last)) and holder[key] == "":
+            self._value(start, end, column if self.levels else -1)
             return
         goes_on = holder[key] != "" and bool(self.levels) and holder is self.levels[-1].node and column > self.levels[-1].column
         if not last:
@@ -196,7 +196,8 @@ class _Reader:
         elif goes_on and path:
             self._end("value", path, self.since)
         else:
-            self._end("key", self._here(column) if not isinstance(holder, list) or holder[key] != "" else path, start)
+            here = path if isinstance(holder, list) and holder[key] == "" else self._here(column)
+            self._end("key", here, start + is_quote)
 
     # Values
 
@@ -217,9 +218,9 @@ class _Reader:
         if comment and is_last and rest[:1] not in ("{", "[", '"', "'", "|", ">"):
             self._end("aside", path, start - 1 + comment.start())
         elif rest[:1] in ("{", "["):
-            self._brackets(start)
+            self._brackets(start, self._limit(end, column))
         elif rest[:1] in ('"', "'"):
-            self._quote(start)
+            self._quote(start, self._limit(end, column))
         elif _BLOCK.fullmatch(rest) and not (is_last and rest.strip() in ("|", ">")):
             self._block(end, column)
         else:
@@ -227,15 +228,22 @@ class _Reader:
             if is_last:
                 self._end("value", path, start)
 
-    def _quote(self, start: int) -> None:
+    def _limit(self, end: int, column: int) -> int:
+        """Where a value of several lines ends at the latest: its lines are indented further than its key."""
+        found = re.compile(rf"\n {{0,{column}}}[^\s}}\]]").search(self.text, end) if column >= 0 else None
+        return found.start() if found else len(self.text)
+
+    def _quote(self, start: int, limit: int) -> None:
         holder, key, path = self.slot
-        quoted = _QUOTED.match(self.text, start)
-        if quoted is None:
+        quoted = _QUOTED.match(self.text, start, limit)
+        if quoted is None and limit < len(self.text):
+            self.at = limit + 1
+        elif quoted is None:
             self._end("value", path, start + 1)
             self.at = len(self.text) + 1
-            return
-        holder[key] = quoted.group()[1:-1]
-        self._behind(start, quoted.end(), path)
+        else:
+            holder[key] = quoted.group()[1:-1]
+            self._behind(start, quoted.end(), path)
 
     def _behind(self, start: int, at: int, path: Path) -> None:
         """Leave the rest of the line behind a value that is complete."""
@@ -266,11 +274,13 @@ class _Reader:
 
     # Brackets
 
-    def _brackets(self, start: int) -> None:
-        """A value in brackets, to its end or to that of the text."""
-        flow = _Flow(self.text, start, *self.slot)
+    def _brackets(self, start: int, limit: int) -> None:
+        """A value in brackets, to its end or to where it has to end."""
+        flow = _Flow(self.text[:limit], start, *self.slot)
         closed = flow.read()
-        if closed is None:
+        if closed is None and limit < len(self.text):
+            self.at = limit + 1
+        elif closed is None:
             self._end(flow.role, flow.path, flow.start)
             self.at = len(self.text) + 1
         else:

@@ -10,7 +10,7 @@ from typing import Any
 
 from lsprotocol import types
 
-from deepbots_cli.diagnostics import Source
+from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.asking import at
 from deepbots_cli.lsp.cursor import Place, place
@@ -55,8 +55,17 @@ class View:
         if self.analysis is not None and self.analysis.checked is not None and self.analysis.checked.document.root is not None:
             node, _, steps = descend(self.analysis.checked.document.root, self.place.path)
             if steps == len(self.place.path) and isinstance(node, Mapping):
-                given |= {name for name, entry in node.entries.items() if entry.key.span.source is self.source}
+                given |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
         return given
+
+    def _is_elsewhere(self, span: Span) -> bool:
+        """Whether what the analysis saw there still stands in this document, and the cursor is not in it."""
+        if span.source is not self.source:
+            return False
+        now = self.document.plain
+        end = _moved(span.end, span.source.text, now)
+        start = (end or 0) - len(span.text)
+        return end is not None and now[max(0, start) : end] == span.text and not start <= self.offset <= end
 
     @cached_property
     def _above(self) -> Path:
@@ -123,7 +132,10 @@ class Desk:
 
 
 def _moved(offset: int, now: str, then: str) -> int | None:
-    """Where an offset of a text stood in an earlier version: before or behind all that differs; None within that."""
+    """Where an offset of a text stood in an earlier version; None for what has been written since.
+
+    That is known before and behind all that differs, and in between for a line that was there just so, and once.
+    """
     if now == then:
         return offset
     most = min(len(now), len(then))
@@ -131,7 +143,11 @@ def _moved(offset: int, now: str, then: str) -> int | None:
     if offset <= same:
         return offset
     tail = bisect_left(range(most - same), True, key=lambda index: now[len(now) - index - 1 :] != then[len(then) - index - 1 :])
-    return offset - len(now) + len(then) if offset >= len(now) - tail else None
+    if offset >= len(now) - tail:
+        return offset - len(now) + len(then)
+    begin, end = now.rfind("\n", 0, offset), now.find("\n", offset)
+    line = now[begin:end]
+    return then.index(line) + offset - begin if 0 <= begin < end and line.strip() and then.count(line) == 1 else None
 
 
 def _path_above(node: Node | None, source: Source, path: Path = ()) -> Path:

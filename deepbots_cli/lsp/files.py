@@ -20,7 +20,7 @@ def files(view: View, suffixes: tuple[str, ...], *, robots: bool = False) -> Ite
     folder, slash, _ = view.place.text.rpartition("/")
     if robots and not slash:
         yield from (Choice(name, CompletionItemKind.Module, "a robot that comes with deepbots") for name in shipped.robot_names())
-    for path in _listed(view, folder):
+    for path in _listed(view, f"{folder}{slash}"):
         name = f"{folder}{slash}{path.name}"
         if path.suffix in suffixes and path != view.document.path:
             yield Choice(name, CompletionItemKind.File, "a file")

@@ -82,8 +82,11 @@ def piece(view: View) -> Piece | None:
         return None
     reading = min(found, key=lambda one: one[0])[1]
     index = _index(reading.text, view.then)
-    tree = parser.parse(reading.text.text, _ignored)
-    return _innermost(Piece(reading, index, tree)) if tree is not None and tree.start <= index <= tree.end else None
+    text = reading.text.text
+    tree = parser.parse(text, _ignored)
+    if tree is None or not tree.start <= index <= tree.end or "#" in text[text.rfind("\n", 0, index) + 1 : index]:  # a comment
+        return None
+    return _innermost(Piece(reading, index, tree))
 
 
 def pointed(view: View) -> Pointed | None:

@@ -73,7 +73,15 @@ class Client:
         document = {"uri": uri, "version": self.versions[uri]}
         self.notify("textDocument/didChange", {"textDocument": document, "contentChanges": [{"text": text}]})
 
+    def restore(self, path: Path) -> None:
+        """Have an open document as it is on the disk, and looked at."""
+        uri, text = path.as_uri(), path.read_text(encoding="utf-8")
+        if self.texts[uri] != text:
+            self.change(uri, text)
+        self.findings(uri)
+
     def close(self, uri: str) -> None:
+        del self.texts[uri]
         self.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
     def findings(self, uri: str, version: int | None = None) -> list[Message]:
@@ -104,6 +112,10 @@ class Client:
 
     def labels(self, uri: str, around: str) -> list[str]:
         return [item["label"] for item in self.ask("completion", uri, around)["items"]]
+
+    def labels_at(self, uri: str, offset: int) -> list[str]:
+        params = {"textDocument": {"uri": uri}, "position": position(self.texts[uri], offset)}
+        return [item["label"] for item in self.request("textDocument/completion", params)["items"]]
 
     def hover(self, uri: str, around: str) -> str:
         found = self.ask("hover", uri, around)

@@ -1,0 +1,90 @@
+"""How soon `deepbots lsp` answers, and what it imports.
+
+    python -m tests.benchmarks.lsp_cost [--json] [--requests 100]
+
+The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition and code actions is
+asked for at so many places of a scenario, drawn with seed 0, a quarter of them right behind a change of the text. Times are CPU
+times of the whole process, of all its threads, from the request to the answer, once everything has been asked for before.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tests.benchmarks.lint_cost import HEAVY
+from tests.benchmarks.report import Row, options, show
+from tests.lsp.client import ROOT, Client, position
+
+SCENARIOS = ("pit_escape", "find_ball_random")
+METHODS = ("completion", "hover", "definition", "codeAction")
+BAR = 50.0
+
+
+def cpu_seconds(process: int) -> float:
+    """What the threads of a process have used, as the scheduler counts it, in nanoseconds."""
+    return sum(int(thread.joinpath("schedstat").read_text().split()[0]) for thread in Path(f"/proc/{process}/task").iterdir()) / 1e9
+
+
+def ask(client: Client, method: str, uri: str, place: dict[str, int]) -> None:
+    params: dict[str, Any] = {"textDocument": {"uri": uri}, "position": place}
+    if method == "codeAction":
+        params = {"textDocument": {"uri": uri}, "range": {"start": place, "end": place}, "context": {"diagnostics": []}}
+    client.request(f"textDocument/{method}", params)
+
+
+def answers(client: Client, uri: str, count: int) -> Iterator[float]:
+    """CPU milliseconds of each answer."""
+    drawn, text = random.Random(0), client.texts[uri]
+    for method in METHODS:
+        for number in range(count):
+            if number % 4 == 0:
+                client.findings(uri)  # what came before is done with
+                client.change(uri, text + " " * (number % 8))
+            place = position(text, drawn.randrange(len(text)))
+            before = cpu_seconds(client.process.pid)
+            ask(client, method, uri, place)
+            yield 1e3 * (cpu_seconds(client.process.pid) - before)
+
+
+def analysis(client: Client, uri: str, count: int) -> Iterator[float]:
+    """CPU milliseconds from a change of the text to the findings."""
+    text = client.texts[uri]
+    for number in range(count):
+        client.findings(uri)
+        time.sleep(0.1)
+        before = cpu_seconds(client.process.pid)
+        client.change(uri, text + "\n" * (number % 2))
+        client.findings(uri)
+        yield 1e3 * (cpu_seconds(client.process.pid) - before)
+
+
+def heavy_imports(process: int) -> int:
+    """How many of the heavy packages the process has mapped, or has a file open of."""
+    maps = Path(f"/proc/{process}/maps").read_text()
+    return sum(f"/{name}" in maps for name in HEAVY)
+
+
+def rows(count: int) -> Iterator[Row]:
+    with Client(ROOT) as client:
+        for name in SCENARIOS:
+            uri = client.open(ROOT / "scenarios" / f"{name}.yaml")
+            list(answers(client, uri, 8))
+            taken = list(answers(client, uri, count))
+            yield Row(f"an answer in {name}.yaml, median of {len(taken)}", median(taken), "ms", BAR)
+            yield Row(f"an answer in {name}.yaml, worst of {len(taken)}", max(taken), "ms", BAR)
+            yield Row(f"from a change of {name}.yaml to its findings", median(analysis(client, uri, 11)), "ms")
+        yield Row(f"of {', '.join(HEAVY)} it imports", heavy_imports(client.process.pid), "", 0)
+
+
+def main() -> None:
+    given = options(__doc__, requests=100)
+    show(rows(given.requests), as_json=given.json)
+
+
+if __name__ == "__main__":
+    main()

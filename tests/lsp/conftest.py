@@ -1,0 +1,48 @@
+"""A project with copies of the shipped scenarios and robots, and one server for the tests of a module."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.lsp.client import ROOT, Client
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("project")
+    for name in ("scenarios", "robots"):
+        shutil.copytree(ROOT / name, folder / name)
+    (folder / "deepbots.toml").write_text("")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def client(project: Path) -> Iterator[Client]:
+    """Ends with the server leaving of its own, without a word on standard error."""
+    with Client(project) as started:
+        yield started
+    assert (started.code, started.errors, started.logged) == (0, "", [])
+
+
+@pytest.fixture
+def pit(client: Client, project: Path) -> Iterator[str]:
+    """The address of PitEscape, looked at; what a test makes of it is undone."""
+    yield from _shown(client, project / "scenarios" / "pit_escape.yaml")
+
+
+@pytest.fixture
+def ball(client: Client, project: Path) -> Iterator[str]:
+    """The same of FindBallRandom, which includes the e-puck."""
+    yield from _shown(client, project / "scenarios" / "find_ball_random.yaml")
+
+
+def _shown(client: Client, path: Path) -> Iterator[str]:
+    uri = client.open(path) if path.as_uri() not in client.texts else path.as_uri()
+    client.restore(path)
+    assert client.findings(uri) == []
+    yield uri
+    client.restore(path)

@@ -1,0 +1,157 @@
+"""What can be done about findings: fixes as they are, guesses called so, suppressions, all safe fixes at once; formatting and outline."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from tests.lsp.client import Client, edited
+
+FIX_ALL = ["source.fixAll.deepbots"]
+
+
+@pytest.fixture
+def changed(client, pit):
+    """Makes changes to PitEscape, and waits for what is found."""
+
+    def change(*changes: tuple[str, str]) -> list:
+        text = client.texts[pit]
+        for old, new in changes:
+            assert text.count(old) == 1
+            text = text.replace(old, new)
+        client.change(pit, text)
+        return client.findings(pit)
+
+    return change
+
+
+def made(client, uri, action):
+    """The text after an action."""
+    changes = action["edit"]["changes"]
+    assert set(changes) == {uri}
+    return edited(client.texts[uri], changes[uri])
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "title", "safe"),
+    [
+        ("timestep: 32", "timest¦op: 32", "Replace `timestop` with `timestep`", True),
+        ("{type: gyro,", "{type: gyro¦s,", "Replace `gyros` with `gyro`", True),
+        ("delta(metric)", "delta(¦metrik)", "Replace `metrik` with `metric` (a guess)", False),
+        ("timestep: 32 ms", "timestep: 32 mil¦liseconds", "Replace `milliseconds` with `ms`", True),
+    ],
+)
+def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(client, pit, changed, right, wrong, title, safe):
+    original = client.texts[pit]
+    changed((right, wrong.replace("¦", "")))
+    (action,) = client.actions(pit, wrong)
+    assert (action["title"], action["kind"], action.get("isPreferred", False)) == (title, "quickfix", safe)
+    assert made(client, pit, action) == original
+    assert [finding["code"] for finding in action["diagnostics"]] == [finding["code"] for finding in client.diagnostics[pit]["diagnostics"]]
+    assert client.actions(pit, "sum¦mary") == []
+
+
+def test_a_fix_behind_an_emoji_replaces_just_its_word(client, pit, changed):
+    changed(("gyro: {type: gyro, link: ball}", '"😀𝄞ü": {type: gyros, link: ball}'))
+    (action,) = client.actions(pit, "type: gyr¦os")
+    assert made(client, pit, action) == client.texts[pit].replace("gyros", "gyro")
+
+
+def test_a_warning_can_be_suppressed_on_its_line_and_is_gone_then(client, pit, changed):
+    changed(("signals:\n", "signals:\n  spare: time  # not yet\n"))
+    (action,) = [found for found in client.actions(pit, "spa¦re: time") if found["title"].startswith("Suppress")]
+    assert action["title"] == "Suppress DB205 (unused-definition) on this line"
+    client.change(pit, made(client, pit, action))
+    assert "  spare: time  # not yet  # deepbots: ignore[DB205]\n" in client.texts[pit]
+    assert client.findings(pit) == []
+
+
+def test_a_second_code_goes_into_the_comment_that_is_there(client, pit, changed):
+    changed(("signals:\n", "signals:\n  spare: 1 / (time - 1 s)  # deepbots: ignore[DB405]\n"))
+    (action,) = [found for found in client.actions(pit, "spa¦re: 1") if found["title"].startswith("Suppress")]
+    assert "# deepbots: ignore[DB405, DB205]\n" in made(client, pit, action)
+
+
+def test_an_error_cannot_be_suppressed(client, pit, changed):
+    changed(("timestep: 32", "timestop: 32"))
+    assert [found["title"] for found in client.actions(pit, "time¦stop") if "Suppress" in found["title"]] == []
+
+
+def test_a_suppression_that_would_become_part_of_a_text_is_not_offered(client, pit, changed):
+    changed(("signals:\n", 'signals:\n  spare: "time\n    + 1 s"\n'))
+    assert [found["code"] for found in client.diagnostics[pit]["diagnostics"]] == ["DB205"]
+    assert [found for found in client.actions(pit, "spa¦re") if found["title"].startswith("Suppress")] == []
+
+
+def test_all_safe_fixes_are_one_action_and_guesses_are_left(client, pit, changed):
+    original = client.texts[pit]
+    changed(("timestep: 32", "timestop: 32"), ("{type: gyro,", "{type: gyros,"), ("delta(metric)", "delta(metrik)"))
+    (action,) = client.actions(pit, "time¦stop", only=FIX_ALL)
+    assert made(client, pit, action) == original.replace("delta(metric)", "delta(metrik)")
+    assert client.actions(pit, "time¦stop", only=["refactor"]) == []
+
+
+def test_a_client_that_can_ask_later_gets_the_edit_when_it_asks_and_versions_with_it(project):
+    able = {
+        "textDocument": {"codeAction": {"resolveSupport": {"properties": ["edit"]}}},
+        "workspace": {"workspaceEdit": {"documentChanges": True}},
+    }
+    with Client(project, capabilities=able) as own:
+        path = project / "scenarios" / "pit_escape.yaml"
+        uri = own.open(path, path.read_text().replace("timestep: 32", "timestop: 32"))
+        own.findings(uri)
+        (action,) = own.actions(uri, "time¦stop", only=["source"])
+        assert "edit" not in action
+        (change,) = own.request("codeAction/resolve", action)["edit"]["documentChanges"]
+        assert change["textDocument"] == {"uri": uri, "version": 1}
+        assert edited(own.texts[uri], change["edits"]) == path.read_text()
+
+
+def test_fixes_of_a_text_that_is_gone_are_not_offered(client, pit, changed):
+    changed(("timestep: 32", "timestop: 32"))
+    client.change(pit, "# one line more\n" + client.texts[pit])
+    assert client.actions(pit, "time¦stop") == []
+
+
+def test_a_fix_in_an_included_file_is_offered_there(client, ball, project):
+    path = project / "robots" / "epuck.yaml"
+    piece = client.open(path, path.read_text().replace("infrared", "infrard"))
+    while not client.published(piece):
+        pass
+    (action,) = client.actions(piece, "infr¦ard")
+    assert made(client, piece, action) == path.read_text()
+    client.close(piece)
+
+
+def test_formatting_makes_what_fmt_makes_and_leaves_broken_text_alone(client, pit, changed):
+    original = client.texts[pit]
+    options = {"textDocument": {"uri": pit}, "options": {"tabSize": 4, "insertSpaces": True}}
+    assert client.request("textDocument/formatting", options) == []
+    client.change(pit, original.replace("messages: {format: struct}", "messages:    {format:   struct }"))
+    assert edited(client.texts[pit], client.request("textDocument/formatting", options)) == original
+    client.change(pit, original.replace("messages: {", "messages: {{"))
+    assert client.request("textDocument/formatting", options) == []
+
+
+def test_the_outline_shows_sections_and_the_names_in_them(client, pit):
+    symbols = client.request("textDocument/documentSymbol", {"textDocument": {"uri": pit}})
+    names = {symbol["name"]: [inner["name"] for inner in symbol.get("children", [])] for symbol in symbols}
+    assert names["signals"] == ["reach", "metric"]
+    assert names["parameters"] == ["radius", "time_limit", "speed"]
+    assert list(names)[:3] == ["deepbots", "name", "summary"]
+
+
+def test_the_server_writes_nothing(project, tmp_path):
+    def state() -> dict[str, str]:
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(Path(project).rglob("*")) if path.is_file()}
+
+    before = state()
+    with Client(project) as own:
+        path = project / "scenarios" / "pit_escape.yaml"
+        uri = own.open(path, path.read_text().replace("timestep: 32", "timestop: 32"))
+        own.findings(uri)
+        own.actions(uri, "time¦stop", only=FIX_ALL)
+        own.request("textDocument/formatting", {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}})
+    assert state() == before

@@ -1,0 +1,152 @@
+"""Completion: keys, words, names, parts of the world, functions, units and files, also where the text is broken at the moment."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.lsp.client import edited
+
+
+@pytest.fixture
+def typing(client, pit, project):
+    """Puts a piece of PitEscape in the place of another, asks for completion at the mark, and puts it back."""
+    original = (project / "scenarios" / "pit_escape.yaml").read_text(encoding="utf-8")
+
+    def labels(old: str, new: str) -> list[str]:
+        assert original.count(old) == 1
+        start = original.index(old)
+        client.change(pit, original.replace(old, new.replace("¦", "")))
+        return client.labels_at(pit, start + new.index("¦"))
+
+    return labels
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "offered", "not_offered"),
+    [
+        ("timestep: 32 ms, substeps", "timestep: 32 ms, gr¦, substeps", {"gravity", "ground", "arena"}, {"timestep", "substeps", "gyro"}),
+        ("solved: {mean_return: 0.89, ", "solved: {su¦, ", {"success_rate", "mean_return"}, {"episodes", "solved"}),
+        ("  n_steps: 64\n", "  n_¦\n", {"n_steps", "n_epochs", "clip_range"}, {"buffer_size", "algorithm"}),
+        ("messages: {format: struct}\n", "mes¦\n", {"messages", "goal", "disturbances"}, {"world", "robots", "timestep"}),
+        ("    emit: [gyro, accel]\n", "    emit: [gyro, accel]\n    ¦\n", {"receive", "groups", "base"}, {"emit", "urdf", "world"}),
+    ],
+)
+def test_keys_are_those_of_the_place_that_are_not_there_yet(typing, old, new, offered, not_offered):
+    found = set(typing(old, new))
+    assert offered <= found
+    assert not found & not_offered
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "offered"),
+    [
+        ("messages: {format: struct}", "messages: {format: s¦}", {"struct", "csv", "json", "none"}),
+        ("{type: gyro, link", "{type: ¦, link", {"gyro", "accelerometer", "camera"}),
+        ("algorithm: PPO", "algorithm: ¦", {"PPO", "SAC", "TD3"}),
+        ("terrain: {type: pit,", "terrain: {type: p¦", {"pit", "mesh", "heightfield"}),
+    ],
+)
+def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, offered):
+    assert offered <= set(typing(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "offered"),
+    [
+        ("joint: pitch", "joint: ¦", {"pitch", "yaw"}),
+        ("gyro, link: ball}", "gyro, link: ¦", {"ball", "weight", "carrier"}),
+        ("emit: [gyro, accel]", "emit: [gyro, ¦", {"gyro", "accel"}),
+        ("{pitch_motor: pitch * speed", "{¦: pitch * speed", {"pitch_motor"}),
+        ("{roller.gyro: -5", "{rol¦: -5", {"roller.gyro", "reach", "previous_action"}),
+        ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
+        ("reset: {place: {roller", "reset: {place: {¦", {"roller"}),
+    ],
+)
+def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_due(typing, old, new, offered):
+    assert offered <= set(typing(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "offered", "not_offered"),
+    [
+        ("delta(metric)", "delta(me¦", {"metric", "reach", "radius", "delta(", "running_max(", "when"}, {"gyro", "uniform(", "m"}),
+        ("{pitch_motor: pitch * speed", "{pitch_motor: pi¦ * speed", {"pitch", "speed", "gyro"}, {"reach", "roller.gyro", "position("}),
+        ("norm(position(roller).xy)", "norm(position(¦", {"roller", "roller.ball"}, {"radius", "norm(", "m"}),
+        ("roller.gyro.y < 0 rad/s", "roller.gyro.¦", {"roller.gyro.x", "roller.gyro.z"}, {"gyro"}),
+        ("radius: 2.7 m", "radius: 2.7 ¦", {"m", "deg", "N"}, {"speed", "uniform("}),
+        ("8.72 rad/s", "8.72 rad/¦", {"s", "ms"}, {"radius"}),
+        ("radius: 2.7 m", "radius: uni¦", {"uniform(", "time_limit"}, {"reach", "delta("}),
+    ],
+)
+def test_expressions_offer_what_has_a_value_there(typing, old, new, offered, not_offered):
+    found = set(typing(old, new))
+    assert offered <= found
+    assert not found & not_offered
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "reward:      {progress: delta(me¦",
+        'reward:      {progress: "delta(me¦',
+        "reward:\n  progress: [ delta(me¦",
+        "reward:\n\tprogress: {{\nreward:\n  progress: delta(me¦",
+        "reward: }\nreward:\n  progress: |\n    delta(me¦",
+    ],
+)
+def test_a_document_that_is_no_yaml_at_the_moment_is_completed_from_what_was_known(typing, broken):
+    assert {"metric", "reach", "delta("} <= set(typing("reward:      {progress: delta(metric)}", broken))
+
+
+def test_a_name_that_was_never_compiled_is_not_offered_but_the_language_is(client, project):
+    uri = client.open(project / "scenarios" / "new.yaml", "deepbots: 1\nworld: {")
+    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}})
+    assert {"timestep", "gravity"} <= {item["label"] for item in found["items"]}
+    client.change(uri, "deepbots: 1\nparameters: {radius: 2 ")
+    assert "m" in client.labels(uri, "radius: 2 ¦")
+    client.close(uri)
+
+
+def test_an_item_says_what_it_is_and_writes_no_more_than_is_missing(client, pit):
+    items = client.ask("completion", pit, "times¦tep: 32 ms")["items"]
+    (timestep,) = [item for item in items if item["label"] == "timestep"]
+    assert "duration" in timestep["detail"]
+    assert "One control tick" in timestep["documentation"]["value"]
+    assert "timestep: 32 ms" in timestep["documentation"]["value"]
+    assert timestep["textEdit"]["newText"] == "timestep"
+    assert edited(client.texts[pit], [timestep["textEdit"]]) == client.texts[pit].replace("timestep: 32", "timesteptep: 32")
+    (gravity,) = [item for item in items if item["label"] == "gravity"]
+    assert gravity["textEdit"]["newText"] == "gravity"  # the colon is there
+
+
+def test_behind_an_emoji_the_right_letters_are_replaced(typing, client, pit):
+    assert "accelerometer" in typing("gyro: {type: gyro, link: ball}", '"😀": {noise: 0, type: acc¦}')
+    (item,) = [item for item in client.ask("completion", pit, "type: acc¦}")["items"] if item["label"] == "accelerometer"]
+    assert '"😀": {noise: 0, type: accelerometer}' in edited(client.texts[pit], [item["textEdit"]])
+
+
+def test_paths_are_completed_within_the_project_and_nowhere_else(typing):
+    assert "../robots/urdf/" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../robots/¦")
+    assert "../robots/urdf/rover.urdf" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../robots/urdf/¦")
+    assert "cartpole" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ¦")
+    assert typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../../¦") == []
+    assert typing("urdf: ../robots/urdf/roller.urdf", "urdf: /¦") == []
+
+
+def test_an_included_piece_is_completed_as_the_part_of_the_scenario_that_it_is(client, ball, project):
+    piece = client.open(project / "robots" / "epuck.yaml")
+    assert client.findings(piece) == []
+    assert {"base_link", "left_wheel"} <= set(client.labels(piece, "link: b¦ase_link"))
+    text = client.texts[piece]
+    client.change(piece, text.replace("type: infrared", "type: infrared\n    no¦".replace("¦", "")))
+    assert {"noise", "range"} <= set(client.labels(piece, "type: infrared\n    no¦"))
+    client.change(piece, text)
+    assert client.findings(piece) == []
+    client.close(piece)
+
+
+def test_a_comment_that_suppresses_is_completed_with_the_warnings(typing):
+    found = typing("# a decision every 256 ms", "# deepbots: ignore[DB2¦]")
+    assert "DB205" in found
+    assert "DB402" not in found
+    assert typing("# a decision every 256 ms", "# a deci¦") == []

@@ -1,0 +1,196 @@
+"""Findings as one types: the same as of `deepbots lint`, at places of the protocol, of the newest text only."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from tests.lsp.client import Client, position
+
+RED, WARNING = 1, 2
+
+
+@pytest.fixture
+def world(client, project, tmp_path):
+    """A scenario of its own for each test, in a project of its own."""
+    shutil.copytree(project / "scenarios", tmp_path / "scenarios")
+    shutil.copytree(project / "robots", tmp_path / "robots")
+    (tmp_path / "deepbots.toml").write_text("")
+
+    def write(name: str, *changes: tuple[str, str]):
+        path = tmp_path / "scenarios" / f"{name}.yaml"
+        text = path.read_text(encoding="utf-8")
+        for old, new in changes:
+            assert text.count(old) == 1
+            text = text.replace(old, new)
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def codes(found):
+    return [finding["code"] for finding in found]
+
+
+def marked(client, uri, finding):
+    """The text that a finding underlines."""
+    lines = client.texts[uri].split("\n")
+    start, end = finding["range"]["start"], finding["range"]["end"]
+    assert start["line"] == end["line"]
+    piece = lines[start["line"]].encode("utf-16-le")[2 * start["character"] : 2 * end["character"]]
+    return piece.decode("utf-16-le")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "underlined"),
+    [
+        ("timestep:", "timestop:", "DB101", "timestop"),
+        ("delta(metric)", "delta(metrik)", "DB402", "metrik"),
+        ("32 ms", "32 msek", "DB501", "msek"),
+        ("joint: pitch", "joint: pich", "DB302", "pich"),
+    ],
+)
+def test_a_finding_has_its_code_its_severity_and_its_exact_place(client, world, old, new, code, underlined):
+    uri = client.open(world("pit_escape", (old, new)))
+    (only,) = client.findings(uri)
+    assert (only["code"], only["severity"], only["source"]) == (code, RED, "deepbots")
+    assert marked(client, uri, only) == underlined
+    client.close(uri)
+
+
+def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, world):
+    summary = 'summary: "Ä 😀", parameters'
+    uri = client.open(world("pit_escape", ("parameters: {radius: 2.7 m,", "parameters: {radius: 2.7 m,  # 😀\n  ü😀: 1 m, ")))
+    (only,) = client.findings(uri)
+    assert marked(client, uri, only) == "ü😀"
+    assert only["range"]["end"] == {"line": 4, "character": 5}
+    client.close(uri)
+    assert position(summary, summary.index("parameters"))["character"] == summary.index("parameters") + 1
+
+
+def test_a_finding_behind_an_emoji_of_its_line_is_where_the_editor_shows_it(client, world):
+    uri = client.open(world("pit_escape", ("gyro: {type: gyro, link: ball}", 'gyro: {type: "😀😀", link: bal}')))
+    found = client.findings(uri)
+    assert "DB104" in codes(found)
+    assert marked(client, uri, next(finding for finding in found if finding["code"] == "DB104")) == '"😀😀"'
+    client.close(uri)
+
+
+def test_each_change_of_the_text_is_looked_at_and_the_last_word_is_about_the_last_text(client, world):
+    uri = client.open(world("pit_escape"))
+    text = client.texts[uri]
+    assert client.findings(uri) == []
+    for number in range(10):
+        client.change(uri, text.replace("timestep", f"timestep{number}"))
+    client.change(uri, text.replace("delta(metric)", "delta(metrics)"))
+    (only,) = client.findings(uri)
+    assert marked(client, uri, only) == "metrics"
+    client.change(uri, text)
+    assert client.findings(uri) == []
+    client.close(uri)
+
+
+def test_a_mistake_in_an_included_file_is_told_there_and_where_it_is_included_from(client, world):
+    path = world("find_ball_random")
+    piece = path.parents[1] / "robots" / "epuck.yaml"
+    piece.write_text(piece.read_text().replace("link: base_link", "link: base_lin"))
+    uri = client.open(path)
+    assert client.findings(uri) == []
+    (only,) = client.diagnostics[piece.as_uri()]["diagnostics"]
+    assert only["code"] == "DB201"
+    (chain,) = only["relatedInformation"]
+    assert (chain["location"]["uri"], chain["message"]) == (uri, "included from here")
+    client.close(uri)
+    assert client.published(piece.as_uri()) == []
+
+
+def test_an_included_file_that_is_being_written_counts_as_it_stands_in_the_editor(client, world):
+    path = world("find_ball_random")
+    uri = client.open(path)
+    assert client.findings(uri) == []
+    piece = client.open(path.parents[1] / "robots" / "epuck.yaml")
+    assert client.findings(piece) == []
+    client.change(piece, client.texts[piece].replace("infrared", "infrarot"))
+    while not (found := client.published(piece)):
+        pass
+    assert (codes(found), marked(client, piece, found[0])) == (["DB104"], "infrarot")
+    client.close(piece)
+    client.close(uri)
+
+
+def test_a_piece_that_no_open_scenario_includes_is_looked_at_as_yaml_only(client, world):
+    piece = client.open(world("find_ball_random").parents[1] / "robots" / "epuck.yaml", "urdf: {\nsensors: 1")
+    assert codes(client.findings(piece)) == ["DB001"]
+    client.close(piece)
+
+
+def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
+    uri = client.open(world("pit_escape", ("signals:\n", "signals:\n  radius: time\n")))
+    (only,) = [finding for finding in client.findings(uri) if finding["code"] == "DB202"]
+    (first,) = only["relatedInformation"]
+    assert first["message"] == "first defined here"
+    assert first["location"]["range"]["start"] == {"line": 3, "character": 13}
+    client.close(uri)
+
+
+def test_a_comment_suppresses_and_one_that_suppresses_nothing_is_told(client, world):
+    unused = ("signals:\n", "signals:\n  spare: time  # deepbots: ignore[DB205]\n")
+    uri = client.open(world("pit_escape", unused))
+    assert client.findings(uri) == []
+    client.change(uri, client.texts[uri].replace("spare: time  # deepbots: ignore[DB205]", "spare: time"))
+    (only,) = client.findings(uri)
+    assert (only["code"], only["severity"], only["tags"]) == ("DB205", WARNING, [1])
+    client.close(uri)
+
+
+def test_the_settings_of_the_project_of_the_file_count(client, world):
+    path = world("pit_escape", ("signals:\n", "signals:\n  spare: time\n"))
+    settings = path.parents[1] / "deepbots.toml"
+    settings.write_text('[lint]\nignore = ["DB205"]\n')
+    uri = client.open(path)
+    assert client.findings(uri) == []
+    settings.write_text("")
+    client.notify("textDocument/didSave", {"textDocument": {"uri": uri}})
+    while not (found := client.published(uri)):
+        pass
+    assert codes(found) == ["DB205"]
+    client.close(uri)
+
+
+def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without(project, world):
+    path = world("pit_escape", ("timestep:", "timestop:"))
+    (path.parents[1] / "deepbots.toml").write_text("[lint]\nignore = 3\n")
+    with Client(project) as own:
+        uri = own.open(path)
+        assert codes(own.findings(uri)) == ["DB101"]
+        own.change(uri, own.texts[uri] + "\n")
+        own.findings(uri)
+        assert len(own.logged) == 1
+        assert "'ignore' is a list of codes" in own.logged[0]
+
+
+def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
+    capabilities = {"general": {"positionEncodings": ["utf-8", "utf-16"]}}
+    path = world("pit_escape", ("parameters: {radius: 2.7 m,", "parameters: {radius: 2.7 m,  # 😀\n  ü😀: 1 m, "))
+    with Client(project, capabilities=capabilities) as own:
+        assert own.server["capabilities"]["positionEncoding"] == "utf-8"
+        (only,) = own.findings(own.open(path))
+        assert only["range"]["end"] == {"line": 4, "character": 2 + len("ü😀".encode())}
+
+
+def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
+    uri = "untitled:Untitled-1"
+    document = {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nname: New\nrobots: {cart: {urdf: cartpole}}\n"}
+    client.notify("textDocument/didOpen", {"textDocument": document})
+    client.versions[uri] = 1
+    assert "DB102" in codes(client.findings(uri))
+    client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
+
+
+def test_findings_of_a_closed_document_are_taken_back(client, world):
+    uri = client.open(world("pit_escape", ("timestep:", "timestop:")))
+    assert codes(client.findings(uri)) == ["DB101"]
+    client.close(uri)
+    assert client.published(uri) == []

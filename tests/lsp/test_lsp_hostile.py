@@ -1,0 +1,139 @@
+"""Whatever a document holds and a client asks: there is an answer, without a word in the log, and nothing heavy is imported."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from lsprotocol.types import Position, Range
+
+from deepbots_cli.lsp.analysing import analyse
+from deepbots_cli.lsp.completing import completion
+from deepbots_cli.lsp.defining import definitions
+from deepbots_cli.lsp.desk import Desk
+from deepbots_cli.lsp.diagnosing import diagnostics
+from deepbots_cli.lsp.documents import Document, uri_of
+from deepbots_cli.lsp.formatting import formatting
+from deepbots_cli.lsp.hovering import hover
+from deepbots_cli.lsp.mending import Actions
+from deepbots_cli.lsp.outlining import outline
+from tests.benchmarks.lsp_cost import heavy_imports
+from tests.lsp.client import Client
+
+ROOT = Path(__file__).parents[2]
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))
+STEP = 37
+ASKED_OF_A_PLACE = ("completion", "hover", "definition")
+
+
+def answer_all(desk: Desk, document: Document, position: Position) -> None:
+    """Every request at one place; nothing may be raised."""
+    view = desk.view(document.uri, position)
+    assert completion(view).items is not None
+    hover(view)
+    definitions(view, desk.open_uris)
+    Actions(desk, document, versioned=True).at(Range(position, position))
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_a_scenario_cut_off_anywhere_is_answered_for(path):
+    text, uri, desk = path.read_text(encoding="utf-8"), uri_of(path), Desk()
+    whole = Document(uri, 1, text, path)
+    desk.put(whole)
+    desk.learn(analyse(whole, desk.drafts))
+    for version, end in enumerate(range(0, len(text), STEP), 2):
+        document = Document(uri, version, text[:end], path)
+        desk.put(document)
+        if version % 10 == 0:
+            diagnostics(analysis := analyse(document, desk.drafts), desk.open_uris)
+            desk.learn(analysis)
+            formatting(document)
+            outline(document)
+        answer_all(desk, document, document.lines.position(end))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_scenario_with_random_slips_is_answered_for(seed):
+    drawn = random.Random(seed)
+    for path in drawn.sample(SCENARIOS, 5):
+        text, uri, desk = path.read_text(encoding="utf-8"), uri_of(path), Desk()
+        for version in range(1, 12):
+            slips = list(text)
+            for _ in range(version % 5):
+                slips.insert(drawn.randrange(len(slips)), drawn.choice("{}[],:\"'|>-# \n\t&*!%@x😀(.)"))
+            document = Document(uri, version, "".join(slips), path)
+            desk.put(document)
+            if version % 3 == 1:
+                desk.learn(analyse(document, desk.drafts))
+            for _ in range(8):
+                answer_all(desk, document, document.lines.position(drawn.randrange(len(slips))))
+
+
+HOSTILE = {
+    "an alias bomb": "deepbots: 1\na: &a [x, x]\n" + "".join(f"a{n}: &a{n} [*a{'' if n == 0 else n - 1}, *a]\n" for n in range(60)),
+    "deep nesting": "deepbots: 1\nworld: " + "{a: " * 5000,
+    "a long line": "deepbots: 1\nsummary: " + "x" * 900_000,
+    "a long expression": "deepbots: 1\nreward: {x: " + "1 + " * 2400 + "1}",
+    "lone surrogates": "deepbots: 1\nname: \ud800\nsummary: \udfff",
+    "control characters": "deepbots: 1\nname: \0\x1b[31m\x85\u2028\r a: {",
+    "paths outside of the project": "deepbots: 1\nextends: /etc/passwd\nrobots: {a: {include: ../../../../etc/passwd, urdf: /dev/zero}}",
+    "nothing": "",
+    "a mark of byte order": "\ufeffdeepbots: 1\nworld: {timestop: 1}",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_document_is_answered_for(client, project, name):
+    uri = client.open(project / "scenarios" / "hostile.yaml", HOSTILE[name])
+    client.findings(uri)
+    for line, character in [(0, 0), (1, 9), (2, 30), (10**6, 10**6)]:
+        for method in ASKED_OF_A_PLACE:
+            client.request(f"textDocument/{method}", {"textDocument": {"uri": uri}, "position": {"line": line, "character": character}})
+    client.request("textDocument/documentSymbol", {"textDocument": {"uri": uri}})
+    client.request("textDocument/formatting", {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}})
+    everything = {"start": {"line": 0, "character": 0}, "end": {"line": 10**6, "character": 0}}
+    client.request("textDocument/codeAction", {"textDocument": {"uri": uri}, "range": everything, "context": {"diagnostics": []}})
+    client.close(uri)
+
+
+def test_what_lies_outside_of_the_project_is_told_and_not_opened(client, project):
+    uri = client.open(project / "scenarios" / "curious.yaml", HOSTILE["paths outside of the project"])
+    found = client.findings(uri)
+    assert all("lies outside the project" in finding["message"] for finding in found if finding["code"] == "DB204")
+    assert [finding["code"] for finding in found][:1] == ["DB204"]
+    assert client.definition(uri, "extends: /etc/pas¦swd") == []
+    client.close(uri)
+
+
+@pytest.mark.parametrize(
+    "uri", ["file:///%00", "file://", "http://example.org/a.yaml", "file:///" + "a" * 5000, "nonsense", "file:///proc/self/mem"]
+)
+def test_an_odd_address_is_a_document_like_any_other(client, uri):
+    client.notify(
+        "textDocument/didOpen", {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nworld: {"}}
+    )
+    client.versions[uri] = 1
+    client.findings(uri)
+    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}})
+    assert "timestep" in {item["label"] for item in found["items"]}
+    client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
+
+
+def test_a_document_that_is_not_open_has_no_answers(client, project):
+    where = {"textDocument": {"uri": (project / "scenarios" / "cartpole.yaml").as_uri()}, "position": {"line": 3, "character": 3}}
+    assert [client.request(f"textDocument/{method}", where) for method in ASKED_OF_A_PLACE] == [None, None, None]
+
+
+def test_neither_simulator_nor_learner_is_imported(client, pit):
+    client.labels(pit, "delta(¦metric)")
+    client.hover(pit, "rea¦ch > radius")
+    assert heavy_imports(client.process.pid) == 0
+
+
+def test_the_server_leaves_when_its_input_ends(project):
+    client = Client(project)
+    with client:
+        client.process.stdin.close()
+        assert client.process.wait(20) == 0
+    assert client.errors == ""

@@ -1,0 +1,135 @@
+"""Hover and definitions: what stands under the cursor, and where it comes from."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.lsp.client import offset
+
+
+@pytest.mark.parametrize(
+    ("around", "said"),
+    [
+        ("reach > rad¦ius", ["a parameter", "a length (m)", "2.7 m", "fixed"]),
+        ("0.5 * re¦ach / radius", ["a signal", "at least 0 m", "different in every step"]),
+        ("pitch_motor: pit¦ch * speed", ["an action variable", "from -1 to 1"]),
+        ("{backward: roller.gyro.y¦ < 0", ["an angular velocity (rad/s)"]),
+        ("position(rol¦ler).xy", ["a robot"]),
+        ("y: uniform(-0.15 .. 0.15¦ m), yaw", ["a length (m)", "0.15 m"]),
+        ("timestep: 3¦2 ms", ["a duration (s), 0.032 s"]),
+        ("0.5 *¦ reach / radius", ["`0.5 * reach`", "a length (m)"]),
+    ],
+)
+def test_expressions_tell_type_unit_and_interval(client, pit, around, said):
+    found = client.hover(pit, around)
+    assert [words for words in said if words not in found] == []
+
+
+@pytest.mark.parametrize(
+    ("around", "said"),
+    [
+        ("sub¦steps: 8", ["a whole number", "By default `1`"]),
+        ("max_tor¦que: 10 N*m}\n      yaw", ["torque"]),
+        ("algorithm: P¦PO", ["The learning algorithm"]),
+        ("joint: pi¦tch", ["a continuous joint", '<joint name="pitch"']),
+        ("emit: [gy¦ro", ["a sensor"]),
+        ("escap¦ed: reach", ["a name of your choice"]),
+    ],
+)
+def test_keys_and_words_tell_what_they_are_for(client, pit, around, said):
+    found = client.hover(pit, around)
+    assert [words for words in said if words not in found] == []
+
+
+@pytest.mark.parametrize("around", ["running_m¦ax(norm", "no¦rm(position", "ho¦ld(where(reach"])
+def test_functions_tell_their_signature_and_meaning(client, pit, around):
+    name = around.replace("¦", "").partition("(")[0]
+    found = client.hover(pit, around)
+    assert f"{name}(" in found
+    assert "For example" in found
+    assert "Here it is" in found
+
+
+def test_a_code_in_a_comment_tells_its_page(client, pit):
+    text = client.texts[pit]
+    client.change(pit, text.replace("# a decision every 256 ms", "# deepbots: ignore[DB205] a decision every 256 ms"))
+    assert "unused-definition" in client.hover(pit, "ignore[DB2¦05]")
+
+
+@pytest.mark.parametrize("around", ["# a deci¦sion every 256 ms", "  # ou¦t: the sooner", "signals:¦\n  reach", "# that is¦ \n"])
+def test_nothing_is_made_up_about_comments_and_what_is_empty(client, pit, around):
+    if "that is" in around:
+        client.change(pit, client.texts[pit] + "# that is \n")
+    assert client.hover(pit, around) == ""
+
+
+def test_the_range_of_a_hover_is_the_piece_that_it_is_about_also_behind_an_emoji(client, pit):
+    text = client.texts[pit]
+    client.change(pit, text.replace("  metric: |\n", "  metric: |\n    # 😀 ü 𝄞\n").replace("inside\n", "😀 inside\n"))
+    client.findings(pit)
+    found = client.ask("hover", pit, "0.5 * re¦ach / radius")["range"]
+    now = client.texts[pit]
+    assert now[offset(now, found["start"]) : offset(now, found["end"])] == "reach"
+
+
+def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, pit):
+    text = client.texts[pit]
+    client.change(pit, "# a new line\n" + text.replace("solved: {", "solved: {{"))
+    assert [finding["code"] for finding in client.findings(pit)] == ["DB001"]
+    assert "a length (m)" in client.hover(pit, "reach > rad¦ius")
+    assert client.definition(pit, "reach > rad¦ius") == [("pit_escape.yaml", 3, 13)]
+
+
+@pytest.mark.parametrize(
+    ("around", "place"),
+    [
+        ("reach > rad¦ius", ("pit_escape.yaml", 3, 13)),
+        ("delta(met¦ric)", ("pit_escape.yaml", 26, 2)),
+        ("pitch_motor: pit¦ch * speed", ("pit_escape.yaml", 20, 19)),
+        ("{pitch_mo¦tor: pitch", ("pit_escape.yaml", 11, 6)),
+        ("{roller.gy¦ro: -5", ("pit_escape.yaml", 13, 11)),
+        ("{backward: roller.gyro.¦y", ("pit_escape.yaml", 13, 11)),
+        ("forward_only: {roll: forw¦ard}", None),
+        ("joint: pi¦tch", ("roller.urdf", 72, 15)),
+        ("urdf: ../robots/urdf/rol¦ler.urdf", ("roller.urdf", 0, 0)),
+        ("position(rol¦ler).xy", ("pit_escape.yaml", 6, 2)),
+    ],
+)
+def test_a_name_leads_to_its_definition(client, pit, around, place):
+    found = client.definition(pit, around)
+    assert found == ([place] if place else [])
+
+
+@pytest.mark.parametrize(
+    ("around", "place"),
+    [
+        ("log(clamp(proxi¦mity", ("epuck.yaml", 3, 2)),
+        ("include: ../rob¦ots/epuck.yaml", ("epuck.yaml", 0, 0)),
+        ("gap(epuck, obst¦acle)", ("find_ball_random.yaml", 7, 2)),
+        (
+            "few:  {set: {reset.layout: scattered, obstacles: integer(1 .. 3),  objects.obstacle.one_of: *uns¦een}}",
+            ("find_ball_random.yaml", 76, 33),
+        ),
+        ("none:\n      set:\n        reset.lay¦out: scattered", ("find_ball_random.yaml", 54, 2)),
+        ("layout: {scat¦tered: 88 %", ("find_ball_random.yaml", 56, 4)),
+    ],
+)
+def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(client, ball, around, place):
+    assert client.definition(ball, around) == [place]
+
+
+def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client, ball, project):
+    piece = client.open(project / "robots" / "epuck.yaml")
+    assert client.findings(piece) == []
+    assert client.definition(piece, "link: base_l¦ink") == [("epuck.urdf", 14, 14)]
+    assert "The kind of sensor" in client.hover(piece, "ty¦pe: infrared")
+    client.close(piece)
+
+
+def test_a_pattern_leads_to_all_that_it_fits(client, project):
+    uri = client.open(project / "scenarios" / "cartpole_wireless.yaml")
+    assert client.findings(uri) == []
+    found = client.definition(uri, '"¦*": {mass')
+    assert len(found) >= 2
+    assert {file for file, _, _ in found} == {"cartpole.urdf"}
+    client.close(uri)

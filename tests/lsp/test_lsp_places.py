@@ -1,0 +1,105 @@
+"""Where a place is: positions of the protocol, and the path of a place in a text that may be broken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lsprotocol.types import Position
+
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.lsp.cursor import place
+from deepbots_cli.lsp.positions import Lines
+from deepbots_cli.source import Mapping, Scalar, walk
+from deepbots_cli.source.parse import parse
+
+ROOT = Path(__file__).parents[2]
+FILES = [
+    *sorted((ROOT / "scenarios").glob("*.yaml")),
+    *sorted((ROOT / "robots").glob("*.yaml")),
+    *sorted((ROOT / "tests" / "golden" / "lint" / "ok").glob("*.yaml")),
+]
+TEXTS = st.text(st.sampled_from("ab\n\r😀𝄞ü \t")) | st.text()
+ENCODINGS = {"utf-8": 1, "utf-16": 2, "utf-32": 4}
+
+
+@given(TEXTS.filter(lambda text: not any("\ud800" <= letter <= "\udfff" for letter in text)), st.sampled_from(sorted(ENCODINGS)))
+@settings(max_examples=200, deadline=None)
+def test_each_offset_has_a_position_that_leads_back_to_it(text, encoding):
+    lines, mark = Lines(text, encoding), text.startswith("\ufeff")
+    for index in range(mark, len(text) + 1):
+        if text[index - 1 : index + 1] == "\r\n":
+            continue  # between the two there is no place
+        position = lines.position(index - mark)
+        before = text[:index]
+        start = max(before.rfind("\n"), before.rfind("\r")) + 1
+        assert position.line == len(before.replace("\r\n", "\n").replace("\r", "\n").split("\n")) - 1
+        name = "utf-8" if encoding == "utf-8" else f"{encoding}-le"
+        assert position.character == len(text[start:index].encode(name)) // ENCODINGS[encoding]
+        assert lines.offset(position) == index - mark
+
+
+@pytest.mark.parametrize(
+    ("position", "offset"),
+    [(Position(0, 2), 1), (Position(0, 3), 2), (Position(0, 99), 3), (Position(1, 99), 5), (Position(99, 0), 5), (Position(1, 0), 4)],
+)
+def test_what_lies_inside_of_a_character_or_beyond_a_line_is_taken_to_the_nearest_place(position, offset):
+    assert Lines("a😀b\nc").offset(position) == offset
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
+    text = file.read_text(encoding="utf-8")
+    root = parse(Source(file.name, text), Findings())
+    seen = set()
+    for path, node in walk(root):
+        if isinstance(node, Scalar) and node.span not in seen:  # what an alias repeats stands in one place
+            seen.add(node.span)
+            found = place(text, node.span.end)
+            assert found.path == path
+            assert found.role == "value" or isinstance(path[-1], int)
+        for entry in node.entries.values() if isinstance(node, Mapping) else ():
+            if entry.key.span not in seen:
+                seen.add(entry.key.span)
+                found = place(text, entry.key.span.end)
+                assert (found.path, found.role) == (path, "key")
+
+
+@pytest.mark.parametrize(
+    ("text", "path", "role"),
+    [
+        ("world: {", ("world",), "key"),
+        ("world: {timestep: 32 ms, ", ("world",), "key"),
+        ("world: {timestep: ", ("world", "timestep"), "value"),
+        ("world:\n  timestep: 32 ms\n  ", ("world",), "key"),
+        ("world:\n  timestep: 32 ms\n", (), "key"),
+        ("robots:\n  cart:\n    sensors: {a: {type: gyro, l", ("robots", "cart", "sensors", "a"), "key"),
+        ("curriculum:\n- name: a\n  se", ("curriculum", 0), "key"),
+        ("emit: [a, ", ("emit", 1), "value"),
+        ("signals:\n  x: |\n    foo(ba", ("signals", "x"), "value"),
+        ("summary: 'it''s ", ("summary",), "value"),
+        ("summary: a  # on", ("summary",), "aside"),
+        ("world: {{\nreward:\n  x: ", ("reward", "x"), "value"),
+        ('summary: "open\nreward:\n  x: ', ("reward", "x"), "value"),
+        ("a: ]\nreward: {x: ", ("reward", "x"), "value"),
+        ("", (), "key"),
+    ],
+)
+def test_a_text_that_is_being_written_has_a_path_all_the_same(text, path, role):
+    found = place(text, len(text))
+    assert (found.path, found.role) == (path, role)
+
+
+@given(st.text(st.sampled_from("ab:-[]{},\"'#|>&*!% \n\t😀")), st.integers(0, 200))
+@settings(max_examples=300, deadline=None)
+def test_any_text_whatever_has_a_path(text, offset):
+    found = place(text, min(offset, len(text)))
+    assert found.start <= max(len(text), 0)
+
+
+@pytest.mark.parametrize("piece", ["[", "{a: ", "- ", "a:\n", "\n", '"', " ", ":", "# ", "[x ", "'", "a: |\n"])
+def test_a_hostile_text_is_read_to_its_end(piece):
+    text = piece * 50_000
+    assert len(place(text, len(text)).path) <= 100
