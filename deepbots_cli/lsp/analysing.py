@@ -74,8 +74,7 @@ class Analysis:
 def analyse(document: Document, drafts: Drafts) -> Analysis:
     """Read, check and lint; with `drafts` in the place of files."""
     if not document.is_scenario:
-        _, _, findings = document.read()
-        return Analysis(document, drafts, () if document.is_robot else tuple(findings))
+        return Analysis(document, drafts)  # what is wrong with a piece is found by those that include it
     project, complaint = _settings(document.path.parent)
     preview = bool(project.preview)
     try:

@@ -30,7 +30,6 @@ from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Quantity, Refere
 from deepbots_cli.schema.fields import Range as RangeLeaf
 from deepbots_cli.schema.part import Kinds, Mapped, Part, Spec, fields
 from deepbots_cli.schema.plain import COLOURS, Colour, Switch, Word
-from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 
 _ELSEWHERE = {"include": "a file with the value of this mapping; what stands beside it is merged over it"}
@@ -81,10 +80,8 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
             case _:
                 continue
         yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _ELSEWHERE.items())
-    if not path and view.document.is_scenario:
+    if not path:
         yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _OF_FILES.items())
-    elif not path:
-        yield from _part_keys(Scenario)
 
 
 def _part_keys(part: type[Part]) -> Iterator[Choice]:

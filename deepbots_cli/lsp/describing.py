@@ -4,33 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pydantic_core import PydanticUndefined
-
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
 from deepbots_cli.lang.examples import EXAMPLES
 from deepbots_cli.lang.functions import Function
 from deepbots_cli.lang.intervals import EVERYTHING, Interval
 from deepbots_cli.lang.types import Shape, Symbol, Type, shown
 from deepbots_cli.rules.pages import pages_of
-from deepbots_cli.schema.examples import example_of
+from deepbots_cli.schema.hover import hover
 from deepbots_cli.schema.part import Part, Spec, fields, noun_of
 
 _LONGEST = 120
 
 
 def of_key(part: type[Part], key: str) -> str:
-    """A key of the language: what it is for, what it takes, its default, an example."""
-    info = part.model_fields[key]
-    lines = [f"**{key}**: {noun_of(fields(part)[key])}", "", info.description or ""]
-    if info.is_required():
-        lines += ["", "Required."]
-    elif isinstance(info.default, (str, int, float)) and info.default not in ("", PydanticUndefined):
-        lines += ["", f"By default `{info.default}`."]
-    example = example_of(part, key)
-    if example is not None:
-        text = f"{key}: {example.text}" if "\n" not in example.text else f"{key}:\n  {example.text}"
-        lines += ["", "```yaml", text, "```"]
-    return "\n".join(lines)
+    """A key of the language: what it takes, what it is for, its unit, its default, an example."""
+    spec = fields(part)[key]
+    return f"**{key}**: {noun_of(spec)}\n\n{hover(part, key, spec)['markdownDescription']}"
 
 
 def brief(part: type[Part], key: str) -> str:

@@ -107,6 +107,14 @@ class Desk:
         """How the client calls each open file."""
         return {str(document.path): uri for uri, document in self.documents.items()}
 
+    def ours(self, uri: str) -> Document | None:
+        """The open document of an address, if it is a scenario or a piece of one; an editor shows us all of its YAML."""
+        document = self.documents.get(uri)
+        if document is None or document.is_scenario:
+            return document
+        known = (*self.latest.values(), *self._sound.values())
+        return document if any(one.checked and document.path in one.checked.document.files for one in known) else None
+
     def readers(self, document: Document) -> list[str]:
         """The addresses of the other open documents that read this one."""
         return [uri for uri, known in self.latest.items() if uri != document.uri and document.path in known.paths.values()]
@@ -114,14 +122,13 @@ class Desk:
     def current(self, document: Document) -> Iterable[tuple[Analysis, Source]]:
         """The analyses that have read just this version of the document."""
         for analysis in self.latest.values():
-            if analysis.document is document and analysis.checked is None:
-                yield analysis, document.read()[0]
-            elif (source := analysis.source(document.path)) is not None and source.text == document.plain:
+            source = analysis.source(document.path)
+            if source is not None and source.text == document.plain:
                 yield analysis, source
 
     def view(self, uri: str, position: types.Position) -> View | None:
-        """What there is to say about a place; None for a document that is not open."""
-        document = self.documents.get(uri)
+        """What there is to say about a place; None for a document that is not open, or none of ours."""
+        document = self.ours(uri)
         if document is None:
             return None
         offset = document.lines.offset(position)

@@ -43,10 +43,6 @@ class Document:
         """Whether this is a scenario, and no piece that others include."""
         return _SCENARIO.search(self.text) is not None
 
-    @property
-    def is_robot(self) -> bool:
-        return self.path.suffix == ".urdf"
-
     @cached_property
     def bytes(self) -> bytes:
         return self.text.encode("utf-8", "surrogatepass")

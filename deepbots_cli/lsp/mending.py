@@ -70,8 +70,12 @@ class Actions:
         start, end = lines.offset(range.start), lines.offset(range.end)
         for analysis, source in self._desk.current(self._document):
             for finding in analysis.findings:
-                here = finding.span.source is source or (analysis.checked is None and finding.span.source.name == source.name)
-                if here and finding.span.start <= end and finding.span.end >= start and finding.sort_key not in seen:
+                if (
+                    finding.span.source is source
+                    and finding.span.start <= end
+                    and finding.span.end >= start
+                    and finding.sort_key not in seen
+                ):
                     seen.add(finding.sort_key)
                     yield finding, analysis, source
 
@@ -83,7 +87,7 @@ class Actions:
             title = f"{_title(finding.fix.edits[0])}{'' if finding.fix.safe else ' (a guess)'}"
             edit = self._edit(changes)
             yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit)
-        if finding.severity == "warning" and not finding.code.startswith("DB9") and not self._document.is_robot:
+        if finding.severity == "warning" and not finding.code.startswith("DB9"):
             suppressing = self._suppressing(finding)
             if suppressing is not None:
                 title = f"Suppress {finding.code} ({finding.name}) on this line"

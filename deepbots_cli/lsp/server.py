@@ -120,12 +120,12 @@ class Server(LanguageServer):
         return action
 
     def _outline(self, params: types.DocumentSymbolParams) -> list[types.DocumentSymbol] | None:
-        document = self.desk.documents.get(params.text_document.uri)
-        return outline(document) if document and not document.is_robot else None
+        document = self.desk.ours(params.text_document.uri)
+        return outline(document) if document else None
 
     def _format(self, params: types.DocumentFormattingParams) -> list[types.TextEdit] | None:
-        document = self.desk.documents.get(params.text_document.uri)
-        return formatting(document) if document and not document.is_robot else None
+        document = self.desk.ours(params.text_document.uri)
+        return formatting(document) if document else None
 
     def _shut_down(self, _params: object) -> None:
         self.checker.stop()

@@ -120,10 +120,16 @@ def test_an_included_file_that_is_being_written_counts_as_it_stands_in_the_edito
     client.close(uri)
 
 
-def test_a_piece_that_no_open_scenario_includes_is_looked_at_as_yaml_only(client, world):
-    piece = client.open(world("find_ball_random").parents[1] / "robots" / "epuck.yaml", "urdf: {\nsensors: 1")
-    assert codes(client.findings(piece)) == ["DB001"]
-    client.close(piece)
+def test_yaml_that_is_neither_a_scenario_nor_a_piece_of_an_open_one_is_left_alone(client, project):
+    uri = client.open(project / "workflow.yaml", "on: [push]\njobs: {\n")
+    assert client.findings(uri) == []
+    assert client.ask("completion", uri, "jobs: {¦") is None
+    assert client.ask("hover", uri, "o¦n: [push]") is None
+    assert client.actions(uri, "o¦n: [push]") == []
+    assert (
+        client.request("textDocument/formatting", {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}}) is None
+    )
+    client.close(uri)
 
 
 def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):

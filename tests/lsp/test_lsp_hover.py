@@ -28,7 +28,7 @@ def test_expressions_tell_type_unit_and_interval(client, pit, around, said):
 @pytest.mark.parametrize(
     ("around", "said"),
     [
-        ("sub¦steps: 8", ["a whole number", "By default `1`"]),
+        ("sub¦steps: 8", ["a whole number", "**Default:** `1`"]),
         ("max_tor¦que: 10 N*m}\n      yaw", ["torque"]),
         ("algorithm: P¦PO", ["The learning algorithm"]),
         ("joint: pi¦tch", ["a continuous joint", '<joint name="pitch"']),

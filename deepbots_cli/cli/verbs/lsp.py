@@ -13,10 +13,10 @@ from deepbots_cli.errors import MissingExtraError
 def command(
     port: Annotated[int | None, typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Listen on a port of this machine.")] = None,
 ) -> None:
-    """Serve an editor that speaks the language server protocol.
+    """Serve an editor: findings as you type, completion, explanations, fixes.
 
-    It shows findings as you type, completes keys, names and functions, tells types, units and ranges, leads to
-    definitions, and offers fixes. Editors start it by themselves and talk to it over standard input and output.
+    Any editor that speaks the language server protocol starts it by itself, and talks to it over standard input and output.
+    It completes keys, names and functions, tells types, units and ranges, and leads to definitions.
 
     \b
       deepbots lsp
