@@ -9,6 +9,7 @@ told with its number and written to FOLDER, with the file and what happened; the
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 import tempfile
 import time
@@ -19,8 +20,8 @@ from tests.fuzz.mutations import case
 from tests.fuzz.watch import watch
 from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere, peak_memory
 
-BLOCK = 10_000
-SAMPLED = 20
+BLOCK = 5_000
+SAMPLED = 10
 """Of each block, so many are linted once more under another hash seed."""
 
 
@@ -32,6 +33,7 @@ def main() -> int:
     given = parser.parse_args()
     keep = given.keep.resolve()
     failed, stop = 0, given.start + given.count
+    gc.set_threshold(50_000)  # as the command line does
     with tempfile.TemporaryDirectory() as folder, Workbench(Path(folder)) as bench:
         watch([Path(folder), keep])
         for start in range(given.start, stop, BLOCK):
