@@ -30,8 +30,9 @@ def expand(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[
 
 
 def match(names: Iterable[str], pattern: str) -> tuple[str, ...]:
-    """The names that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in their given order."""
-    return tuple(name for name in names if fnmatchcase(name, pattern))
+    """The one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in their given order."""
+    known = tuple(names)
+    return (pattern,) if pattern in known else tuple(name for name in known if fnmatchcase(name, pattern))
 
 
 def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:

@@ -17,6 +17,10 @@ Shape = tuple[int, int, int]
 QUATERNION: Components = ("x", "y", "z", "w")
 
 
+class Copies(tuple[str, ...]):
+    """The components of a value for each copy of a group, told by what they are: a joint may be called `hip#1` as well."""
+
+
 class Stage(IntEnum):
     """When a number is settled: in the file, at a reset, or in every step."""
 
@@ -51,7 +55,7 @@ class Type(NamedTuple):
     @property
     def copies(self) -> bool:
         """Whether there is a component for each copy of a group, of which some may be absent."""
-        return self.components is not None and any("#" in name for name in self.components)
+        return isinstance(self.components, Copies)
 
     @property
     def shape_words(self) -> str:
@@ -117,7 +121,10 @@ class Subject(NamedTuple):
     @property
     def components(self) -> Components | None:
         """The short names of a group's members; None where the subject is a single thing."""
-        return tuple(member.rpartition(".")[2] for member in self.members) if self.members else None
+        if self.kind is Kind.OBJECTS:
+            return Copies(self.members) if self.members else None
+        # The first dot is behind the robot's name; a joint may have dots in its own.
+        return tuple(member.partition(".")[2] for member in self.members) if self.members else None
 
 
 class Context(Enum):

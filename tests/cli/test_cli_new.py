@@ -164,6 +164,18 @@ def test_joints_with_odd_names_and_a_file_of_an_odd_name_make_a_scenario_all_the
     assert api.compile(tmp_path / "odd.yaml").ir.name == "Odd"
 
 
+@pytest.mark.parametrize("names", [("#hip", "hip#1"), ("arm.1", "arm.2"), ("joint[1]", "joint[2]"), ("a*b", "a*bb")], ids=str)
+def test_joints_called_like_copies_components_or_patterns_are_taken_for_joints(deepbots, tmp_path, names):
+    deepbots("new", "arm", "--template", "arm")
+    text = (tmp_path / "arm.urdf").read_text(encoding="utf-8")
+    text = text.replace('"shoulder"', f'"{names[0]}"').replace('"elbow"', f'"{names[1]}"')
+    (tmp_path / "odd.urdf").write_text(text, encoding="utf-8")
+    made = deepbots("new", "odd", "--urdf", "odd.urdf")
+    assert made.code == 0, made.err
+    assert api.lint(tmp_path / "odd.yaml", preview=True) == []
+    assert api.compile(tmp_path / "odd.yaml").ir.robots[0].actuators[0].parts == ("turn", *names)
+
+
 def test_a_robot_file_outside_the_project_is_refused_with_what_to_do(deepbots, tmp_path):
     (tmp_path / "here").mkdir()
     (tmp_path / "there.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
