@@ -13,6 +13,7 @@ What rules ask:
 
 meaning.py      what names stand for, and which expressions mean the same
 reach.py        how far values reach in an episode; start.py right after a reset
+doubts.py       figures that are probably mistaken, and what follows from them
 payments.py     what a step and an ending are worth
 pages.py        the page of each finding, from docstrings and pages.yaml
 thresholds.py   beyond which value of a quantity a condition holds
@@ -27,25 +28,23 @@ from importlib import import_module
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.rules.doubts import Doubts
 from deepbots_cli.task import Task
 
 Rule = Callable[[Checked], Iterator[Finding]]
-
-_DOUBTS = frozenset({"DB304", "DB504", "DB505"})
-"""A figure that is probably mistaken: what episodes are like, and so the families from DB6 on, would follow from it."""
 
 
 def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
     """The findings of all rules, those in preview only if asked for; none for a scenario that cannot be understood as a whole."""
     if checked.findings.errors or checked.task is None:
         return
-    is_doubtful = any(finding.code in _DOUBTS for finding in checked.findings)
+    doubts = Doubts(checked)
     for module, concerns in _MODULES.items():
         for rule in rules_of(module) if concerns(checked.task) else ():
             code = code_of(rule)
-            if (preview or not CATALOGUE[code].preview) and not (is_doubtful and code >= "DB6"):
+            if preview or not CATALOGUE[code].preview:
                 try:
-                    yield from rule(checked)
+                    yield from (finding for finding in rule(checked) if not doubts.explain(finding))
                 except RecursionError:  # definitions upon definitions, deeper than a rule can follow: nothing is said of them
                     continue
 
