@@ -201,3 +201,30 @@ def test_what_is_odd_in_a_robot_file_of_ones_own_is_mentioned(deepbots, tmp_path
     made = deepbots("new", "odd", "--urdf", "odd.urdf")
     assert made.code == 0
     assert "1 warning; see: deepbots lint odd.yaml" in made.err
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, tmp_path, template):
+    made = deepbots("new", "mine", "sub", "--template", template, "--schema")
+    assert made.code == 0, made.err
+    text = (tmp_path / "sub" / "mine.yaml").read_text(encoding="utf-8")
+    assert text.startswith("# yaml-language-server: $schema=mine.schema.json\n\ndeepbots: 1")
+    assert api.lint(tmp_path / "sub" / "mine.yaml", preview=True) == []
+    schema = json.loads((tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8"))
+    (robot,) = api.load(tmp_path / "sub" / "mine.yaml").robots.values()
+    assert f"Robot.{robot.name}" in schema["$defs"]
+    assert made.out.split() == [f"sub/{file}" for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")]
+
+
+def test_a_schema_that_is_there_already_is_not_written_over(deepbots, tmp_path):
+    (tmp_path / "mine.schema.json").write_text("{}")
+    ran = deepbots("new", "mine", "--template", "pit", "--schema")
+    assert (ran.code, (tmp_path / "mine.yaml").exists()) == (2, False)
+
+
+def test_without_a_schema_a_new_scenario_names_none_and_the_way_to_one_is_said(deepbots, tmp_path):
+    ran = deepbots("new", "mine", "--template", "pit")
+    assert "yaml-language-server" not in (tmp_path / "mine.yaml").read_text(encoding="utf-8")
+    command = next(line for line in ran.err.splitlines() if "deepbots schema" in line).partition("deepbots ")[2]
+    assert deepbots(*command.split()).code == 0
+    assert (tmp_path / "mine.schema.json").exists()

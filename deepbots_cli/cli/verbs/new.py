@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import copying, terminal
+from deepbots_cli.cli import copying, editing, terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.starters import robots, templates
 from deepbots_cli.errors import UsageError
@@ -30,6 +30,9 @@ def command(
     urdf: Annotated[
         str | None, typer.Option("--urdf", metavar="ROBOT", help="A robot file: a path, package://..., or the name of a shipped one.")
     ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Also write NAME.schema.json, by which an editor completes, explains and checks it.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Write a first scenario, with a comment on every part.
@@ -44,7 +47,7 @@ def command(
       pit       a ball that rocks itself out of a pit
 
     \b
-      deepbots new mine --template wheeled
+      deepbots new mine --template wheeled --schema
       deepbots new reach experiments --template arm
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
     """
@@ -52,7 +55,7 @@ def command(
     if (template is None) is (urdf is None):
         raise UsageError(f"say what to begin with: --template {'|'.join(templates.TEMPLATES)}, or --urdf ROBOT")
     made = robots.files(urdf, name, folder) if urdf else templates.files(template or "", name)
-    written = copying.write(made, folder)
+    written = editing.write(made, folder) if schema else copying.write(made, folder)
     if urdf:
         terminal.mention(api.lint(written[0]), str(written[0]))
     if as_json:
@@ -61,6 +64,12 @@ def command(
     for path in written:
         terminal.say(str(path))
     terminal.note(_next(quote(str(written[0]))))
+    if not schema:
+        terminal.note(f"complete it in an editor:                   deepbots schema --for {_named(written[0])}")
+
+
+def _named(scenario: Path) -> str:
+    return f"{quote(str(scenario))} -o {quote(str(scenario.with_suffix('.schema.json')))}"
 
 
 def _next(scenario: str) -> str:

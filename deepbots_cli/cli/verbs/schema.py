@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -10,9 +9,8 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import editing, terminal
 from deepbots_cli.cli.options import AllowPaths
-from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.known import known
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError
@@ -47,7 +45,7 @@ def command(
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
     if output is not None:
-        terminal.note(f"as the first line of {checked.document.path.name}: {_modeline(checked, output)}")
+        terminal.note(f"as the first line of {checked.document.path.name}: {editing.modeline(checked.document.path, output)}")
 
 
 def _write(text: str, output: Path | None) -> None:
@@ -55,9 +53,3 @@ def _write(text: str, output: Path | None) -> None:
         print(text, end="")
     else:
         output.write_text(text, encoding="utf-8")
-
-
-def _modeline(checked: Checked, schema: Path) -> str:
-    """The comment by which a language server finds the schema, relative to the scenario."""
-    way = os.path.relpath(schema.resolve(), checked.document.path.parent)
-    return f"# yaml-language-server: $schema={Path(way).as_posix()}"
