@@ -17,7 +17,7 @@ progress.py  how many of them are done
 mending.py   fixes of findings           rewriting.py  files of the user written anew
 copying.py   what `copy` writes            project.py  what `eject` writes
 upgrading.py steps from one version of the language to the next
-comparison/  what `diff` shows              starters/   what `new` writes
+comparison/  what `diff` shows              starters/   what `new` writes, editing.py with a schema beside it
 health.py    what `doctor` looks at
 """
 

@@ -28,7 +28,7 @@ from deepbots_cli.lsp.expressing import Choice, begun, choices, is_expression, s
 from deepbots_cli.lsp.files import files
 from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Quantity, Reference
 from deepbots_cli.schema.fields import Range as RangeLeaf
-from deepbots_cli.schema.part import Kinds, Mapped, Part, Spec, fields
+from deepbots_cli.schema.part import Kinds, Mapped, Part, fields
 from deepbots_cli.schema.plain import COLOURS, Colour, Switch, Word
 from deepbots_cli.source.nodes import Path
 
@@ -121,7 +121,7 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for spec in specs(path[:-1], data) if path else ():
         if isinstance(spec, Kinds) and spec.key == path[-1]:
-            yield from (Choice(word, CompletionItemKind.EnumMember, spec.key, _doc(spec.model(word))) for word in spec.names)
+            yield from (Choice(word, CompletionItemKind.EnumMember, spec.key, spec.about(word)) for word in spec.names)
     if path and path[-1] in ("include", "extends"):
         yield from files(view, (".yaml", ".yml"))
     for spec in specs(path, data):
@@ -161,10 +161,6 @@ def _named(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
     checked = view.analysis.checked if view.analysis else None
     if checked is not None and isinstance(leaf, (Reference, Pattern)):
         yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in names(checked, leaf.kind, path))
-
-
-def _doc(spec: Spec) -> str:
-    return (spec.__doc__ or "").partition("\n\n")[0] if isinstance(spec, type) else ""
 
 
 # Comments

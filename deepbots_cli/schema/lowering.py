@@ -121,7 +121,7 @@ class Lowering:
             {"if": {"required": [mark], "not": {"required": [spec.key]}}, "then": self.reference(model)} for mark, model in spec.marked
         ]
         told_by = (spec.key, *(mark for mark, _ in spec.marked))
-        kind = {"enum": list(models), "enumDescriptions": [_doc(model) for model in models.values()]}
+        kind = {"enum": list(models), "enumDescriptions": [spec.about(name) for name in models]}
         first = models[spec.names[0]]
         properties: JsonSchema = {spec.key: kind | hover(first, spec.key, fields(first)[spec.key], spec.names[0])}
         properties |= {mark: hover(model, mark, fields(model)[mark]) for mark, model in spec.marked}

@@ -166,13 +166,20 @@ FORMS = Forms()
 class Kinds:
     """Marks a field whose model is told by the word under `key`; models are looked up when they are used.
 
-    `marked` holds models that go without that word and are known by another key.
+    `marked` holds models that go without that word and are known by another key; `sentences` say of each kind what it is, in the
+    order of the names, where several have one model.
     """
 
     key: str
     names: tuple[str, ...]
     model: Callable[[str], type[Part]]
     marked: tuple[tuple[str, type[Part]], ...] = ()
+    sentences: tuple[str, ...] = ()
+
+    def about(self, name: str) -> str:
+        """What the kind of this name is, in a sentence."""
+        own = dict(zip(self.names, self.sentences, strict=False)).get(name)
+        return own or " ".join((self.model(name).__doc__ or "").partition("\n\n")[0].split())
 
     def find(self, value: object) -> type[Part] | None:
         """The model for `value`, raw or validated; None if its kind is unknown."""

@@ -135,4 +135,25 @@ SENSORS: dict[str, type[Sensor]] = {
     "reflectance": Reflectance,
     "camera": Camera,
 }
-AnySensor = Annotated[Sensor, Kinds("type", tuple(SENSORS), SENSORS.__getitem__)]
+_READS = {
+    "joint_position": "The angle of a joint, or how far it has slid.",
+    "joint_velocity": "How fast a joint turns or slides.",
+    "joint_torque": "What the motor of a joint exerted in the last physics step.",
+    "gyro": "How it turns, about its own axes, x y z.",
+    "accelerometer": "Proper acceleration along its own axes, x y z: 9.81 m/s^2 upwards at rest.",
+    "inclinometer": "The direction of gravity along its own axes, x y z, of length 1.",
+    "compass": "The angle in the plane from x of the world to x of the sensor.",
+    "position": "Where it is in the world, x y z.",
+    "velocity": "How it moves in the world, x y z.",
+    "orientation": "The quaternion from its axes to those of the world, x y z w.",
+    "angular_velocity": "How it turns, about the axes of the world, x y z.",
+    "touch": "Whether a link touched anything in any physics step of the tick.",
+    "force": "The sum of normal forces on a link in the last physics step.",
+    "infrared": "How far its rays are free, or what a lookup table makes of that.",
+    "sonar": "How far its rays are free; a cone is a narrow fan with `measure: nearest`.",
+    "laser": "How far its rays are free; one ray along x unless there are more.",
+    "lidar": "How far its rays are free, in a fan of many.",
+    "reflectance": "How much light the ground throws back below it: 1 where nothing is painted.",
+    "camera": "A picture along x of its frame.",
+}
+AnySensor = Annotated[Sensor, Kinds("type", tuple(SENSORS), SENSORS.__getitem__, sentences=tuple(_READS[kind] for kind in SENSORS))]

@@ -49,4 +49,15 @@ def training_with(algorithm: str) -> type[Training]:
     return type(f"{algorithm}Training", (Training,), {**own, "__annotations__": annotations, "__module__": __name__})
 
 
-AnyTraining = Annotated[Training, Kinds("algorithm", tuple(ALGORITHMS), training_with)]
+_ACTS = {
+    "PPO": "On-policy; choices or ranges. The first to try.",
+    "A2C": "On-policy; choices or ranges. Plainer than PPO.",
+    "DQN": "Off-policy; one choice.",
+    "SAC": "Off-policy; ranges. Explores by entropy.",
+    "TD3": "Off-policy; ranges. DDPG with two critics and delayed updates.",
+    "DDPG": "Off-policy; ranges.",
+    "MaskablePPO": "PPO that heeds forbidden choices.",
+    "RecurrentPPO": "PPO with a memory (LSTM); choices or ranges.",
+    "TQC": "Off-policy; ranges. SAC with critics of many quantiles.",
+}
+AnyTraining = Annotated[Training, Kinds("algorithm", tuple(ALGORITHMS), training_with, sentences=tuple(_ACTS[name] for name in ALGORITHMS))]

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.compiler.known import known
 from deepbots_cli.schema.export import FILE_NAME, to_text
-from tests.editors.client import Client, Json, Place
+from tests.lsp.client import Client, Message, position
 
 ROOT = Path(__file__).parents[2]
 CARTPOLE = (ROOT / "scenarios" / "cartpole.yaml").read_text(encoding="utf-8")
@@ -21,32 +21,36 @@ CURSOR = "§"
 
 @dataclass(frozen=True)
 class Typed:
-    """What an editor shows while one types: the cursor is at `place` of the text in `file`."""
+    """What an editor shows while one types: the cursor is at `place` of the document at `uri`."""
 
     client: Client
-    file: Path
-    place: Place
-    problems: list[Json]
+    uri: str
+    place: Message
+    problems: list[Message]
+
+    def _asked(self, method: str) -> Message:
+        found: Message = self.client.request(f"textDocument/{method}", {"textDocument": {"uri": self.uri}, "position": self.place})
+        return found
 
     @property
     def hover(self) -> str:
-        return self.client.hover(self.file, self.place)
+        return str(self._asked("hover")["contents"]["value"])
 
     @property
-    def offers(self) -> dict[str, Json]:
-        return {item["label"]: item for item in self.client.complete(self.file, self.place)}
+    def offers(self) -> dict[str, Message]:
+        return {item["label"]: item for item in self._asked("completion")["items"]}
 
     @property
     def said(self) -> list[tuple[str, str]]:
         """What is wrong: the text that is underlined, and the message."""
-        lines = self.file.read_text(encoding="utf-8").splitlines()
+        lines = self.client.texts[self.uri].splitlines()
         return [(_underlined(lines, problem["range"]), problem["message"]) for problem in self.problems]
 
 
 Type = Callable[[str, str], Typed]
 
 
-def _underlined(lines: list[str], span: Json) -> str:
+def _underlined(lines: list[str], span: Message) -> str:
     start, end = span["start"], span["end"]
     line = lines[start["line"]]
     return line[start["character"] : end["character"] if end["line"] == start["line"] else None]
@@ -75,7 +79,15 @@ def client(folder: Path) -> Iterator[Client]:
         "schemaStore": {"enable": False},
         "kubernetesCRDStore": {"enable": False},
     }
-    with Client(["node", str(Path(server).resolve()), "--stdio"], folder, {"yaml": settings}) as connected:
+    capabilities = {
+        "textDocument": {
+            "hover": {"contentFormat": ["markdown"]},
+            "completion": {"completionItem": {"snippetSupport": True, "documentationFormat": ["markdown"]}},
+        },
+        "workspace": {"configuration": True},
+    }
+    command = ["node", str(Path(server).resolve()), "--stdio"]
+    with Client(folder, capabilities=capabilities, command=command, settings={"yaml": settings}) as connected:
         yield connected
 
 
@@ -84,10 +96,8 @@ def _typing(client: Client, folder: Path, ending: str, comment: str) -> Type:
         assert old in CARTPOLE
         text = comment + CARTPOLE.replace(old, new, 1)
         before, _, after = text.partition(CURSOR)
-        place = Place(before.count("\n"), len(before) - before.rfind("\n") - 1) if after else Place(0, 0)
-        file = folder / f"case{len(list(folder.iterdir()))}{ending}"
-        file.write_text(before + after, encoding="utf-8")
-        return Typed(client, file, place, client.open(file, before + after))
+        uri = client.open(folder / f"case{len(client.texts)}{ending}", before + after)
+        return Typed(client, uri, position(text, len(before)), client.published(uri))
 
     return typed
 

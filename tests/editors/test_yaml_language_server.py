@@ -10,8 +10,8 @@ from deepbots_cli import api
 from deepbots_cli.compiler.known import known
 from deepbots_cli.schema.export import FILE_NAME, to_text
 from deepbots_cli.schema.sensors import SENSORS
-from tests.editors.client import Client
 from tests.editors.conftest import ROOT, Type
+from tests.lsp.client import Client
 
 pytestmark = pytest.mark.editors
 
@@ -172,11 +172,12 @@ def test_in_a_shipped_scenario_nothing_is_marked(client: Client, folder: Path, p
     text = path.read_text(encoding="utf-8")
     for schema in (FILE_NAME, f"{path.stem}.own.json"):
         comment = f"# yaml-language-server: $schema={schema}\n"
-        assert client.open(folder / f"{schema}.{path.name}", comment + text) == []
+        assert client.published(client.open(folder / f"{schema}.{path.name}", comment + text)) == []
 
 
 def test_the_comment_leads_to_the_schema_and_not_past_it(client: Client, folder: Path) -> None:
     """Without it, or where it leads nowhere, none of this would be marked."""
-    text = f"# yaml-language-server: $schema={FILE_NAME}\ndeepbots: 1\nnonsense: true\n"
-    assert "Property nonsense is not allowed." in [problem["message"] for problem in client.open(folder / "led.yaml", text)]
-    assert client.open(folder / "unled.yaml", "deepbots: 1\nnonsense: true\n") == []
+    nonsense = "deepbots: 1\nnonsense: true\n"
+    led = client.published(client.open(folder / "led.yaml", f"# yaml-language-server: $schema={FILE_NAME}\n{nonsense}"))
+    assert "Property nonsense is not allowed." in [problem["message"] for problem in led]
+    assert client.published(client.open(folder / "unled.yaml", nonsense)) == []

@@ -1,4 +1,4 @@
-"""A client of the language server: starts it as an editor would, and speaks JSON-RPC with it over its standard streams."""
+"""A client of a language server: starts it as an editor would, and speaks JSON-RPC with it over its standard streams."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
@@ -17,13 +18,22 @@ PATIENCE = 30.0
 
 Message = dict[str, Any]
 
+OURS = (sys.executable, "-m", "deepbots_cli", "lsp")
+
 
 class Client:
-    """One server and the documents that are open in it; use it as a context, at the end of which the server has to leave."""
+    """One server and the documents that are open in it; use it as a context, at the end of which the server has to leave.
 
-    def __init__(self, folder: Path, *, capabilities: Message | None = None) -> None:
+    `settings` are those of the user, by section, for servers that ask for them.
+    """
+
+    def __init__(
+        self, folder: Path, *, capabilities: Message | None = None, command: Sequence[str] = OURS, settings: Message | None = None
+    ) -> None:
         self.folder = folder
+        self.command = command
         self.capabilities = capabilities or {}
+        self.settings = settings or {}
         self.logged: list[str] = []
         self.diagnostics: dict[str, Message] = {}
         self.texts: dict[str, str] = {}
@@ -36,7 +46,7 @@ class Client:
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         environment.pop("DEEPBOTS_DEBUG", None)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "deepbots_cli", "lsp"],
+            self.command,
             cwd=self.folder,
             env=environment,
             stdin=subprocess.PIPE,
@@ -46,6 +56,8 @@ class Client:
         threading.Thread(target=self._listen, daemon=True).start()
         self.server = self.request("initialize", {"processId": None, "rootUri": None, "capabilities": self.capabilities})
         self.notify("initialized", {})
+        if self.settings:
+            self.notify("workspace/didChangeConfiguration", {"settings": self.settings})
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -164,6 +176,11 @@ class Client:
             case "textDocument/publishDiagnostics":
                 self.diagnostics[message["params"]["uri"]] = message["params"]
                 self._published.put(message["params"]["uri"])
+            case "workspace/configuration":
+                wanted = [self.settings.get(item["section"]) for item in message["params"]["items"]]
+                self._send({"jsonrpc": "2.0", "id": message["id"], "result": wanted})
+            case _ if "id" in message:
+                self._send({"jsonrpc": "2.0", "id": message["id"], "result": None})
             case _:
                 self.logged.append(message["params"]["message"])
 

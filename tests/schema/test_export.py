@@ -187,7 +187,9 @@ def test_every_kind_is_listed_and_has_its_condition(schema: Json, key: str, kind
     for node in found:
         told = [branch["if"]["properties"][key]["const"] for branch in node["allOf"] if key in branch["if"].get("properties", {})]
         assert told == list(kinds)
-        assert len(node["properties"][key]["enumDescriptions"]) == len(kinds)
+        said = node["properties"][key]["enumDescriptions"]
+        assert len(set(said)) == len(kinds)
+        assert all(sentence.endswith(".") for sentence in said)
 
 
 @pytest.mark.parametrize("line", ["total_timesteps: 100_000", "learning_rate: 1_000", "n_steps: 1_024"])
