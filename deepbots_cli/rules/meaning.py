@@ -14,8 +14,10 @@ from deepbots_cli.ir import Sensor
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.lower import lower
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
-from deepbots_cli.lang.typed import Invocation, Operation, Reference, Typed, children
-from deepbots_cli.task import Task, TaskRobot, Valued
+from deepbots_cli.lang.scalar import children as parts
+from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.lang.types import Stage, Symbol, Type
+from deepbots_cli.task import Task, TaskGoal, TaskRobot, Valued
 from deepbots_cli.urdf.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
@@ -46,6 +48,7 @@ class Book:
         self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in task.robots for value in robot.emit}
         if task.goal is not None:
             self._defined |= {"achieved": (task.goal.achieved, ""), "desired": (task.goal.desired, "")}
+            self._defined["goal_reached"] = (_reached(task.goal), "")
         self._scalars: dict[str, dict[str | None, Scalar]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._of_names: dict[Name, int] = {}
@@ -122,6 +125,27 @@ class Book:
         sensors = self._robots[robot].sensors if name and robot in self._robots else ()
         return next(((robot, sensor) for sensor in sensors if sensor.name == name), None)
 
+    def told(self, node: Scalar) -> set[str]:
+        """The drawn parameters and the bodies that a value depends on."""
+        found: set[str] = set()
+        met: set[Scalar] = set()
+        waiting = [node]
+        while waiting:
+            node = waiting.pop()
+            match node:
+                case Name() if node not in met:
+                    met.add(node)
+                    found.add(node.name)
+                    further = self.definition(node)  # name by name: one that is only another name for a parameter tells of it
+                    waiting += [] if further is None else [further]
+                    sensor = self.sensor(self.meaning(node))
+                    found |= {sensor[0]} if sensor else set()
+                case World(_, subjects):
+                    found |= {subject.partition(".")[0].partition("#")[0] for subject in subjects}
+                case _:
+                    waiting += parts(node)
+        return found
+
     # Which trees mean the same
 
     def identity(self, node: Scalar) -> int:
@@ -188,3 +212,16 @@ class Book:
         long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
         is_long = isinstance(long, Invocation) and long.function == "duration" and not isinstance(short, Invocation)
         return long.args[0] if is_long and isinstance(long, Invocation) else None
+
+
+def _reached(goal: TaskGoal) -> Valued:
+    """What `goal_reached` means, as if it had been written out. It has no place of its own in the scenario: its owner is empty."""
+    apart, least = "norm(achieved - desired)", f"{goal.within:g} {goal.achieved.typed.type.dimension}".strip()
+    text, end = f"{apart} <= {least}", len(apart)
+    size = Type(goal.achieved.typed.type.dimension, stage=Stage.STEP)
+    whole = size._replace(components=goal.achieved.typed.type.components)
+    sides = tuple(Reference(whole, 0, end, Symbol(name, whole)) for name in ("achieved", "desired"))
+    distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (Operation(whole, 0, end, "sub", sides),))
+    within = Constant(size, end + 4, len(text), (goal.within,))
+    typed = Operation(Type(boolean=True, stage=Stage.STEP), 0, len(text), "less_equal", (distance, within))
+    return Valued("goal_reached", goal.achieved.span, text, typed, "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.namespace import Origin
+from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
 from deepbots_cli.lang.types import Kind
@@ -17,51 +17,47 @@ _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origi
 
 
 def unused_definition(checked: Checked) -> Iterator[Finding]:
-    """DB205: a parameter, action variable, field or signal is defined and never used.
+    """DB205: something is defined and never used: a parameter, action variable, field, signal, sensor or actuator.
 
-    Most often it is a misspelling elsewhere, or what remains of an earlier version.
+    Most often it is a misspelling elsewhere, or what remains of an earlier version. A sensor is of use if it is sent or used on
+    board. An actuator without a command is left alone: the joint swings as if there were no motor. What an included robot file
+    offers besides may stay unused: it describes the robot, not the task.
 
     Example::
 
         signals: {away: abs(x)}
+        robots: {cart: {sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}}}
 
     Instead::
 
         signals: {away: abs(x)}
         reward: {centred: -away / m}
-    """
-    if checked.namespace is None:
-        return
-    used = {name for each in checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
-    for name, definition in checked.namespace.definitions.items():
-        if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
-            values, headline = checked.namespace.values, f"`{name}` is {definition.origin.value} that nothing uses"
-            fix = removing(values.root, definition.path)
-            yield Finding("DB205", values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
-
-
-def unused_part(checked: Checked) -> Iterator[Finding]:
-    """DB205: a sensor that is neither sent nor used on board, or an actuator without a command.
-
-    Such an actuator is left alone: the joint swings as if there were no motor. What an included robot file offers
-    besides may stay unused: it describes the robot, not the task.
-
-    Example::
-
-        robots: {cart: {sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}}}
-
-    Instead::
-
         robots:
           cart:
             sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}
             emit: [pole_angle, rolling]
         observation: {cart.rolling: -10 .. 10 rad/s}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.namespace is None:
         return
-    looking = {part for value in _judged(checked.task) for part in _sensors(value.typed)}
-    for robot in checked.task.robots:
+    yield from _unused_names(checked, checked.namespace)
+    if checked.task is not None:
+        yield from _unused_parts(checked, checked.task)
+
+
+def _unused_names(checked: Checked, namespace: Namespace) -> Iterator[Finding]:
+    used = {name for each in checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
+    for name, definition in namespace.definitions.items():
+        if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
+            values, headline = namespace.values, f"`{name}` is {definition.origin.value} that nothing uses"
+            fix = removing(values.root, definition.path)
+            yield Finding("DB205", values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
+
+
+def _unused_parts(checked: Checked, task: Task) -> Iterator[Finding]:
+    """Sensors and actuators of a robot."""
+    looking = {part for value in _judged(task) for part in _sensors(value.typed)}
+    for robot in task.robots:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         for sensor in robot.sensors:
@@ -112,4 +108,4 @@ def _names(value: Typed) -> Iterator[str]:
         yield from _names(part)
 
 
-RULES = (unused_definition, unused_part)
+RULES = (unused_definition,)

@@ -102,6 +102,50 @@ def _tells(value: Typed, privileged: set[str]) -> bool:
     return any(_tells(part, privileged) for part in children(value))
 
 
+def goal_in_observation(checked: Checked) -> Iterator[Finding]:
+    """DB614: with hindsight replay, an entry of the observation is made of where the agent shall get.
+
+    Hindsight stores each step once more, as if another goal had been desired. It replaces `desired`, which the policy sees anyway,
+    and recomputes the reward. What an entry of `observation` says of the goal stays, so that the agent learns from steps in which it
+    sees two goals at once.
+
+    Example::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        augment: {left: mark - x}
+        observation: {left: -0.8 .. 0.8 m}
+        reward: {alive: -1 when not goal_reached}
+        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
+
+    Instead::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        reward: {alive: -1 when not goal_reached}
+        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
+    """
+    task = checked.task
+    if task is None or task.goal is None or task.training is None or task.training.replay is None:
+        return
+    book = Book(task, ideal=True)
+    bodies = {thing.name for thing in task.world.objects} | {robot.name for robot in task.world.robots}
+    known = bodies | {value.name for value in task.parameters}
+    achieved, desired = (_told(book, side) for side in (task.goal.achieved, task.goal.desired))
+    ours = (desired - achieved) & known
+    for entry in task.observation:
+        told = _told(book, entry.value)
+        if told & ours:
+            headline = f"`{entry.value.name}` tells of the goal, which hindsight replaces in `desired` alone"
+            help = "take it out: the policy sees `achieved` and `desired` beside the observation"
+            also = (Label(task.goal.desired.span, f"made of `{min(told & ours)}` too"),)
+            yield Finding("DB614", entry.value.span, headline, help=help, also=also)
+
+
+def _told(book: Book, value: Valued) -> set[str]:
+    return {name for node in book.scalars(value) for name in book.told(node)}
+
+
 def observation_unbounded(checked: Checked) -> Iterator[Finding]:
     """DB601: an entry of the observation is not clipped, and nothing is known to bound it.
 
@@ -217,8 +261,10 @@ def _unseen(checked: Checked, seen: Seen, threshold: Threshold, ending: Valued, 
     beyond = limit + (_ROOM - 1.0) * abs(limit) * (1.0 if threshold.above else -1.0)
     other = -beyond if seen.low == -seen.high else beyond
     wide = Interval(min(seen.low, beyond, other), max(seen.high, beyond, other))
-    text = checked.namespace.values.text(tuple(comparison.value.owner.split(".")))
-    place = text.part(comparison.node.start, comparison.node.end)
+    place = ending.span
+    if comparison.value.owner:
+        text = checked.namespace.values.text(tuple(comparison.value.owner.split(".")))
+        place = text.part(comparison.node.start, comparison.node.end)
     return Finding(
         "DB603",
         _range_span(checked, seen.entry),
@@ -306,4 +352,11 @@ def _stands(book: Book, robot: str) -> bool:
     return all(start.of(part) == exact(0.0) or start.of(part) == Interval(-1.0, 1.0) for part in leaning)
 
 
-RULES = (observation_unbounded, bounds_mismatch, saturates_before_termination, privileged_observation, observation_saturates)
+RULES = (
+    observation_unbounded,
+    bounds_mismatch,
+    saturates_before_termination,
+    privileged_observation,
+    observation_saturates,
+    goal_in_observation,
+)

@@ -51,7 +51,7 @@ class Page:
 
 @cache
 def every_page() -> tuple[Page, ...]:
-    """All of them in the order of their codes; what two rules look for may have one code."""
+    """All of them in the order of their codes."""
     return tuple(sorted([*_of_the_compiler(), *map(_of_a_rule, everything())], key=lambda page: page.code))
 
 

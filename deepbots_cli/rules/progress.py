@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Name, Op, Scalar, State, World, children
+from deepbots_cli.lang.scalar import Name, Op, Scalar, State
 from deepbots_cli.rules.meaning import Book
 from deepbots_cli.rules.payments import Payments
 from deepbots_cli.rules.reach import NEVER, Reach
@@ -217,10 +217,10 @@ def hidden_state_reward(checked: Checked) -> Iterator[Finding]:
     seen: set[str] = set()
     for entry in task.observation:
         for node in book.scalars(entry.value):
-            seen |= _told(book, node)
+            seen |= book.told(node)
     if task.goal is not None:
         for value in (task.goal.achieved, task.goal.desired):
-            seen |= {found for node in book.scalars(value) for found in _told(book, node)}
+            seen |= {found for node in book.scalars(value) for found in book.told(node)}
     feels = any(sensor.kind in _FEELERS for robot in task.robots for sensor in robot.sensors) or any(
         entry.value.typed.type.picture for entry in task.observation
     )
@@ -228,33 +228,11 @@ def hidden_state_reward(checked: Checked) -> Iterator[Finding]:
     bodies = set() if feels else {thing.name for thing in task.world.objects} | {robot.name for robot in task.world.robots}
     for term in task.reward:
         if term.foreign is None:
-            hidden = sorted((_told(book, book.scalars(term)[0]) - seen) & (drawn | bodies))
+            hidden = sorted((book.told(book.scalars(term)[0]) - seen) & (drawn | bodies))
             if hidden:
                 what = f"`{hidden[0]}`, {'a parameter that is drawn' if hidden[0] in drawn else 'a body'}"
                 help = "let the policy see it: compute what it needs under `augment`"
                 yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, and nothing that is seen tells of it", help=help)
-
-
-def _told(book: Book, node: Scalar) -> set[str]:
-    """The drawn parameters and the bodies that a value depends on."""
-    found: set[str] = set()
-    met: set[Scalar] = set()
-    waiting = [node]
-    while waiting:
-        node = waiting.pop()
-        match node:
-            case Name() if node not in met:
-                met.add(node)
-                found.add(node.name)
-                further = book.definition(node)  # name by name: one that is only another name for a parameter tells of it
-                waiting += [] if further is None else [further]
-                sensor = book.sensor(book.meaning(node))
-                found |= {sensor[0]} if sensor else set()
-            case World(_, subjects):
-                found |= {subject.partition(".")[0].partition("#")[0] for subject in subjects}
-            case _:
-                waiting += children(node)
-    return found
 
 
 RULES = (suspicious_sign, hidden_state_reward)
