@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -12,6 +13,7 @@ from deepbots_cli.lsp.analysing import Analysis, analyse
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.diagnosing import diagnostics
 from deepbots_cli.lsp.documents import Document
+from deepbots_cli.source.load import Drafts
 
 _PAUSE = 0.05
 """Seconds that a change waits for the next one; people type up to ten letters a second."""
@@ -64,7 +66,7 @@ class Checker:
     async def _look(self, document: Document) -> None:
         loop = asyncio.get_running_loop()
         try:
-            analysis = await loop.run_in_executor(self._thread, analyse, document, self._desk.drafts)
+            analysis = await loop.run_in_executor(self._thread, _analysed, document, self._desk.drafts)
         except Exception as error:  # noqa: BLE001  # a fault of ours, which must not end the service
             self._say(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
             return
@@ -97,3 +99,11 @@ class Checker:
         if sentence not in self._said:
             self._said.add(sentence)
             self._complain(sentence)
+
+
+def _analysed(document: Document, drafts: Drafts) -> Analysis:
+    """An analysis, in its thread, and what is left of the one before collected."""
+    try:
+        return analyse(document, drafts)
+    finally:
+        gc.collect()

@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from queue import Empty, Queue
+from queue import Queue
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +35,7 @@ class Client:
         self.capabilities = capabilities or {}
         self.settings = settings or {}
         self.logged: list[str] = []
+        self.registered: list[Message] = []
         self.diagnostics: dict[str, Message] = {}
         self.texts: dict[str, str] = {}
         self.versions: dict[str, int] = {}
@@ -179,19 +180,13 @@ class Client:
             case "workspace/configuration":
                 wanted = [self.settings.get(item["section"]) for item in message["params"]["items"]]
                 self._send({"jsonrpc": "2.0", "id": message["id"], "result": wanted})
+            case "client/registerCapability":
+                self.registered += message["params"]["registrations"]
+                self._send({"jsonrpc": "2.0", "id": message["id"], "result": None})
             case _ if "id" in message:
                 self._send({"jsonrpc": "2.0", "id": message["id"], "result": None})
             case _:
                 self.logged.append(message["params"]["message"])
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether nothing more is published for a while."""
-        try:
-            self._published.get(timeout=1.0)
-        except Empty:
-            return True
-        return False
 
 
 def position(text: str, offset: int) -> Message:

@@ -200,3 +200,19 @@ def test_findings_of_a_closed_document_are_taken_back(client, world):
     assert codes(client.findings(uri)) == ["DB101"]
     client.close(uri)
     assert client.published(uri) == []
+
+
+def test_a_robot_file_that_changes_on_the_disk_is_read_again(project, world):
+    path = world("pit_escape")
+    with Client(project, capabilities={"workspace": {"didChangeWatchedFiles": {"dynamicRegistration": True}}}) as own:
+        uri = own.open(path)
+        assert own.findings(uri) == []
+        (registered,) = own.registered
+        assert registered["method"] == "workspace/didChangeWatchedFiles"
+        assert any("urdf" in watcher["globPattern"] for watcher in registered["registerOptions"]["watchers"])
+        robot = path.parents[1] / "robots" / "urdf" / "roller.urdf"
+        robot.write_text(robot.read_text().replace('<joint name="pitch"', '<joint name="nod"'))
+        own.notify("workspace/didChangeWatchedFiles", {"changes": [{"uri": robot.as_uri(), "type": 2}]})
+        while not (found := own.published(uri)):
+            pass
+        assert codes(found) == ["DB302"]

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import os
 import random
+import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -19,7 +25,7 @@ from deepbots_cli.lsp.hovering import hover
 from deepbots_cli.lsp.mending import Actions
 from deepbots_cli.lsp.outlining import outline
 from tests.benchmarks.lsp_cost import heavy_imports
-from tests.lsp.client import Client
+from tests.lsp.client import Client, position
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))
@@ -68,6 +74,19 @@ def test_a_scenario_with_random_slips_is_answered_for(seed):
                 desk.learn(analyse(document, desk.drafts))
             for _ in range(8):
                 answer_all(desk, document, document.lines.position(drawn.randrange(len(slips))))
+
+
+@pytest.mark.parametrize("method", [*ASKED_OF_A_PLACE, "codeAction"])
+def test_the_server_answers_at_every_place_of_a_scenario_and_of_what_is_left_of_it(client, pit, method):
+    text = client.texts[pit]
+    for end in range(0, len(text), STEP):
+        for document in (text, text[:end]):
+            client.change(pit, document)
+            place = position(document, end)
+            where = (
+                {"range": {"start": place, "end": place}, "context": {"diagnostics": []}} if method == "codeAction" else {"position": place}
+            )
+            client.request(f"textDocument/{method}", {"textDocument": {"uri": pit}, **where})
 
 
 HOSTILE = {
@@ -137,3 +156,39 @@ def test_the_server_leaves_when_its_input_ends(project):
         client.process.stdin.close()
         assert client.process.wait(20) == 0
     assert client.errors == ""
+
+
+def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "deepbots_cli", "lsp", "--tcp", str(port)]
+    server = subprocess.Popen(command, cwd=project, env=environment, stderr=subprocess.PIPE)
+    body = json.dumps(
+        {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": {"processId": None, "rootUri": None, "capabilities": {}}}
+    )
+    with connected(port) as line:
+        line.sendall(f"Content-Length: {len(body)}\r\n\r\n{body}".encode())
+        assert b"hoverProvider" in line.recv(100_000)
+    assert server.wait(20) == 0
+    assert server.stderr.read() == b""
+
+
+def connected(port: int) -> socket.socket:
+    """A connection to a server that is about to start."""
+    for _ in range(200):
+        try:
+            return socket.create_connection(("127.0.0.1", port))
+        except ConnectionRefusedError:
+            time.sleep(0.1)
+    raise TimeoutError
+
+
+def test_without_the_extra_one_line_says_what_to_install():
+    program = "import sys; sys.modules['pygls'] = None; from deepbots_cli.cli import main; sys.exit(main(['lsp']))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout) == (2, "")
+    assert "the language server needs the 'editor' extra; install it with: pip install 'deepbots-cli[editor]'" in ran.stderr
+    assert "Traceback" not in ran.stderr

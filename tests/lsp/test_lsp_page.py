@@ -1,0 +1,75 @@
+"""What docs/editors.md says of the language server: each example does what its row says, and the settings can be read."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+
+import pytest
+
+from tests.lsp.client import ROOT
+
+PAGE = (ROOT / "docs" / "editors.md").read_text(encoding="utf-8")
+TABLE = PAGE[PAGE.index("| you write |") : PAGE.index("The text may be broken")]
+ROWS = re.findall(r"^\| (`.*?`(?:, \w+)?) \| (.*) \|$", TABLE.replace("\\|", "¦"), re.MULTILINE)
+
+PLACES = {
+    "`joint: ¦`": ("joint: pitch", "joint: ¦"),
+    "`sensors: {gyro: {type: ¦`": ("{gyro: {type: gyro, link: ball}", "{gyro: {type: ¦, link: ball}"),
+    "`norm(position(¦`": ("norm(position(roller).xy)", "norm(position(¦"),
+    "`radius: 2.7 ¦`": ("radius: 2.7 m", "radius: 2.7 ¦"),
+}
+"""What stands in PitEscape, and what is written in its place."""
+
+
+def quoted(text: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", text)
+
+
+def test_the_table_has_examples():
+    assert len(ROWS) == 9
+    assert set(PLACES) <= {row for row, _ in ROWS}
+
+
+@pytest.mark.parametrize("row", PLACES)
+def test_an_example_of_completion_is_what_the_page_says(client, pit, row):
+    old, new = PLACES[row]
+    start = client.texts[pit].index(old)
+    client.change(pit, client.texts[pit].replace(old, new.replace("¦", "")))
+    expected = quoted(dict(ROWS)[row])
+    assert expected
+    assert set(expected) <= set(client.labels_at(pit, start + new.index("¦")))
+
+
+def test_the_example_of_a_finding_is_what_the_page_says(client, pit):
+    client.change(pit, client.texts[pit].replace("world: {timestep", "world: {timestop"))
+    (found,) = client.findings(pit)
+    (action,) = client.actions(pit, "time¦stop")
+    said = dict(ROWS)["`world: {timestop: 32 ms`"]
+    assert found["code"] in said
+    assert f'"{action["title"]}"' in said
+
+
+@pytest.mark.parametrize("row", [row for row, _ in ROWS if row.endswith("hover")])
+def test_an_example_of_hover_is_what_the_page_says(client, pit, row):
+    said = client.hover(pit, quoted(row)[0].replace("(...))", "("))
+    words = quoted(dict(ROWS)[row]) or dict(ROWS)[row].split(", ")
+    assert [word for word in words if word not in said] == []
+
+
+@pytest.mark.parametrize("row", [row for row, _ in ROWS if row.endswith("definition")])
+def test_an_example_of_a_definition_is_what_the_page_says(client, pit, ball, row):
+    uri = ball if "include" in row else pit
+    ((file, line, _),) = client.definition(uri, quoted(row)[0])
+    assert dict(ROWS)[row] in (f"line {line + 1} of `{file}`", "that file")
+
+
+def test_the_settings_of_editors_can_be_read_and_start_the_server():
+    (toml,) = re.findall(r"^```toml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    helix = tomllib.loads(toml)["language-server"]["deepbots"]
+    assert [helix["command"], *helix["args"]] == ["deepbots", "lsp"]
+    settings = [json.loads(text) for text in re.findall(r"^```json\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)]
+    (code,) = [found for found in settings if "glspc.serverCommand" in found]
+    assert [code["glspc.serverCommand"], *code["glspc.serverCommandArguments"]] == ["deepbots", "lsp"]
+    assert 'cmd = { "deepbots", "lsp" }' in PAGE
