@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from deepbots_cli.schema.fields import Expression, FilePath, JsonSchema, Leaf, Pattern, Quantity, Reference
+from deepbots_cli.schema.fields import Expression, FilePath, JsonSchema, Leaf, Pattern, Quantity, Range, Reference
 from deepbots_cli.schema.hover import unit_of
-from deepbots_cli.schema.plain import COLOURS, Colour
+from deepbots_cli.schema.plain import COLOURS, Colour, Word
 from deepbots_cli.source import shipped
 
 _WILD: JsonSchema = {"title": "a pattern", "type": "string", "pattern": r"[*?\[]"}
@@ -27,14 +27,17 @@ class Offer:
     def laid_upon(self, schema: JsonSchema, noun: str) -> JsonSchema:
         """The schema of a value called `noun`, with the names as an enumeration beside whatever else may stand there.
 
-        Exactly one of the two holds, and both have titles, or the YAML language server would show the texts of both.
+        Where anything else may, the enumeration is there to be offered: one of the two forms always holds, and what is
+        wrong is said by the rest of the schema. Both have titles, or the YAML language server would show the texts of both.
         """
         if not self.names:
             return schema
         known: JsonSchema = {"title": "a known name", "enum": list(self.names)}
         if any(self.names.values()):
             known["enumDescriptions"] = list(self.names.values())
-        return {"anyOf": [known, _WILD if self.only else {"title": noun, **schema, "not": {"enum": list(self.names)}}]}
+        if self.only:
+            return {"anyOf": [known, _WILD]}
+        return schema | {"anyOf": [known, {"title": noun, "not": {"enum": list(self.names)}}]}
 
 
 Names = Mapping[str, Offer]
@@ -67,12 +70,16 @@ def topics(leaf: Leaf) -> tuple[str, ...]:
             return tuple(figure_topic(unit, stage) for unit in unit_of(leaf).split(" or "))
         case Colour():
             return ("colour",)
+        case Range(auto=True):
+            return ("known range",)
         case _:
             return ()
 
 
 def offered(leaf: Leaf, names: Names) -> Offer | None:
-    """What is known for a value of this kind."""
+    """What is known for a value of this kind; for a word it is all words."""
+    if isinstance(leaf, Word):
+        return Offer(dict.fromkeys(leaf.words, ""))
     offers = [names[topic] for topic in topics(leaf) if topic in names]
     together = {name: said for offer in offers for name, said in offer.names.items()}
     return Offer(together, offers[0].only) if together else None
@@ -81,7 +88,7 @@ def offered(leaf: Leaf, names: Names) -> Offer | None:
 def listed(leaf: Leaf, names: Names) -> JsonSchema:
     """The schema of a single value, or of several, with the names that are known for it."""
     schema, offer = leaf.json_schema(), offered(leaf, names)
-    if offer is None:
+    if offer is None or isinstance(leaf, Word):
         return schema
     if isinstance(leaf, Reference) and leaf.several:
         one = offer.laid_upon({"type": "string"}, leaf.noun)
@@ -104,4 +111,5 @@ LANGUAGE: Names = {
     "robot file": Offer(dict.fromkeys(shipped.robot_names(), "a robot that comes with deepbots")),
     "region": Offer({"arena": "the floor of the arena"}),
     "colour": Offer(dict.fromkeys(COLOURS, "")),
+    "known range": Offer({"auto": "the interval that is known of the value"}),
 }

@@ -63,8 +63,19 @@ def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:
     assert "clip_range" not in offers
 
 
-def test_the_words_of_a_key_are_offered(typed: Type) -> None:
-    assert {"csv", "json", "struct", "msgpack", "none"} <= set(typed("format: csv", "format: §").offers)
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("format: csv", "format: §", {"csv", "json", "struct", "msgpack", "none"}),
+        ("friction: 1.0", "colour: §", {"red", "green", "tan"}),
+        ("urdf: ../robots/urdf/cartpole.urdf", "urdf: §", {"cartpole", "epuck", "rover"}),
+        ("algorithm: PPO", "algorithm: SAC\n  replay: §", {"uniform", "her"}),
+        ("speed:           -0.8 .. 0.8 m/s", "speed: §", {"auto"}),
+    ],
+    ids=["a word", "a colour", "a shipped robot", "a word beside a mapping", "a range"],
+)
+def test_the_words_of_a_key_are_offered(typed: Type, old: str, new: str, words: set[str]) -> None:
+    assert words <= set(typed(old, new).offers)
 
 
 def test_the_joints_of_the_robot_are_offered(typed_for: Type) -> None:
@@ -134,6 +145,7 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
         ("substeps: 4", "substeps: four", ("four", "expected a whole number, such as 100 or 100_000")),
         ("gamma: 0.98", "gamma: 1.98", ("1.98", "Value is above the maximum of 1.")),
         ("-20 .. 20 deg", "20 deg", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
+        ("-20 .. 20 deg", "{range: 20 deg}", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
         (", joint: pole_hinge", "", ("pole_angle", "missing key `joint` or `joints`")),
         (SENSOR, "{joint: pole_hinge}", ("pole_angle", "missing key `type`")),
         (", joint: pole_hinge", ", joint: pole_hinge, joints: all", ("joints", "`joints` cannot stand beside `joint`")),

@@ -14,6 +14,8 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.schema.export import json_schema, to_text
 from deepbots_cli.source import to_data
 from deepbots_cli.source.parse import parse
+from tests.fuzz.mutations import case
+from tests.fuzz.workbench import Workbench
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
@@ -201,3 +203,21 @@ def test_where_a_robot_could_not_be_read_the_names_of_all_are_no_mistake(own: Ow
 def test_more_names_than_anyone_reads_are_not_listed(own: Own) -> None:
     text = CARTPOLE.replace("signals:", "").replace("  track:", "".join(f"  p{i}: {i} m\n" for i in range(600)) + "  track:")
     assert listed(own(text), "Stage", "set") == {}
+
+
+def test_whatever_became_of_a_file_what_has_no_error_fits_its_schema(tmp_path: Path) -> None:
+    """Damaged files, as `make fuzz` lints them: every one gets a schema, and an editor marks nothing that the compiler takes."""
+    sound = 0
+    with Workbench(tmp_path):
+        for number in range(80):
+            damaged = case(number)
+            whole = damaged.file.read_bytes()
+            damaged.file.write_bytes(damaged.data)
+            checked = api.load(damaged.main)
+            schema = json_schema(known(checked))
+            if not checked.findings.errors and checked.document.root is not None:
+                sound += 1
+                assert faults(schema, to_data(checked.document.root)) == [], number
+                assert faults(json_schema(), data(damaged.main.read_text(encoding="utf-8"))) == [], number
+            damaged.file.write_bytes(whole)
+    assert sound > 5

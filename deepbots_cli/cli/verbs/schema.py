@@ -44,7 +44,7 @@ def command(
     _write(to_text(known(checked)), output)
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
-    if output is not None:
+    if output is not None and Path(scenario).is_file():
         terminal.note(f"as the first line of {checked.document.path.name}: {editing.modeline(checked.document.path, output)}")
 
 
