@@ -5,7 +5,7 @@ rule. What the compiler needs to know anyway, it reports itself. The docstring o
 the reference: after the code what is found and why it matters, an example, and what to write instead.
 
 names.py        definitions that nothing uses
-observation.py  what the policy sees
+observation.py  what the policy sees; saturation.py values at the end of their range
 reward.py       the size of a reward and its terms; progress.py its direction
 endings.py      when episodes end; goals.py whether goals can be reached
 
@@ -90,6 +90,7 @@ def _may_cost(task: Task) -> bool:
 _MODULES: dict[str, Callable[[Task], bool]] = {
     "names": _always,
     "observation": _always,
+    "saturation": _always,
     "reward": _may_cost,
     "progress": _may_cost,
     "endings": _ends,

@@ -5,22 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from deepbots_cli import footprint, frames
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.joints import held
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding, Label, Span
-from deepbots_cli.lang.dimensions import ACCELERATION, Dimension
+from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.functions import Family
-from deepbots_cli.lang.intervals import Interval, exact
-from deepbots_cli.lang.scalar import Name, Scalar, World
+from deepbots_cli.lang.scalar import Scalar
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
-from deepbots_cli.rules.meaning import Book, Comparison
+from deepbots_cli.rules.meaning import Book
 from deepbots_cli.rules.reach import Reach
-from deepbots_cli.rules.start import AtStart
-from deepbots_cli.rules.thresholds import Threshold, thresholds
-from deepbots_cli.rules.wording import between, figure, span_of
+from deepbots_cli.rules.wording import between, span_of
 from deepbots_cli.task import ObservedValue, Task, Valued
 
 _ROUNDING = 1e-6
@@ -42,7 +37,7 @@ class Seen(NamedTuple):
         return self.entry.value.typed.type.dimension
 
 
-def _seen(book: Book) -> Iterator[Seen]:
+def numbers_seen(book: Book) -> Iterator[Seen]:
     """Every number of the observation that has a range."""
     for entry in book.task.observation:
         known = entry.value.typed.type
@@ -51,7 +46,7 @@ def _seen(book: Book) -> Iterator[Seen]:
                 yield Seen(entry, node, low, high)
 
 
-def _range_span(checked: Checked, entry: ObservedValue) -> Span:
+def range_span(checked: Checked, entry: ObservedValue) -> Span:
     assert checked.namespace is not None  # there is a task
     return checked.namespace.values.span(("observation", entry.value.name, "range"))
 
@@ -164,9 +159,11 @@ def observation_unbounded(checked: Checked) -> Iterator[Finding]:
         return
     book = Book(checked.task)
     reach = Reach(book)
-    for entry in {id(seen.entry): seen.entry for seen in _seen(book) if not seen.entry.clip and not reach.of(seen.node).finite}.values():
+    for entry in {
+        id(seen.entry): seen.entry for seen in numbers_seen(book) if not seen.entry.clip and not reach.of(seen.node).finite
+    }.values():
         headline = f"`{entry.value.name}` is not clipped, and nothing bounds it"
-        yield Finding("DB601", _range_span(checked, entry), headline, help="take `clip: false` out, or `clamp` the value under `augment`")
+        yield Finding("DB601", range_span(checked, entry), headline, help="take `clip: false` out, or `clamp` the value under `augment`")
 
 
 def bounds_mismatch(checked: Checked) -> Iterator[Finding]:
@@ -187,15 +184,15 @@ def bounds_mismatch(checked: Checked) -> Iterator[Finding]:
         return
     book = Book(checked.task)
     reach = Reach(book)
-    for seen in _once(seen for seen in _seen(book) if seen.entry.clip):
+    for seen in once(seen for seen in numbers_seen(book) if seen.entry.clip):
         known = reach.of(seen.node)
         if known.low >= seen.high or known.high <= seen.low:
             headline = f"`{seen.entry.value.name}` is {between(known, seen.dimension)}, and never within its range"
             help = "give the range that it has" + (f": `{span_of(known, seen.dimension)}`" if known.finite and not known.single else "")
-            yield Finding("DB602", _range_span(checked, seen.entry), headline, help=help)
+            yield Finding("DB602", range_span(checked, seen.entry), headline, help=help)
 
 
-def _once(found: Iterator[Seen]) -> Iterator[Seen]:
+def once(found: Iterator[Seen]) -> Iterator[Seen]:
     """The first component of each entry, and the others only if they differ from it in their bounds."""
     met = set()
     for seen in found:
@@ -205,158 +202,9 @@ def _once(found: Iterator[Seen]) -> Iterator[Seen]:
             yield seen
 
 
-# Saturation
-
-
-def saturates_before_termination(checked: Checked) -> Iterator[Finding]:
-    """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
-
-    Between the end of the range and the limit every value looks the same to the policy, just where it would have to act. The
-    CartPole of the original collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad.
-
-    Example::
-
-        observation: {cart.pole_angle: -0.23 .. 0.23 rad}
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-
-    Instead::
-
-        observation: {cart.pole_angle: -20 .. 20 deg}
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
-    if checked.task is None or checked.namespace is None:
-        return
-    book = Book(checked.task, ideal=True)
-    reach = Reach(book)
-    shown: dict[int, list[Seen]] = {}
-    for seen in _seen(book):
-        shown.setdefault(book.identity(seen.node), []).append(seen)
-    met = set()
-    for ending in checked.task.endings:
-        for comparison in book.comparisons(ending.value) if ending.outcome == "failure" else ():
-            for threshold in thresholds(comparison, book, reach):
-                entries = shown.get(book.identity(threshold.quantity), [])
-                if entries and all(_is_blind(seen, threshold, reach) for seen in entries):
-                    seen = entries[0]
-                    if (id(seen.entry), ending.value.name) not in met:
-                        met.add((id(seen.entry), ending.value.name))
-                        yield _unseen(checked, seen, threshold, ending.value, comparison)
-
-
-def _is_blind(seen: Seen, threshold: Threshold, reach: Reach) -> bool:
-    """Whether the policy sees the same value from the end of the range to the threshold, which can be met."""
-    known, bound = reach.of(seen.node), threshold.bound
-    slack = _ROUNDING * max(abs(bound.low), abs(bound.high))
-    if not seen.entry.clip or known.low >= seen.high or known.high <= seen.low:
-        return False  # the latter is DB602
-    if threshold.above:
-        return seen.high < bound.low - slack and known.high > bound.low
-    return seen.low > bound.high + slack and known.low < bound.high
-
-
-def _unseen(checked: Checked, seen: Seen, threshold: Threshold, ending: Valued, comparison: Comparison) -> Finding:
-    assert checked.namespace is not None  # as the caller found
-    dimension, name = seen.dimension, seen.entry.value.name
-    edge, limit = (seen.high, threshold.bound.low) if threshold.above else (seen.low, threshold.bound.high)
-    beyond = limit + (_ROOM - 1.0) * abs(limit) * (1.0 if threshold.above else -1.0)
-    other = -beyond if seen.low == -seen.high else beyond
-    wide = Interval(min(seen.low, beyond, other), max(seen.high, beyond, other))
-    place = ending.span
-    if comparison.value.owner:
-        text = checked.namespace.values.text(tuple(comparison.value.owner.split(".")))
-        place = text.part(comparison.node.start, comparison.node.end)
-    return Finding(
-        "DB603",
-        _range_span(checked, seen.entry),
-        f"`{name}` is seen no further than {figure(edge, dimension)}, and the episode fails at {figure(limit, dimension)}",
-        help=f"let its range go beyond the limit, as `{span_of(wide, dimension)}` does",
-        also=(Label(place, f"`{ending.name}` ends it here"),),
-    )
-
-
-def observation_saturates(checked: Checked) -> Iterator[Finding]:
-    """DB611: a value is at the end of its range in ordinary operation: an accelerometer at rest, or a start beyond the range.
-
-    An accelerometer at rest reads the acceleration of gravity, upwards. Where its range ends below that, its axis shows the
-    end of the range as long as the robot stands, and says nothing. The same is true of what begins beyond its range.
-
-    Example::
-
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
-        observation: {cart.accel: -5 .. 5 m/s^2}
-
-    Instead::
-
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
-        observation: {cart.accel: -15 .. 15 m/s^2}
-    """
-    if checked.task is None:
-        return
-    book = Book(checked.task)
-    start, reach = AtStart(book), Reach(book)
-    for seen in _once(seen for seen in _seen(book) if seen.entry.clip):
-        first = start.of(seen.node)
-        known = reach.of(seen.node)
-        if known.low >= seen.high or known.high <= seen.low:
-            continue  # DB602
-        slack = _ROUNDING * (seen.high - seen.low)
-        is_beyond = first.low > seen.high + slack or first.high < seen.low - slack
-        fact = book.meaning(seen.node)
-        drawn = start.standing(fact) if isinstance(fact, World) else None
-        if drawn is not None and drawn.finite:  # what is drawn itself, no hull around it
-            is_beyond = drawn.high > seen.high + slack or drawn.low < seen.low - slack
-        if is_beyond:
-            headline = f"`{seen.entry.value.name}` begins beyond its range: it is {between(first, seen.dimension)}"
-            yield Finding("DB611", _range_span(checked, seen.entry), headline, help="widen its range, or let the episode begin within it")
-    yield from _gravity(checked, book)
-
-
-def _gravity(checked: Checked, book: Book) -> Iterator[Finding]:
-    met = set()
-    for seen in _seen(book):
-        leaf = book.meaning(seen.node)
-        reading = _at_rest(book, leaf)
-        if reading is None or not seen.entry.clip or id(seen.entry) in met or seen.low <= reading <= seen.high:
-            continue
-        met.add(id(seen.entry))
-        axis = leaf.component if isinstance(leaf, Name) else ""
-        size = abs(reading) * _ROOM
-        wide = Interval(min(seen.low, -size), max(seen.high, size))
-        headline = f"`{seen.entry.value.name}` ends at {figure(seen.high if reading > 0 else seen.low, ACCELERATION)}"
-        headline += f", and at rest its {axis} is {figure(reading, ACCELERATION)}"
-        help = f"let its range hold gravity, as `{span_of(wide, ACCELERATION)}` does"
-        yield Finding("DB611", _range_span(checked, seen.entry), headline, help=help)
-
-
-def _at_rest(book: Book, leaf: Scalar) -> float | None:
-    """What an axis of an accelerometer reads of a robot that stands as it was built, m/s^2; None where that is not known."""
-    found = book.sensor(leaf)
-    if found is None or found[1].kind != "accelerometer" or not isinstance(leaf, Name):
-        return None
-    robot, sensor = found
-    model = next(body.model for body in book.task.world.robots if body.name == robot)
-    if held(model, sensor.subjects[0])[0] != model.root or not _stands(book, robot):
-        return None
-    link = footprint.link_frames(model)[sensor.subjects[0]]
-    turn = frames.inside(link, frames.frame(sensor.mount))[1]
-    gravity = book.task.world.gravity
-    up = frames.rotate_back(turn, (-gravity[0], -gravity[1], -gravity[2]))
-    return up["xyz".index(leaf.component or "x")]
-
-
-def _stands(book: Book, robot: str) -> bool:
-    """Whether a robot begins neither rolled nor pitched."""
-    start = AtStart(book)
-    body = next(body for body in book.task.world.robots if body.name == robot)
-    leaning = (World("orientation", (f"{robot}.{body.model.root}",), axis) for axis in "xy")
-    return all(start.of(part) == exact(0.0) or start.of(part) == Interval(-1.0, 1.0) for part in leaning)
-
-
 RULES = (
     observation_unbounded,
     bounds_mismatch,
-    saturates_before_termination,
     privileged_observation,
-    observation_saturates,
     goal_in_observation,
 )

@@ -101,6 +101,19 @@ class Reach:
         return rule(*values) if rule else FUNCTIONS[op].interval(values, 1)
 
 
+class Kept(Reach):
+    """What values are where a quantity stays within `kept`."""
+
+    def __init__(self, there: Reach, quantity: int, kept: Interval) -> None:
+        super().__init__(there.book, there.given)
+        self._time = there._time
+        self._quantity = quantity
+        self._kept = kept
+
+    def of(self, node: Scalar) -> Interval:
+        return self._kept if self.book.identity(node) == self._quantity else super().of(node)
+
+
 def _sum(*terms: Interval) -> Interval:
     total = terms[0]
     for term in terms[1:]:

@@ -12,7 +12,7 @@ from deepbots_cli.lang.scalar import Scalar, State, walk
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book
 from deepbots_cli.rules.payments import Payments, versions
-from deepbots_cli.rules.reach import NEVER, Reach
+from deepbots_cli.rules.reach import NEVER, Kept, Reach
 from deepbots_cli.rules.thresholds import Threshold, is_clock, thresholds
 from deepbots_cli.task import TaskEnding, Valued
 
@@ -253,16 +253,8 @@ def _cheap(payments: Payments, ordinary: list[tuple[Valued, Scalar]], ending: Ta
     return Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the way out"),))
 
 
-class Staying(Reach):
-    """What values are where a quantity stays within `kept`, and all that is compared with the tick before stays as it is."""
-
-    def __init__(self, there: Reach, quantity: int, kept: Interval) -> None:
-        super().__init__(there.book, there.given, (1.0, float(there.book.last)))
-        self._quantity = quantity
-        self._kept = kept
-
-    def of(self, node: Scalar) -> Interval:
-        return self._kept if self.book.identity(node) == self._quantity else super().of(node)
+class Staying(Kept):
+    """The same where all that is compared with the tick before stays as it is too."""
 
     def _state(self, node: State) -> Interval:
         match node.function:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from deepbots_cli.lang import intervals as iv
+from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Name, Op, Scalar, State
 from deepbots_cli.rules.meaning import Book, Comparison
@@ -19,11 +20,17 @@ _CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
 
 
 class Threshold(NamedTuple):
-    """The condition needs `quantity` above (or below) some value in `bound`."""
+    """The condition needs `quantity` above (or below) some value in `bound`; `dimension` None where that is not known."""
 
     quantity: Scalar
     above: bool
     bound: Interval
+    dimension: Dimension | None = None
+
+    @property
+    def limit(self) -> float:
+        """The first value of the quantity at which the condition may hold."""
+        return self.bound.low if self.above else self.bound.high
 
 
 def is_clock(book: Book, quantity: Scalar) -> bool:
@@ -38,11 +45,12 @@ def thresholds(comparison: Comparison, book: Book, reach: Reach) -> Iterator[Thr
     left, right = (book.lowered(arg, comparison.value.owner) for arg in node.args)
     count = max(len(left), len(right))
     rising = node.operator.startswith("greater")
+    dimension = node.args[0].type.dimension
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
         for side, other, above in ((a, b, rising), (b, a, not rising)):
             bound = reach.of(other)
             if bound.finite:
-                yield from _asked(Threshold(side, above, bound), book, reach)
+                yield from _asked(Threshold(side, above, bound, dimension), book, reach)
 
 
 def _asked(asked: Threshold, book: Book, reach: Reach) -> Iterator[Threshold]:
@@ -51,17 +59,17 @@ def _asked(asked: Threshold, book: Book, reach: Reach) -> Iterator[Threshold]:
     meaning = book.meaning(asked.quantity)
     match meaning:
         case Op("abs", (inner,)) if asked.above or reach.of(inner).low >= 0.0:
-            yield from _asked(Threshold(inner, asked.above, asked.bound), book, reach)
+            yield from _asked(asked._replace(quantity=inner), book, reach)
             if asked.above:
-                yield from _asked(Threshold(inner, False, iv.negate(asked.bound)), book, reach)
+                yield from _asked(asked._replace(quantity=inner, above=False, bound=iv.negate(asked.bound)), book, reach)
         case Op("neg", (inner,)):
-            yield from _asked(Threshold(inner, not asked.above, iv.negate(asked.bound)), book, reach)
+            yield from _asked(asked._replace(quantity=inner, above=not asked.above, bound=iv.negate(asked.bound)), book, reach)
         case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
             yield from _balanced(op, a, b, asked, book, reach)
         case State(function, (inner, *_)) if function in FOLLOWING:
-            yield from _asked(Threshold(inner, asked.above, asked.bound), book, reach)
+            yield from _asked(asked._replace(quantity=inner), book, reach)
         case Name() if meaning != asked.quantity:
-            yield Threshold(meaning, asked.above, asked.bound)
+            yield asked._replace(quantity=meaning)
         case _:
             return
 
@@ -85,4 +93,5 @@ def _balanced(op: str, a: Scalar, b: Scalar, asked: Threshold, book: Book, reach
             bound, above = iv.divide(asked.bound, known), above == (known.low > 0.0)
         case _:
             bound, above = iv.multiply(asked.bound, known), above == (known.low > 0.0)
-    yield from _asked(Threshold(unknown, above, bound), book, reach)
+    dimension = asked.dimension if op in ("add", "sub") else None
+    yield from _asked(Threshold(unknown, above, bound, dimension), book, reach)
