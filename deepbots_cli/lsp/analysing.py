@@ -71,8 +71,8 @@ class Analysis:
         return tuple(reading for one in each if one.namespace is not None for reading in one.namespace.values.readings)
 
 
-def analyse(document: Document, drafts: Drafts) -> Analysis:
-    """Read, check and lint; with `drafts` in the place of files."""
+def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] = (), allow_code: bool = False) -> Analysis:
+    """Read, check and lint; with `drafts` in the place of files, and what the user allows as for `lint`."""
     if not document.is_scenario:
         return Analysis(document, drafts)  # what is wrong with a piece is found by those that include it
     project, complaint = _settings(document.path.parent)
@@ -82,10 +82,10 @@ def analyse(document: Document, drafts: Drafts) -> Analysis:
     except UsageError as error:
         selection, complaint = Selection(preview=preview), str(error)
     try:
-        read = load(document.path, display=str(document.path), drafts={**drafts, document.path: document.bytes})
+        read = load(document.path, display=str(document.path), allow_paths=allow_paths, drafts={**drafts, document.path: document.bytes})
     except UsageError:  # a folder, or a name that no file can have
         return Analysis(document, drafts)
-    checked = check(replace(read, allow_code=False))
+    checked = check(replace(read, allow_code=allow_code))
     found = api.review(checked, preview=preview)
     return Analysis(document, drafts, tuple(_wanted(found, selection)), checked, complaint, selection)
 

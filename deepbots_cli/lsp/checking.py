@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from lsprotocol import types
 
-from deepbots_cli.lsp.analysing import Analysis, analyse
+from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.diagnosing import diagnostics
 from deepbots_cli.lsp.documents import Document
@@ -20,16 +20,18 @@ _PAUSE = 0.05
 
 Publish = Callable[[str, int | None, list[types.Diagnostic]], None]
 Complain = Callable[[str], None]
+Analyse = Callable[[Document, Drafts], Analysis]
 
 
 class Checker:
-    """Keeps what the desk knows up to date, and publishes what is found.
+    """Keeps what the desk knows up to date, by what `analyse` makes of a document, and publishes what is found.
 
     `publish` is given an address, its version if it is open, and all its diagnostics; `complain` a sentence for the user.
     """
 
-    def __init__(self, desk: Desk, publish: Publish, complain: Complain) -> None:
+    def __init__(self, desk: Desk, analyse: Analyse, publish: Publish, complain: Complain) -> None:
         self._desk = desk
+        self._analyse = analyse
         self._publish = publish
         self._complain = complain
         self._waiting: dict[str, None] = {}
@@ -66,13 +68,20 @@ class Checker:
     async def _look(self, document: Document) -> None:
         loop = asyncio.get_running_loop()
         try:
-            analysis = await loop.run_in_executor(self._thread, _analysed, document, self._desk.drafts)
+            analysis = await loop.run_in_executor(self._thread, self._analysed, document, self._desk.drafts)
         except Exception as error:  # noqa: BLE001  # a fault of ours, which must not end the service
             self._say(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
             return
         self._desk.learn(analysis)
         if self._desk.documents.get(document.uri) is document:  # else it is stale, and the next one is under way
             self._show(analysis)
+
+    def _analysed(self, document: Document, drafts: Drafts) -> Analysis:
+        """An analysis, in its thread, and what is left of the one before collected."""
+        try:
+            return self._analyse(document, drafts)
+        finally:
+            gc.collect()
 
     def _show(self, analysis: Analysis) -> None:
         uri = analysis.document.uri
@@ -99,11 +108,3 @@ class Checker:
         if sentence not in self._said:
             self._said.add(sentence)
             self._complain(sentence)
-
-
-def _analysed(document: Document, drafts: Drafts) -> Analysis:
-    """An analysis, in its thread, and what is left of the one before collected."""
-    try:
-        return analyse(document, drafts)
-    finally:
-        gc.collect()

@@ -7,22 +7,18 @@ path, and what stands behind a colon is taken as it is. For a text that is sound
 from __future__ import annotations
 
 import re
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
+from deepbots_cli.lsp.brackets import QUOTED, Brackets, Role, TooDeepError
 from deepbots_cli.source.files import MAX_BYTES
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.source.parse import MAX_DEPTH
 
 _COLON = re.compile(r":(?=[ \t\r]|$)")
 _COMMENT = re.compile(r"(?:^|(?<=[ \t]))#")
-_QUOTED = re.compile(r""""(?:[^"\\]|\\.)*+"|'(?:[^']|'')*+'""", re.DOTALL)
 _BLOCK = re.compile(r"[|>][-+0-9]*[ \t\r]*(?:#.*)?")
 _DASH = re.compile(r"-(?=[ \t\r]|$)[ \t]*")
 _ANCHOR = re.compile(r"[&!][^\s,\[\]{}]*[ \t]*")
-_FLOW = re.compile(
-    r"""(?P<space>[\s]+)|(?P<comment>(?<=\s)\#[^\n]*)|(?P<sign>[\[\]{},]|:(?=[\s,\[\]{}]|$))|(?P<open>["'])|(?P<plain>.)""", re.DOTALL
-)
-_PLAIN = re.compile(r"(?:[^\s,\[\]{}:]|:(?![\s,\[\]{}]|$)|[ \t]+(?![\s#]|$|:(?:[\s,\[\]{}]|$)))+")
 
 
 class Place(NamedTuple):
@@ -34,7 +30,7 @@ class Place(NamedTuple):
     """
 
     path: Path
-    role: Literal["key", "value", "aside"]
+    role: Role
     start: int
     text: str
     data: Any
@@ -45,13 +41,9 @@ def place(text: str, offset: int) -> Place:
     reader = _Reader(text[: min(offset, MAX_BYTES)])
     try:
         reader.read()
-    except _TooDeepError:
+    except TooDeepError:
         return Place((), "aside", offset, "", {})
     return Place(tuple(reader.path), reader.role, reader.start, reader.text[reader.start :], reader.root[""] or {})
-
-
-class _TooDeepError(Exception):
-    """Values are nested deeper than a scenario can be."""
 
 
 class _Level(NamedTuple):
@@ -71,9 +63,10 @@ class _Reader:
         self.levels: list[_Level] = []
         self.slot: tuple[Any, Any, Path] = (self.root, "", ())
         self.path: Path = ()
-        self.role: Literal["key", "value", "aside"] = "key"
+        self.role: Role = "key"
         self.start = len(text)
         self.at = 0
+        self.since = 0  # where the value that was begun last begins
 
     def read(self) -> None:
         while self.at <= len(self.text):
@@ -121,7 +114,7 @@ class _Reader:
         self._open_mapping(column)
         level = self.levels[-1]
         word = self.text[start:key_end].strip()
-        word = word[1:-1] if _QUOTED.fullmatch(word) else word
+        word = word[1:-1] if QUOTED.fullmatch(word) else word
         if isinstance(level.node, dict):
             level.node[word] = ""
         self.slot = (level.node, word, (*level.path, word))
@@ -131,7 +124,7 @@ class _Reader:
         """Where the key that begins at `start` ends, and its value begins."""
         if self.text[start] in "{[":
             return None, start
-        quoted = _QUOTED.match(self.text, start, end)
+        quoted = QUOTED.match(self.text, start, end)
         line = self.text[start:end]
         comment = _COMMENT.search(line)
         for colon in _COLON.finditer(line, quoted.end() - start if quoted else 0):
@@ -175,7 +168,7 @@ class _Reader:
             holder, key, path = self.root, "", ()
             self.levels.clear()
         if len(path) > MAX_DEPTH:
-            raise _TooDeepError
+            raise TooDeepError
         holder[key] = node
         self.levels.append(_Level(column, node, path))
 
@@ -200,9 +193,6 @@ class _Reader:
             self._end("key", here, start + is_quote)
 
     # Values
-
-    since = 0
-    """Where the value that was begun last begins."""
 
     def _value(self, start: int, end: int, column: int) -> None:
         """The value of the slot, which begins at or after `start` on the line that ends at `end`."""
@@ -235,7 +225,7 @@ class _Reader:
 
     def _quote(self, start: int, limit: int) -> None:
         holder, key, path = self.slot
-        quoted = _QUOTED.match(self.text, start, limit)
+        quoted = QUOTED.match(self.text, start, limit)
         if quoted is None and limit < len(self.text):
             self.at = limit + 1
         elif quoted is None:
@@ -276,7 +266,7 @@ class _Reader:
 
     def _brackets(self, start: int, limit: int) -> None:
         """A value in brackets, to its end or to where it has to end."""
-        flow = _Flow(self.text[:limit], start, *self.slot)
+        flow = Brackets(self.text[:limit], start, *self.slot)
         closed = flow.read()
         if closed is None and limit < len(self.text):
             self.at = limit + 1
@@ -286,102 +276,5 @@ class _Reader:
         else:
             self._behind(start, closed, self.slot[2])
 
-    def _end(self, role: Literal["key", "value", "aside"], path: Path, start: int) -> None:
+    def _end(self, role: Role, path: Path, start: int) -> None:
         self.role, self.path, self.start = role, path, min(start, len(self.text))
-
-
-class _Flow:
-    """Reads what stands in brackets, from the opening one."""
-
-    def __init__(self, text: str, start: int, holder: Any, key: Any, path: Path) -> None:
-        self.text = text
-        self.at = start
-        self.open: list[tuple[Any, Any, Path]] = []
-        self.slot = (holder, key, path)
-        self.role: Literal["key", "value", "aside"] = "key"
-        self.path = path
-        self.start = start
-
-    def read(self) -> int | None:
-        """The offset behind the closing bracket; None where the text ends before it."""
-        self.begin = -1  # where the piece that is being read begins
-        while self.at < len(self.text):
-            found = _FLOW.match(self.text, self.at)
-            assert found is not None  # its last branch takes any character
-            self.at = found.end()
-            kind = found.lastgroup
-            if kind == "comment" and self.at == len(self.text):
-                self.role, self.path, self.start = "aside", self.slot[2], found.start()
-                return None
-            if kind == "open":
-                if not self._quoted(found.start()):
-                    return None
-            elif kind == "plain":
-                self._plain(found.start())
-            elif kind == "sign" and self._sign(found.group()):
-                return self.at
-        self._unfinished()
-        return None
-
-    def _sign(self, sign: str) -> bool:
-        """Take a bracket, comma or colon; whether it closes the whole."""
-        holder, key, path = self.slot
-        if sign in "{[":
-            node: Any = {} if sign == "{" else [""]
-            if len(path) > MAX_DEPTH:
-                raise _TooDeepError
-            holder["" if key is None else key] = node
-            self.open.append(self.slot)
-            self.slot = (node, None if sign == "{" else 0, path if sign == "{" else (*path, 0))
-        elif sign in "}]":
-            self.slot = self.open.pop()
-            if not self.open:
-                return True
-        elif sign == ",":
-            self._next(holder, key, path)
-        elif isinstance(holder, dict) and key is None:
-            word = self.word
-            holder[word] = ""
-            self.slot = (holder, word, (*path, word))
-        self.begin, self.word = -1, ""
-        return False
-
-    word = ""
-    """The piece that was read last."""
-
-    def _next(self, holder: Any, key: Any, path: Path) -> None:
-        if isinstance(holder, list):
-            holder.append("")
-            self.slot = (holder, len(holder) - 1, (*path[:-1], len(holder) - 1))
-        else:
-            self.slot = (holder, None, path if key is None else path[:-1])
-
-    def _plain(self, start: int) -> None:
-        found = _PLAIN.match(self.text, start)
-        end = found.end() if found else start + 1
-        self._take(start, end, self.text[start:end])
-        self.at = max(end, self.at)
-
-    def _quoted(self, start: int) -> bool:
-        found = _QUOTED.match(self.text, start)
-        if found is None:
-            self.begin = start + 1
-            self._unfinished()
-            return False
-        self._take(start, found.end(), found.group()[1:-1])
-        self.at = found.end()
-        return True
-
-    def _take(self, start: int, end: int, word: str) -> None:
-        holder, key, _ = self.slot
-        self.begin = start if self.begin < 0 else self.begin
-        self.word = self.text[self.begin : end] if self.begin < start else word
-        if key is not None:
-            holder[key] = self.word
-
-    def _unfinished(self) -> None:
-        """The text ends inside of the brackets."""
-        holder, key, path = self.slot
-        self.path = path
-        self.role = "key" if isinstance(holder, dict) and key is None else "value"
-        self.start = self.begin if self.begin >= 0 else len(self.text)

@@ -44,10 +44,17 @@ class Actions:
     def fix_all(self) -> types.WorkspaceEdit | None:
         """All safe fixes of the scenario and of what it includes that do no harm, as `deepbots lint --fix` would make them."""
         analysis = self._desk.latest.get(self._document.uri)
-        if analysis is None or analysis.document is not self._document:
+        if analysis is None or analysis.document is not self._document or analysis.checked is None:
             return None
+        known = analysis.checked.document
         try:
-            rewrites = Mender([str(self._document.path)], drafts=self._desk.drafts, wanted=analysis.selection.wants).mend()
+            rewrites = Mender(
+                [str(self._document.path)],
+                wanted=analysis.selection.wants,
+                allow_paths=known.roots,
+                allow_code=known.allow_code,
+                drafts=self._desk.drafts,
+            ).mend()
         except UsageError:  # a file that is not there yet, or has changed meanwhile
             return None
         open_paths = {document.path: document for document in self._desk.documents.values()}

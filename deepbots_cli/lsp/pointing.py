@@ -18,6 +18,7 @@ from deepbots_cli.lsp.desk import View
 from deepbots_cli.source.nodes import Path
 
 _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
+_COLON = re.compile(r"[\"']?[ \t]*:")
 _VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
 
 
@@ -94,19 +95,19 @@ def pointed(view: View) -> Pointed | None:
     place, text = view.place, view.document.plain
     if place.role == "aside":
         return None
-    is_key = place.role == "key"
-    if is_key:
-        found = _KEY.match(text, view.offset)
-        end = found.end() if found else view.offset
+    if place.role == "key":
+        end = _end(_KEY, text, view.offset)
         again = view.placed(end)
         word = text[again.start : end]
-        is_key = re.match(r"[\"']?[ \t]*:", text[end:]) is not None
-        path = (*again.path, word) if is_key else again.path
-        return Pointed(path, word, again.start, end, is_key)
-    found = _VALUE.match(text, max(place.start, view.offset - 1) if text[view.offset : view.offset + 1].isspace() else view.offset)
-    end = max(view.offset, found.end() if found else view.offset)
-    word = text[place.start : end]
-    return Pointed(place.path, word.strip("\"'"), place.start, end, is_key=False)
+        is_key = _COLON.match(text, end) is not None  # else it may be a value on a line of its own
+        return Pointed((*again.path, word) if is_key else again.path, word, again.start, end, is_key)
+    end = _end(_VALUE, text, view.offset)
+    return Pointed(place.path, text[place.start : end].strip("\"'"), place.start, end, is_key=False)
+
+
+def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
+    found = pattern.match(text, start)
+    return found.end() if found else start
 
 
 def _held(view: View, reading: Reading) -> int | None:

@@ -6,13 +6,16 @@ import gc
 import logging
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from lsprotocol import types
 from pygls.lsp.server import LanguageServer
 
 import deepbots_cli
+from deepbots_cli.lsp.analysing import analyse
 from deepbots_cli.lsp.checking import Checker
 from deepbots_cli.lsp.completing import completion
 from deepbots_cli.lsp.defining import definitions
@@ -28,12 +31,13 @@ _TRIGGERS = [".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]
 
 
 class Server(LanguageServer):
-    """Answers from the desk; the checker keeps that up to date."""
+    """Answers from the desk; the checker keeps that up to date. What may be read and run is as for `lint`."""
 
-    def __init__(self) -> None:
+    def __init__(self, allow_paths: Sequence[Path] = (), allow_code: bool = False) -> None:
         super().__init__("deepbots", deepbots_cli.__version__, text_document_sync_kind=types.TextDocumentSyncKind.Full)
         self.desk = Desk()
-        self.checker = Checker(self.desk, self._publish, self._complain)
+        look = partial(analyse, allow_paths=tuple(allow_paths), allow_code=allow_code)
+        self.checker = Checker(self.desk, look, self._publish, self._complain)
         self._on(types.TEXT_DOCUMENT_DID_OPEN, self._opened)
         self._on(types.TEXT_DOCUMENT_DID_CHANGE, self._changed)
         self._on(types.TEXT_DOCUMENT_DID_SAVE, self._saved)
@@ -162,7 +166,7 @@ class Server(LanguageServer):
         self.window_log_message(types.LogMessageParams(types.MessageType.Warning, sentence))
 
 
-def serve(port: int | None = None) -> None:
+def serve(port: int | None = None, *, allow_paths: Sequence[Path] = (), allow_code: bool = False) -> None:
     """Serve one client, over standard input and output or over a port of this machine, until it leaves."""
     # What the library has to say goes to the client as answers; its log would go to standard error, with tracebacks.
     logging.getLogger("pygls").setLevel(logging.CRITICAL + 1)
@@ -173,7 +177,7 @@ def serve(port: int | None = None) -> None:
     gc.disable()
     # How long the analysis may go on while an answer waits for its turn; at the usual 5 ms answers took twice as long.
     sys.setswitchinterval(0.001)
-    server = Server()
+    server = Server(allow_paths, allow_code)
     if port is not None:
         server.start_tcp("127.0.0.1", port)
         return

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from tests.lsp.client import Client, position
+from tests.lsp.client import OURS, Client, position
 
 RED, WARNING = 1, 2
 
@@ -216,3 +216,14 @@ def test_a_robot_file_that_changes_on_the_disk_is_read_again(project, world):
         while not (found := own.published(uri)):
             pass
         assert codes(found) == ["DB302"]
+
+
+def test_what_is_allowed_to_lint_is_allowed_to_the_server(project, world, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "roller.urdf"
+    path = world("pit_escape")
+    shutil.copy(path.parents[1] / "robots" / "urdf" / "roller.urdf", elsewhere)
+    path.write_text(path.read_text().replace("../robots/urdf/roller.urdf", str(elsewhere)))
+    with Client(project) as own:
+        assert codes(own.findings(own.open(path))) == ["DB204"]
+    with Client(project, command=(*OURS, "--allow-path", str(elsewhere.parent))) as own:
+        assert own.findings(own.open(path)) == []

@@ -7,11 +7,14 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli.cli.options import AllowCode, AllowPaths
 from deepbots_cli.errors import MissingExtraError
 
 
 def command(
     port: Annotated[int | None, typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Listen on a port of this machine.")] = None,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Serve an editor: findings as you type, completion, explanations, fixes.
 
@@ -26,4 +29,4 @@ def command(
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve
 
-    serve(port)
+    serve(port, allow_paths=allow_paths or (), allow_code=allow_code)
