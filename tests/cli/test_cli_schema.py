@@ -42,12 +42,24 @@ def test_a_file_with_errors_gets_a_schema_and_a_word_about_them(deepbots, text):
     assert ran.err.count("\n") == 1
 
 
-def test_the_scenario_itself_is_not_written_over(deepbots):
+@pytest.mark.parametrize(
+    "content", [b"deepbots: 1\nname: Mine\n", b"robots: [", b"name: \xff\xfe"], ids=["a scenario", "no yaml", "no text"]
+)
+def test_the_scenario_itself_is_not_written_over(deepbots, content):
+    Path("mine.yaml").write_bytes(content)
+    Path("linked.yaml").symlink_to("mine.yaml")
+    for output in ("mine.yaml", "./mine.yaml", "linked.yaml"):
+        ran = deepbots("schema", "--for", "mine.yaml", "-o", output)
+        assert ran.code == 2
+        assert Path("mine.yaml").read_bytes() == content
+
+
+def test_the_robot_file_is_not_written_over(deepbots):
     deepbots("copy", "cartpole", ".")
-    before = Path("cartpole.yaml").read_bytes()
-    ran = deepbots("schema", "--for", "cartpole.yaml", "-o", "cartpole.yaml")
+    before = Path("robots/urdf/cartpole.urdf").read_bytes()
+    ran = deepbots("schema", "--for", "cartpole.yaml", "-o", "robots/urdf/cartpole.urdf")
     assert ran.code == 2
-    assert Path("cartpole.yaml").read_bytes() == before
+    assert Path("robots/urdf/cartpole.urdf").read_bytes() == before
 
 
 def test_a_scenario_that_there_is_not_is_wrong_usage(deepbots):

@@ -11,6 +11,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import editing, terminal
 from deepbots_cli.cli.options import AllowPaths
+from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.known import known
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError
@@ -39,13 +40,20 @@ def command(
         _write(to_text(), output)
         return
     checked = api.load(scenario, allow_paths=allow_paths or ())
-    if output is not None and output.is_file() and output.read_bytes() in checked.inputs.contents().values():
+    if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
     _write(to_text(known(checked)), output)
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
         terminal.note(f"as the first line of {checked.document.path.name}: {editing.modeline(checked.document.path, output)}")
+
+
+def _is_read(checked: Checked, output: Path) -> bool:
+    """Whether the file is one of the scenario's own; one that is no text is known by its place alone."""
+    if output.resolve() in checked.document.files:
+        return True
+    return output.is_file() and output.read_bytes() in checked.inputs.contents().values()
 
 
 def _write(text: str, output: Path | None) -> None:
