@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -169,6 +169,10 @@ class Findings:
 
     def append(self, finding: Finding) -> None:
         self._found.setdefault(finding.sort_key, finding)
+
+    def advise(self, finding: Finding, help: str) -> None:
+        """Give a finding that was added a better help."""
+        self._found[finding.sort_key] = replace(finding, help=help)
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(sorted(self._found.values(), key=lambda f: f.sort_key))

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.schema.examples import example_of
+from deepbots_cli.schema.fields import Leaf
 from deepbots_cli.schema.hyperparameters import ELSEWHERE
-from deepbots_cli.schema.part import Kinds, Part, Spec, fields, noun_of
+from deepbots_cli.schema.part import Alternatives, Kinds, Mapped, Part, Spec, fields, noun_of
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.training import Training
 from deepbots_cli.schema.walk import homes, spec_at
 from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, Sequence
+from deepbots_cli.source.traps import GIVE_A_VALUE
 
 _SHOWN = 40
+_EXEMPLARY = 60
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
 
@@ -119,10 +124,41 @@ def about(data: object, path: Path) -> str | None:
         spec, key = spec_at(Scenario, data, path[: depth - 1]), path[depth - 1]
         if isinstance(spec, type) and issubclass(spec, Part) and isinstance(key, str) and key in spec.declared:
             text = spec.declared[key].description.rstrip(".")
-            return f"`{key}`: {text[:1].lower()}{text[1:]}"
+            return f"`{key}`: {text[:1].lower()}{text[1:]}{_as_in(spec, key)}"
         if isinstance(key, str):
             return None
     return None
+
+
+def _as_in(part: type[Part], key: str) -> str:
+    """The example of a key, unless it is a long one, or the sentence about the key has one."""
+    example = None if re.search("such as `|`{", part.declared[key].description) else example_of(part, key)
+    return f", as in `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
+
+
+def _form(spec: Spec) -> str:
+    """How a value is written, `: write it like ...`; empty where that is not known."""
+    match spec:
+        case Leaf():
+            hint = spec.help_for(None)
+        case Kinds():
+            hint = f"write it like `{{{spec.key}: {spec.names[0]}}}`"
+        case Alternatives():
+            hint = spec.complaint().help
+        case _:
+            hint = keys_of(spec)
+    return f": {hint}" if hint else ""
+
+
+def wanted(data: object, path: Path) -> str:
+    """What to write behind a key that has no value."""
+    told = about(data, path)
+    if told is not None and told.startswith(f"`{path[-1]}`"):
+        return told
+    holder = spec_at(Scenario, data, path[:-1])
+    if not isinstance(holder, Mapped):
+        return GIVE_A_VALUE
+    return f"give it {noun_of(holder.value)}{_form(holder.value)}"
 
 
 def _listed(words: Iterable[str]) -> str:

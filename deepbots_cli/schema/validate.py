@@ -14,12 +14,13 @@ from typing import Any
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.schema.check import check
-from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place
+from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place, wanted
 from deepbots_cli.schema.part import Keys
 from deepbots_cli.schema.refusal import Refusal
 from deepbots_cli.schema.scenario import VERSION, Scenario
 from deepbots_cli.schema.walk import parts, spec_at
 from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, descend, to_data, walk
+from deepbots_cli.source.traps import GIVE_A_VALUE
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
@@ -67,6 +68,7 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
             span = _key_span(root, path)
             findings.add("DB107", span, f"`{name_of(path)}` has no value", help="give it one, or take the key out")
             _prune(data, path, pruned)
+    _advise(root, data, findings)
 
     earlier = tuple(findings)
     troubles = list(_key_troubles(data))
@@ -74,16 +76,36 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
         scenario, refusals = check(Scenario, data, lenient=round_number > 0)
         troubles += [_trouble(root, data, refusal) for refusal in refusals]
         if round_number == 0:
-            for trouble in troubles:
-                if not (_is_follow_up(root, trouble, earlier) or _is_misspelt(trouble, troubles)):
-                    help, fix = trouble.help or about(data, trouble.path), _fix(root, trouble)
-                    findings.add(trouble.code, _span(root, trouble), trouble.headline, help=help, fix=fix)
+            news = [new for new in troubles if not (_is_follow_up(root, new, earlier) or _is_misspelt(new, troubles))]
+            for trouble in _together(news):
+                help, fix = trouble.help or about(data, trouble.path), _fix(root, trouble)
+                findings.add(trouble.code, _span(root, trouble), trouble.headline, help=help, fix=fix)
         for trouble in troubles:
             _prune(data, trouble.path, pruned, trouble.missing)
         if scenario is not None and not troubles:
             return scenario.lacking(pruned) if pruned else scenario
         troubles = []
     return None
+
+
+def _advise(root: Mapping, data: Any, findings: Findings) -> None:
+    """Say of keys without a value what they take: the text alone, which was read first, does not know."""
+    vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
+    for path, node in walk(root) if vague else ():
+        for key in node.hollow if isinstance(node, Mapping) else ():
+            if found := vague.get(key.span):
+                findings.advise(found, wanted(data, (*path, key.text)))
+
+
+def _together(troubles: list[_Trouble]) -> list[_Trouble]:
+    """All sections that a file lacks as one trouble, told by the first: they are many while it is being written."""
+    lacking = [trouble for trouble in troubles if trouble.code == "DB102" and not trouble.path]
+    if len(lacking) < 2:
+        return troubles
+    missing = tuple(key for trouble in lacking for key in trouble.missing)
+    headline = f"missing keys {', '.join(f'`{key}`' for key in missing)} {place(())}"
+    together = _Trouble("DB102", (), headline, lacking[0].help, missing, at_key=True)
+    return [together, *(trouble for trouble in troubles if trouble not in lacking)]
 
 
 def _is_readable(root: Mapping, findings: Findings) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.diagnostics import Findings, Source, Span
@@ -149,7 +149,7 @@ class _Reader:
             return None
         entries = dict(tree.entries)
         extends, remove = entries.pop("extends", None), entries.pop("remove", None)
-        tree = Mapping(tree.span, entries, tree.partial)
+        tree = replace(tree, entries=entries)
         if extends is not None:
             base = self.referenced(extends, folder, chain)
             if base is None:
@@ -171,7 +171,7 @@ class _Reader:
                     for key, entry in node.entries.items()
                     if key != "include"
                 }
-                siblings = Mapping(node.span, entries, node.partial)
+                siblings = replace(node, entries=entries)
                 include = node.entries.get("include")
                 if include is None:
                     return siblings

@@ -5,6 +5,7 @@ New trees are built around old nodes, so each value keeps the place where it was
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 
 from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar, Sequence
@@ -35,7 +36,7 @@ def merge(base: Mapping, over: Mapping, name: str = "") -> Mapping:
             entries[key] = Entry(entry.key, merge(below, entry.value, key))
         else:
             entries[key] = entry
-    return Mapping(over.span, entries, partial=base.partial or over.partial)
+    return Mapping(over.span, entries, partial=base.partial or over.partial, hollow=over.hollow)
 
 
 def _differ(base: Node | None, over: Node | None) -> bool:
@@ -75,7 +76,7 @@ def replace(node: Node, path: Path, entry: Entry) -> Node:
                 entry = Entry(old.key, replace(old.value, rest, entry))
             elif old is not None:
                 entry = Entry(old.key, entry.value)
-            return Mapping(node.span, {**node.entries, step: entry}, node.partial)
+            return dataclasses.replace(node, entries={**node.entries, step: entry})
         case Sequence() if isinstance(step, int):
             value = replace(node.items[step], rest, entry) if rest else entry.value
             return Sequence(node.span, (*node.items[:step], value, *node.items[step + 1 :]))
@@ -95,7 +96,7 @@ def without(node: Node, paths: Iterable[Path]) -> Node:
     match node:
         case Mapping():
             entries = {key: _pruned(entry, below.get(key)) for key, entry in node.entries.items() if kept(key)}
-            return Mapping(node.span, entries, node.partial)
+            return dataclasses.replace(node, entries=entries)
         case Sequence():
             items = enumerate(node.items)
             return Sequence(node.span, tuple(without(item, below.get(i, ())) if i in below else item for i, item in items if kept(i)))

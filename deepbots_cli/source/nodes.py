@@ -63,12 +63,13 @@ class Mapping:
     """Keys in file order, each with its value.
 
     `partial` says that a key was left out because of a finding: that another one is missing here may
-    be a consequence, and is not worth a second finding.
+    be a consequence, and is not worth a second finding. `hollow` are the keys that stand there without a value.
     """
 
     span: Span
     entries: dict[str, Entry]
     partial: bool = False
+    hollow: tuple[Scalar, ...] = ()
 
     def get(self, key: str) -> Node | None:
         entry = self.entries.get(key)

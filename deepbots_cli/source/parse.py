@@ -201,6 +201,7 @@ class _Composer:
         flow = self.in_flow(start)
         cut = traps.cut_by_commas([traps.parts(key, value) for key, value in pairs], self.findings) if flow else set()
         entries: dict[str, Entry] = {}
+        hollow: list[Scalar] = []
         seen: dict[str, Scalar] = {}
         for index, (key, value) in enumerate(pairs):
             if key is None or index in cut:
@@ -213,9 +214,10 @@ class _Composer:
                 )
             elif isinstance(value, Scalar) and value.value is None:
                 traps.report_empty(key, value, flow, self.findings)
+                hollow.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
-        return Mapping(span, entries, partial=len(entries) < len(pairs))
+        return Mapping(span, entries, partial=len(entries) < len(pairs), hollow=tuple(hollow))
 
     def key(self, event: Event, depth: int) -> Scalar | None:
         """A key, or None with a finding if it is not a name."""

@@ -10,6 +10,9 @@ from deepbots_cli.source.nodes import Node, Scalar
 
 Part = tuple[Scalar | None, Scalar | None]
 
+GIVE_A_VALUE = "give it a value, or remove the key"
+"""What is said of an empty key as long as nobody knows what it takes."""
+
 _COMMENT = re.compile(r":?[ \t]+(#[^\r\n]*)")
 _COLOUR = re.compile(r":[ \t]+(#[0-9A-Fa-f]{6})(?=\s|$)")
 _QUOTABLE = re.compile(r"""[^"\\#\n]*""")
@@ -78,7 +81,7 @@ def report_empty(key: Scalar, value: Scalar, flow: bool, findings: Findings) -> 
     elif not flow and _continues(key):
         help = "give it a value, or indent the lines that belong to it"
     else:
-        help = "give it a value, or remove the key"
+        help = GIVE_A_VALUE
     colour = _COLOUR.match(text, key.span.end) if not flow and not value.text else None
     hidden = Span(key.span.source, *colour.span(1)) if colour else None
     fix = Fix((Edit(hidden, f'"{hidden.text}"'),), safe=True) if hidden else None

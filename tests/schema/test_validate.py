@@ -208,3 +208,33 @@ def test_numbers_that_no_machine_can_hold_are_out_of_range(check: Check, cartpol
     for number in ("1e999", "-1e300", "9" * 400):
         _, findings = check(cartpole.replace("alive: 1", f"alive: {number}"))
         assert [finding.code for finding in findings] == ["DB105"], number
+
+
+UNFINISHED = [
+    # what is typed so far, the key without a value, what its help says
+    ("reward:\n", "reward", "as in `reward: {alive: 1}`"),
+    ("reward:\n  near:\n", "near", "write it like `2 * speed`"),
+    ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "as in `emit: [pole_angle]`"),
+    ("robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n", "eye", "write it like `{type: joint_position}`"),
+    ("world:\n  lines: {track: }\n", "track", "its keys are `through`, `closed`, `width`"),
+]
+
+
+@pytest.mark.parametrize(("typed", "key", "help"), UNFINISHED)
+def test_a_key_without_a_value_is_told_what_it_takes(check: Check, typed: str, key: str, help: str) -> None:
+    (empty,) = (found for found in check(f"deepbots: 1\nname: Line\n{typed}")[1] if found.code == "DB107")
+    assert empty.span.text == key
+    assert help in (empty.help or "")
+
+
+def test_the_sections_that_a_new_file_lacks_are_one_finding_that_says_how_to_begin(check: Check) -> None:
+    (lacking,) = check("deepbots: 1\nname: Line\nworld: {timestep: 20 ms}\n")[1]
+    assert lacking.headline == "missing keys `robots`, `action`, `observation`, `reward` at the top level"
+    assert lacking.help is not None
+    assert lacking.help.startswith("`robots`: the robots")
+
+
+def test_digits_grouped_the_german_way_are_shown_what_a_whole_number_is(check: Check, cartpole: str) -> None:
+    (finding,) = check(cartpole.replace("total_timesteps: 100_000", "total_timesteps: 100.000"))[1]
+    assert finding.code == "DB103"
+    assert "as in `total_timesteps: 100_000`" in (finding.help or "")
