@@ -21,7 +21,7 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
 
     Most often it is a misspelling elsewhere, or what remains of an earlier version. A sensor is of use if it is sent or used on
     board. An actuator without a command is left alone: the joint swings as if there were no motor. What an included robot file
-    offers besides may stay unused: it describes the robot, not the task.
+    offers besides may stay unused: it describes the robot, not the task. What a file writes and removes has no effect either.
 
     Example::
 

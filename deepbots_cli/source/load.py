@@ -12,10 +12,10 @@ from collections.abc import Sequence as Texts
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import files, merge, overrides, roots, shipped
-from deepbots_cli.source.nodes import Entry, Mapping, Node, Scalar, Sequence
+from deepbots_cli.source.nodes import Entry, Mapping, Node, Scalar, Sequence, descend
 from deepbots_cli.source.nodes import Path as NodePath
 from deepbots_cli.source.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 
@@ -149,13 +149,13 @@ class _Reader:
             return None
         entries = dict(tree.entries)
         extends, remove = entries.pop("extends", None), entries.pop("remove", None)
-        tree = replace(tree, entries=entries)
+        tree = own = replace(tree, entries=entries)
         if extends is not None:
             base = self.referenced(extends, folder, chain)
             if base is None:
                 return None
             tree = merge.merge(base, tree)
-        return self.pruned(tree, remove.value) if remove else tree
+        return self.pruned(tree, remove.value, own) if remove else tree
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
         """`node`, a tree in a file of `folder`, with the files that it includes in their places."""
@@ -226,8 +226,8 @@ class _Reader:
         self.files[path] = source
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
-    def pruned(self, tree: Mapping, remove: Node) -> Mapping:
-        """The tree without the paths listed under `remove`."""
+    def pruned(self, tree: Mapping, remove: Node, own: Mapping) -> Mapping:
+        """The tree without the paths listed under `remove`; one that stands in the same text, which is in `own`, is taken out too."""
         if not isinstance(remove, Sequence):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", help="write `remove: [observation.speed]`")
             return tree
@@ -239,6 +239,7 @@ class _Reader:
             steps, reached, rest = merge.follow(tree, item.text)
             if not rest and steps:
                 paths.append(steps)
+                self.warn_of_lost(own, steps, item)
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 names = (
@@ -247,3 +248,10 @@ class _Reader:
                 self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=names)
         pruned = merge.without(tree, paths)
         return pruned if isinstance(pruned, Mapping) else tree
+
+    def warn_of_lost(self, own: Mapping, path: NodePath, remove: Scalar) -> None:
+        _, key, reached = descend(own, path)
+        if reached == len(path) and key is not None and key.span.source is remove.span.source:
+            headline = f"`{'.'.join(map(str, path))}` is written here, and taken out by `remove`"
+            help = "take one of the two out; what is written anew needs no `remove`"
+            self.findings.add("DB205", key.span, headline, help=help, also=(Label(remove.span, "taken out here"),))

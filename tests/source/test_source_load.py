@@ -213,11 +213,22 @@ def test_a_long_chain_of_files_is_refused(tmp_path: Path) -> None:
     assert codes(load(path)) == ["DB204"]
 
 
-def test_remove_takes_paths_out_also_those_with_a_dot_in_a_key() -> None:
-    document = loads(
-        "observation: {cart.pole: 1, cart: {x: 2, y: 2}, z: 3}\nlist: [a, b]\nremove: [observation.cart.pole, observation.cart.x, list.0]\n"
+def test_remove_takes_paths_out_also_those_with_a_dot_in_a_key(tmp_path: Path) -> None:
+    file = write(
+        tmp_path,
+        one="extends: base.yaml\nremove: [observation.cart.pole, observation.cart.x, list.0]\n",
+        base="observation: {cart.pole: 1, cart: {x: 2, y: 2}, z: 3}\nlist: [a, b]\n",
     )
-    assert data(document) == {"observation": {"cart": {"y": 2}, "z": 3}, "list": ["b"]}
+    assert data(load(file)) == {"observation": {"cart": {"y": 2}, "z": 3}, "list": ["b"]}
+
+
+def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> None:
+    file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
+    document = load(file)
+    (finding,) = document.findings
+    assert (finding.code, finding.span.where, finding.also[0].span.text) == ("DB205", f"{file}:2:5", "a.b")
+    assert document.root is not None
+    assert to_data(document.root) == {"a": {"c": 3}}
 
 
 def test_removing_what_is_not_there_is_reported_where_the_path_goes_wrong() -> None:
