@@ -104,9 +104,18 @@ class Lowering:
         """Names are listed beside the forms, where the YAML language server looks for what it may offer; there all forms hold."""
         *others, schema = map(self._form, spec.options)
         for option, form in zip(reversed(spec.options[:-1]), reversed(others), strict=True):
-            schema = {"if": _shape_of(option), "then": form, "else": schema}
+            schema = {"if": _shape_of(option), "then": form, "else": self._with_marks(option, schema)}
         offers = (offered(option, self._names) for option in spec.options if isinstance(option, Leaf))
         return schema | next((offer.laid_upon({}, noun_of(spec)) for offer in offers if offer), {})
+
+    def _with_marks(self, form: Spec, other: JsonSchema) -> JsonSchema:
+        """The other forms, and the keys that would make it this one: they do not stand there, and are offered."""
+        marks = [key for key in fields(form) if key in form.marks] if isinstance(form, type) else []
+        if not isinstance(form, type) or not marks:
+            return other
+        known = other.get("properties")
+        offered_too: JsonSchema = {key: self._property(form, key, fields(form)[key], "") for key in marks}
+        return other | {"properties": offered_too | (known if isinstance(known, dict) else {})}
 
     def _form(self, spec: Spec) -> JsonSchema:
         return spec.json_schema() if isinstance(spec, Leaf) else self.schema(spec)
@@ -154,7 +163,8 @@ class Lowering:
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
         example = example_of(part, name)
-        if example and not own and isinstance(example.data, (str, int, float)) and not lists(schema, example.data):
+        single = isinstance(spec, Alternatives) or (example and isinstance(example.data, (str, int, float)))
+        if example and single and not own and not lists(schema, example.data):
             schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{_escaped(example.text)}}}"}]
         return schema
 

@@ -57,6 +57,35 @@ def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, 
     assert not others & offers
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "offered", "others"),
+    [
+        ("  drive: {choices: {forward: 1, backward: -1}}", "  drive:\n    §", {"range", "each", "choices", "forbid"}, set()),
+        ("{choices: {forward: 1, backward: -1}}", "\n    choices: {a: 1, b: 2}\n    §", {"forbid"}, {"range", "each", "choices"}),
+        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      §", {"map", "cell"}, set()),
+        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      cell: 10 cm\n      §", {"map", "legend"}, {"cell"}),
+    ],
+    ids=["an action", "a choice", "a layout", "a map"],
+)
+def test_of_several_forms_the_keys_of_all_are_offered_until_one_is_chosen(
+    typed: Type, old: str, new: str, offered: set[str], others: set[str]
+) -> None:
+    offers = set(typed(old, new).offers)
+    assert offered <= offers
+    assert not others & offers
+
+
+def test_in_an_empty_file_the_sections_are_offered(client: Client, folder: Path) -> None:
+    uri = client.open(folder / "empty.yaml", f"# yaml-language-server: $schema={FILE_NAME}\n")
+    client.published(uri)
+    place = {"line": 1, "character": 0}
+    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": place})["items"]
+    texts = {item["label"]: item["insertText"] for item in found}
+    assert {"deepbots", "world", "robots", "reward", "extends"} <= set(texts)
+    assert texts["deepbots"] == "deepbots: ${1:1}"
+    assert all(":" in text for text in texts.values())
+
+
 def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:
     offers = set(typed("  algorithm: PPO\n", "  algorithm: DQN\n  §\n").offers)
     assert {"exploration_fraction", "buffer_size"} <= offers
