@@ -108,14 +108,18 @@ def lint(
     return review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code), preview=preview)
 
 
-def review(checked: Checked, *, preview: bool = False) -> list[Finding]:
+def review(checked: Checked, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
     """What the passes and the rules found, without what comments suppress, and without warnings about robot files of packages.
 
-    Those are not the user's to mend; `inspect` of the robot file shows them.
+    Those are not the user's to mend; `inspect` of the robot file shows them. `measured` is what a simulation found, None where
+    there was none; what the rules say of the same place they say better.
     """
     robots = (checked.robots or {}).values()
     sources = (*checked.document.sources, *(robot.file.source for robot in robots))
-    kept, unused = suppress([*checked.findings, *rules.run(checked, preview=preview)], sources, preview=preview)
+    found = [*checked.findings, *rules.run(checked, preview=preview)]
+    told = {(finding.code, finding.span) for finding in found}
+    found += [finding for finding in measured or () if (finding.code, finding.span) not in told]
+    kept, unused = suppress(found, sources, preview=preview, deep=measured is not None)
     packaged = {id(robot.file.source) for robot in robots if robot.spec.urdf.startswith("package://")}
     ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
     return sorted([*ours, *unused], key=lambda finding: finding.sort_key)

@@ -74,6 +74,14 @@ class Sight(NamedTuple):
 CameraReader = Callable[[], Sight]
 
 
+class Overlap(NamedTuple):
+    """Two links that lie within each other, by `depth` in m."""
+
+    one: Part
+    other: Part
+    depth: float
+
+
 @dataclass(frozen=True)
 class View:
     """A camera that looks from `eye` at `target` (m), z up; `fov` is the vertical angle in rad.
@@ -194,6 +202,12 @@ class Engine(Protocol):
 
     def step(self, substeps: int) -> None:
         """Advance by `substeps` engine steps of `timestep / substeps` of the world model each."""
+
+    def overlaps(self) -> Sequence[Overlap]:
+        """What lies within something else as the world stands now, the deepest pair of links of every two bodies; deepest first.
+
+        At least one of the two can move; the ground counts as a body. Looking may change how contacts go on from here by a rounding.
+        """
 
     def require_finite(self) -> None:
         """Check every pose and joint.

@@ -260,14 +260,16 @@ def _rules() -> str:
         _NOTE,
         "",
         "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. How findings look and what the exit codes"
-        " mean is said in [diagnostics](../diagnostics.md). A rule in preview may still misfire, and runs with `--preview`.",
+        " mean is said in [diagnostics](../diagnostics.md). A rule in preview may still misfire, and runs with `--preview`. What only a"
+        " simulation can tell is looked for with [`--deep`](../linting.md#simulating).",
         "",
-        "| code | name | severity | what it is about |",
-        "|---|---|---|---|",
+        "| code | name | severity | by | what it is about |",
+        "|---|---|---|---|---|",
     ]
     for rule in RULES.values():
         severity = f"{rule.severity}, in preview" if rule.preview else rule.severity
-        lines.append(f"| {rule.code} | `{rule.name}` | {severity} | {_cell(rule.summary)} |")
+        by = {"no": "text", "too": "text, simulation", "only": "simulation"}[rule.deep]
+        lines.append(f"| {rule.code} | `{rule.name}` | {severity} | {by} | {_cell(rule.summary)} |")
     lines += ["", "## Retired", "", "Mistakes that the language leaves no room for, or that another finding tells of.", ""]
     lines += ["| code | name | why |", "|---|---|---|"]
     lines += [f"| {entry.code} | `{entry.name}` | {_cell(entry.reason)} |" for entry in RETIRED.values()]
@@ -280,7 +282,8 @@ def _rule_page(page: Page) -> Iterator[str]:
     """What `deepbots explain` says too; the tests lay examples in YAML upon CartPole, and read robot files as they are."""
     yield from ["", f"## {page.code} {RULES[page.code].name}", "", page.about]
     if page.example:
-        wrong, right = ("xml", "xml") if page.language == "xml" else (f"yaml wrong {page.code}", "yaml fragment")
+        mark = "deep" if page.deep else "wrong"
+        wrong, right = ("xml", "xml") if page.language == "xml" else (f"yaml {mark} {page.code}", "yaml fragment")
         yield from ["", f"```{wrong}", page.example, "```", "", "Instead:", "", f"```{right}", page.instead, "```"]
 
 

@@ -10,7 +10,9 @@ from functools import partial
 from pathlib import Path
 
 from deepbots_cli import api
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.settings import Settings
+from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.errors import UsageError
 
@@ -22,19 +24,21 @@ _LOOKED_AT = 65_536
 
 @dataclass(frozen=True)
 class Look:
-    """How each scenario is read; `stdin_name` is the file that standard input would be."""
+    """How each scenario is read, and whether it is simulated (`deep`); `stdin_name` is the file that standard input would be."""
 
     sets: tuple[str, ...] = ()
     allow_paths: tuple[Path, ...] = ()
     allow_code: bool = False
     preview: bool = False
+    deep: bool = False
     stdin_name: str | None = None
 
     def findings(self, name: str) -> list[Finding]:
         """What is wrong with one scenario."""
         if name == STDIN:
             return self._of_stdin()
-        return api.lint(name, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code, preview=self.preview)
+        checked = api.load(name, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+        return self._reviewed(checked, self.called(name))
 
     def _of_stdin(self) -> list[Finding]:
         """Paths in the text start from the folder of the file that it would be, and its root is that of its project."""
@@ -47,7 +51,23 @@ class Look:
         data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""
         display = self.stdin_name or _NAMELESS
         document = load(path, self.sets, display=display, allow_paths=self.allow_paths, drafts={path: data})
-        return api.review(check(replace(document, allow_code=self.allow_code)), preview=self.preview)
+        return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
+
+    def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+        """What the text tells, and then what a simulation does; a scenario with errors cannot be simulated."""
+        found = api.review(checked, preview=self.preview)
+        if not self.deep:
+            return found
+        if any(finding.severity == "error" for finding in found):
+            terminal.note(f"{called}: not simulated, since it has errors")
+            return found
+        from deepbots_cli.probing import probe
+
+        with terminal.passing(f"{called}: simulating"):
+            probed = probe(checked, preview=self.preview)
+        if probed.left:
+            terminal.note(f"{called}: the simulation was left {probed.left}; what it would have found is not told")
+        return api.review(checked, preview=self.preview, measured=probed.findings)
 
     def called(self, name: str) -> str:
         """How findings call the scenario `name`."""

@@ -6,7 +6,8 @@ import json
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
 from shutil import get_terminal_size
@@ -30,6 +31,17 @@ def complain(text: str) -> None:
     """An error, on stderr."""
     mark = "\x1b[1;31merror\x1b[0m" if colourful(sys.stderr) else "error"
     print(f"{mark}: {printable(text)}", file=sys.stderr)
+
+
+@contextmanager
+def passing(text: str) -> Iterator[None]:
+    """A line on stderr that is gone when what it tells of is over; on a terminal only."""
+    shown = printable(text)[: width() - 1] if sys.stderr.isatty() else ""
+    print(shown, end="", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        print(f"\r{'':<{len(shown)}}\r" if shown else "", end="", file=sys.stderr, flush=True)
 
 
 def show_findings(findings: Sequence[Finding]) -> None:

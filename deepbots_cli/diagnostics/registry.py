@@ -6,6 +6,7 @@ Codes and names are stable: a rule that is retired keeps its number.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from deepbots_cli.diagnostics.finding import Severity
 from deepbots_cli.diagnostics.nearest import nearest
@@ -13,13 +14,19 @@ from deepbots_cli.diagnostics.nearest import nearest
 
 @dataclass(frozen=True)
 class Rule:
-    """One entry of the catalogue. What is in `preview` may still misfire, and runs where it is asked for."""
+    """One entry of the catalogue. What is in `preview` may still misfire, and runs where it is asked for.
+
+    `deep` is what a simulation finds (`lint --deep`), by itself (`only`) or beside what the text tells (`too`), in which case
+    that part may be in preview alone.
+    """
 
     code: str
     name: str
     severity: Severity
     summary: str
     preview: bool = False
+    deep: Literal["no", "too", "only"] = "no"
+    deep_preview: bool = False
 
     @property
     def family(self) -> str:
@@ -78,6 +85,8 @@ _CATALOGUE = (
     Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
     Rule("DB307", "missing-joint-limits", "warning", "a revolute or prismatic joint without limits"),
     Rule("DB308", "rate-mismatch", "error", "a period that is no multiple of the timestep"),
+    Rule("DB309", "unstable-simulation", "error", "a world that the engine cannot simulate", deep="only"),
+    Rule("DB310", "spawn-overlap", "error", "bodies that begin within each other", deep="only"),
     Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
@@ -96,28 +105,39 @@ _CATALOGUE = (
     Rule("DB601", "observation-unbounded", "warning", "an observation that is not clipped, and that nothing bounds", preview=True),
     Rule("DB602", "bounds-mismatch", "error", "a value that can never lie in its range"),
     Rule("DB603", "saturates-before-termination", "warning", "the policy sees the same value long before that value ends the episode"),
+    Rule("DB607", "observation-outside-space", "error", "an observation without a value, or outside of its space", deep="only"),
+    Rule("DB608", "constant-observation", "warning", "an observation that never changes", deep="only"),
     Rule("DB609", "privileged-observation", "warning", "the policy sees what no robot measures, and what `augment` does not grant"),
-    Rule("DB611", "observation-saturates", "warning", "a value at the end of its range in ordinary operation"),
+    Rule(
+        "DB611", "observation-saturates", "warning", "a value at the end of its range in ordinary operation", deep="too", deep_preview=True
+    ),
     Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm or its network that does not suit what the agent sees and does"),
     Rule("DB613", "case-changes-interface", "error", "a case or stage in which the policy would see, do or send something else"),
     Rule("DB614", "goal-in-observation", "warning", "the policy sees the goal where hindsight cannot replace it"),
     Rule("DB701", "reward-unbounded", "warning", "a term of the reward that grows beyond all bounds"),
-    Rule("DB702", "term-dominates", "warning", "a term beside which what endings pay cannot be seen"),
+    Rule("DB702", "term-dominates", "warning", "a term beside which what endings pay cannot be seen", deep="too", deep_preview=True),
     Rule("DB703", "suspicious-sign", "warning", "a reward for the opposite of what the endings ask for"),
-    Rule("DB704", "inactive-term", "warning", "a term of the reward that is always zero"),
+    Rule("DB704", "inactive-term", "warning", "a term of the reward that is always zero", deep="too", deep_preview=True),
     Rule("DB705", "rewards-early-death", "warning", "failing at once costs less than going on"),
     Rule("DB706", "hidden-state-reward", "warning", "a reward that depends on what the policy cannot see", preview=True),
-    Rule("DB708", "hovering-pays", "warning", "staying just short of the goal pays more than reaching it"),
+    Rule("DB707", "non-finite-reward", "error", "a reward that is not finite", deep="only"),
+    Rule("DB708", "hovering-pays", "warning", "staying just short of the goal pays more than reaching it", deep="too", deep_preview=True),
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
     Rule("DB801", "never-true", "warning", "an ending that can never hold"),
     Rule("DB802", "always-true", "error", "an ending that holds in every step"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),
     Rule("DB804", "shadowed-limit", "warning", "a limit that another one always comes before"),
     Rule("DB805", "timeout-as-termination", "warning", "a time limit that counts as the end of the task"),
-    Rule("DB806", "ends-at-reset", "error", "an ending that already holds when an episode begins"),
+    Rule("DB806", "ends-at-reset", "error", "an ending that already holds when an episode begins", deep="too"),
     Rule("DB807", "unreachable-goal", "warning", "a success that asks for more nearness than there can be"),
+    Rule("DB808", "breaks-off", "error", "an episode that cannot begin or go on", deep="only"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
-    Rule("DB902", "preview-rule-selected", "warning", "a rule in preview is selected by itself, and does not run"),
+    Rule(
+        "DB902",
+        "preview-rule-selected",
+        "warning",
+        "a rule that does not run, in preview or for want of a simulation, is selected by itself",
+    ),
 )
 
 _RETIRED = (

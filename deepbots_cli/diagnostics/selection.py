@@ -6,7 +6,7 @@ Where two words fit a code the longer one counts, and `ignore` if they are alike
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from deepbots_cli.diagnostics.finding import Finding, Source, Span
@@ -36,12 +36,13 @@ class Selection:
         UsageError: A word fits no finding; says what was probably meant.
     """
 
-    def __init__(self, select: Words | None = None, ignore: Words | None = None, *, preview: bool = False) -> None:
+    def __init__(self, select: Words | None = None, ignore: Words | None = None, *, preview: bool = False, deep: bool = False) -> None:
         if select is not None and not select.words:
             raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to look for everything")
         self._select = None if select is None else _codes(select)
         self._ignore = _codes(ignore) if ignore else {}
         self._preview = preview
+        self._deep = deep
         self._select_by_word = select or Words((), Source("", ""))
 
     @property
@@ -54,11 +55,19 @@ class Selection:
         return unreadable or self._has(finding.code)
 
     def doubts(self) -> list[Finding]:
-        """A DB902 for each rule in preview that is selected by itself, and does not run."""
+        """A DB902 for each rule that is selected by itself, and does not run: it is in preview, or asks a simulation."""
         select = self._select_by_word
-        if self._preview or "DB902" in self._ignore:
+        if "DB902" in self._ignore:
             return []
-        return [_doubt(entry.code, select.span(word)) for word in select.words for entry in _alone(word) if self._has(entry.code)]
+        chosen = [(word, entry) for word in select.words for entry in _alone(word) if self._has(entry.code)]
+        return [doubt for word, entry in chosen for doubt in self._doubts(entry, select.span(word))]
+
+    def _doubts(self, entry: Rule, span: Span) -> Iterator[Finding]:
+        if entry.preview and not self._preview:
+            help = "add --preview (`preview = true`), or take it out"
+            yield Finding("DB902", span, f"{entry.code} is in preview, and does not run", help=help)
+        if entry.deep == "only" and not self._deep:
+            yield Finding("DB902", span, f"{entry.code} asks a simulation, and does not run", help="add --deep, or take it out")
 
     def _has(self, code: str) -> bool:
         chosen = 0 if self._select is None else self._select.get(code, -1)
@@ -66,16 +75,12 @@ class Selection:
 
 
 def _alone(word: str) -> tuple[Rule, ...]:
-    """The rule in preview that `word` names, and not only as one of many."""
+    """The rule that `word` names, and not only as one of many."""
     match with_prefix(word):
-        case (Rule(preview=True) as entry,):
+        case (Rule() as entry,):
             return (entry,)
         case _:
             return ()
-
-
-def _doubt(code: str, span: Span) -> Finding:
-    return Finding("DB902", span, f"{code} is in preview, and does not run", help="add --preview (`preview = true`), or take it out")
 
 
 def _codes(given: Words) -> Mapping[str, int]:

@@ -28,10 +28,13 @@ class _Suppression:
     removal: Edit
 
 
-def suppress(findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False) -> tuple[list[Finding], list[Finding]]:
+def suppress(
+    findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False, deep: bool = False
+) -> tuple[list[Finding], list[Finding]]:
     """The findings that no comment suppresses, and a DB901 for each comment in `sources` that is of no use.
 
-    What a comment says of a rule in preview is of use whenever those rules do not run.
+    What a comment says of a rule in preview is of use whenever those rules do not run, and so is what it says of one that
+    asks a simulation, where there was none.
     """
     wanted: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
@@ -50,7 +53,7 @@ def suppress(findings: Iterable[Finding], sources: Iterable[Source], *, preview:
             used.add(key)
         else:
             kept.append(finding)
-    unused.extend(_unused(entry) for key, entry in wanted.items() if key not in used and (preview or not _is_preview(entry.code)))
+    unused.extend(_unused(entry) for key, entry in wanted.items() if key not in used and _had_its_chance(entry.code, preview, deep))
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
@@ -67,8 +70,12 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             yield _Suppression(code.group(), span, line + 1 if alone else line, _removal(source, comment, code.group()))
 
 
-def _is_preview(code: str) -> bool:
-    return code in RULES and RULES[code].preview
+def _had_its_chance(code: str, preview: bool, deep: bool) -> bool:
+    """Whether everything has run that could find it."""
+    rule = RULES.get(code)
+    if rule is None:
+        return True
+    return (preview or not rule.preview) and (rule.deep == "no" or (deep and (preview or not rule.deep_preview)))
 
 
 def _unused(entry: _Suppression) -> Finding:

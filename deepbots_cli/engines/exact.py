@@ -40,6 +40,7 @@ if TYPE_CHECKING:
         Kinematics,
         MotionReader,
         MotorWriter,
+        Overlap,
         Part,
         PoseReader,
         Pusher,
@@ -185,6 +186,10 @@ class ExactEngine:
                 servo.act()
             for motion in motions:
                 motion.advance(self._timestep)
+
+    def overlaps(self) -> tuple[Overlap, ...]:
+        """None: bodies know nothing of each other here."""
+        return ()
 
     def require_finite(self) -> None:
         for name, motion in self._open().items():

@@ -1,6 +1,6 @@
 """The page of each finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
 
-That of a lint rule is the docstring of its function; those of what the compiler finds stand in `pages.yaml`.
+That of a lint rule is the docstring of its function; those of what the compiler finds, and what a simulation does, stand in `pages.yaml`.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ FILE = Path(__file__).with_name("pages.yaml")
 
 @dataclass(frozen=True)
 class Page:
-    """`about` holds paragraphs with blank lines between; `example` and `instead` are both there or both empty."""
+    """`about` holds paragraphs with blank lines between; `example` and `instead` are both there or both empty.
+
+    What a `deep` one is about is found by a simulation.
+    """
 
     code: str
     about: str
     example: str = ""
     instead: str = ""
+    deep: bool = False
 
     @property
     def language(self) -> str:
@@ -51,8 +55,8 @@ class Page:
 
 @cache
 def every_page() -> tuple[Page, ...]:
-    """All of them in the order of their codes."""
-    return tuple(sorted([*_of_the_compiler(), *map(_of_a_rule, everything())], key=lambda page: page.code))
+    """All of them in the order of their codes; what two rules look for may have one code."""
+    return tuple(sorted([*map(_of_a_rule, everything()), *_of_the_file()], key=lambda page: page.code))
 
 
 def pages_of(code: str) -> tuple[Page, ...]:
@@ -67,11 +71,12 @@ def _of_a_rule(rule: Rule) -> Page:
     return Page(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
 
 
-def _of_the_compiler() -> Iterator[Page]:
+def _of_the_file() -> Iterator[Page]:
     findings = Findings()
     root = parse(Source(FILE.name, FILE.read_text(encoding="utf-8")), findings)
     table = to_data(root) if root else None
     if not isinstance(table, dict) or len(findings):
         raise ValueError(f"{FILE} is broken: {findings}")
     for code, page in table.items():
-        yield Page(code, **{part: text.strip() for part, text in page.items()})
+        texts = {part: text.strip() for part, text in page.items() if isinstance(text, str)}
+        yield Page(code, deep=page.get("deep") is True, **texts)

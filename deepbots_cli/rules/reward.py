@@ -192,20 +192,20 @@ def inactive_term(checked: Checked) -> Iterator[Finding]:
         silent = zero if silent is None else silent & zero
     book = Book(checked.task)
     for term in checked.task.reward:
-        if term.name in (silent or ()) and not _is_turned_down(term.typed, book):
+        if term.name in (silent or ()) and not is_turned_down(term.typed, book):
             headline = f"`{term.name}` is zero in every step"
             yield Finding("DB704", term.span, headline, help="take it out, or mend its condition")
 
 
-def _is_turned_down(node: Typed, book: Book) -> bool:
+def is_turned_down(node: Typed, book: Book) -> bool:
     """Whether it is a 0, or a parameter of that value is in it."""
     if isinstance(node, Constant):
         return not any(node.values)
     if isinstance(node, Reference):
         meant = book.named(node.symbol.name)
-        return (node.symbol.value is not None and not any(node.symbol.value)) or (meant is not None and _is_turned_down(meant.typed, book))
+        return (node.symbol.value is not None and not any(node.symbol.value)) or (meant is not None and is_turned_down(meant.typed, book))
     parts = node.args[1:2] if isinstance(node, Invocation) and node.function == "where" else children(node)
-    return any(_is_turned_down(part, book) for part in parts)
+    return any(is_turned_down(part, book) for part in parts)
 
 
 # What pays
@@ -303,7 +303,7 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
                 continue
             pay = payments.total(list(payments.terms), Staying(running, quantity, kept)).low
             prize = payments.total(list(payments.terms), Staying(payments.at(success), quantity, kept)).high
-            if pay > 0.0 and pay * _horizon(payments) > prize:
+            if pay > 0.0 and pay * horizon(payments) > prize:
                 headline = f"staying just short of `{success.value.name}` pays {pay:.3g} in every step, and reaching it {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
                 help = "pay for coming nearer, as `-10 * delta(distance) / m` does, or let the success pay more than the steps that it ends"
@@ -319,7 +319,7 @@ def _just_outside(asked: Threshold) -> Interval:
     )
 
 
-def _horizon(payments: Payments) -> float:
+def horizon(payments: Payments) -> float:
     """The ticks that count: half an episode, or as far as the discount of the training lets an agent see."""
     training = payments.task.training
     found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []

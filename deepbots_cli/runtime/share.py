@@ -18,6 +18,7 @@ from deepbots_cli.port import (
     Kinematics,
     MotionReader,
     MotorWriter,
+    Overlap,
     Part,
     PoseReader,
     Pusher,
@@ -199,6 +200,9 @@ class Share:
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._engine.torque_motor(self._of(robot), joints, max_torque)
+
+    def overlaps(self) -> Sequence[Overlap]:
+        return self._engine.overlaps()
 
     def require_finite(self) -> None:
         self._engine.require_finite()

@@ -13,6 +13,8 @@ from deepbots_cli.diagnostics import RETIRED, Findings
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics.finding import Source
 from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.probing import RULES as MEASURED
+from deepbots_cli.probing import probe
 from deepbots_cli.rules import Rule, code_of, everything, run
 from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.source import loads
@@ -22,16 +24,19 @@ SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
 
 
-def codes(text: str, language: str, folder: Path) -> set[str]:
-    """What is found in a fragment upon CartPole, or in a robot file."""
-    if language == "xml":
+def codes(text: str, page: Page, folder: Path) -> set[str]:
+    """What is found in a fragment upon CartPole, by a simulation too where the page is about one, or in a robot file."""
+    if page.language == "xml":
         file, findings = folder / "robot.urdf", Findings()
         file.write_text(text, encoding="utf-8")
         read(file, file.name, findings)
         return {finding.code for finding in findings}
     checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{text}\n", base=SCENARIOS))
     found = [*checked.findings, *run(checked, preview=True)]
-    kept, unused = suppress(found, checked.document.sources, preview=True)
+    if page.deep:
+        assert page.code not in {finding.code for finding in found}, "the text alone tells it"
+        found += probe(checked, preview=True).findings
+    kept, unused = suppress(found, checked.document.sources, preview=True, deep=page.deep)
     return {finding.code for finding in (*kept, *unused)}
 
 
@@ -40,10 +45,10 @@ def test_the_docstring_of_a_rule_is_a_page(rule: Rule) -> None:
     assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
 
 
-@pytest.mark.parametrize("page", [page for page in every_page() if page.example], ids=lambda page: f"{page.code}")
+@pytest.mark.parametrize("page", [page for page in every_page() if page.example], ids=lambda page: f"{page.code}{'-deep' * page.deep}")
 def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(page: Page, tmp_path: Path) -> None:
-    assert page.code in codes(page.example, page.language, tmp_path)
-    found = codes(page.instead, page.language, tmp_path)
+    assert page.code in codes(page.example, page, tmp_path)
+    found = codes(page.instead, page, tmp_path)
     assert page.code not in found
     assert not {code for code in found if CATALOGUE[code].severity == "error"}
 
@@ -58,6 +63,17 @@ def test_a_rule_is_in_the_catalogue_under_the_name_of_its_function() -> None:
     for rule in everything():
         name = rule.__name__.replace("_", "-")
         assert CATALOGUE[code_of(rule)].name == name
+
+
+def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
+    deep = {code for code, entry in CATALOGUE.items() if entry.deep != "no"}
+    assert deep == set(MEASURED) == {page.code for page in every_page() if page.deep}
+
+
+def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:
+    source = Source("a.yaml", "a: on # deepbots: ignore[DB608]\n")
+    assert suppress([], [source], preview=True) == ([], [])
+    assert [finding.code for finding in suppress([], [source], preview=True, deep=True)[1]] == ["DB901"]
 
 
 def test_a_retired_code_is_never_given_again() -> None:

@@ -22,6 +22,7 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.rules import run as run_rules
+from deepbots_cli.rules.pages import pages_of
 from deepbots_cli.source import loads
 
 ROOT = Path(__file__).parents[2]
@@ -75,6 +76,8 @@ def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block):
     mark, _, code = block.mark.partition(" ")
     if mark == "wrong":
         assert code in {finding.code for finding in findings_of(UPON_CARTPOLE + block.text)}
+    elif mark == "deep":  # simulated by the tests of the pages
+        assert block.text.strip() in {page.example for page in pages_of(code) if page.deep}
     elif mark == "fragment":
         found = findings_of(UPON_CARTPOLE + block.text)
         assert [f"{finding.code} {finding.headline}" for finding in found if finding.severity == "error"] == []

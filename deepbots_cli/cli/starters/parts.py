@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from deepbots_cli.cli.starters.draft import Draft, figure, fresh, listed, pose, word
 from deepbots_cli.cli.starters.limbs import neutral
 from deepbots_cli.cli.starters.survey import Survey
+from deepbots_cli.footprint import resting
 from deepbots_cli.urdf.model import Joint
 
 GRAVITY = 9.81
+_SUNK = 1e-3  # m
 PARTS = ("groups", "poses", "sensors", "actuators", "emit", "apply")
 _SAID = {
     "emit": "what the robot tells the supervisor",
@@ -75,10 +77,16 @@ class Robot:
             elif part == "emit":
                 lines.append("  emit: []")
         draft.add("robots", *lines)
+        place = place or self._lifted()
         if place:
             draft.add("reset", "place:", f"  robot: {{{', '.join(f'{key}: {value}' for key, value in place.items())}}}")
         if self.sets:
             draft.add("reset", "set:", *(f"  {line}" for line in self.sets))
+
+    def _lifted(self) -> dict[str, str]:
+        """Out of the ground, for a robot that is bolted down and part of which would otherwise begin within it."""
+        height = resting(self.survey.model) if self.fixed else 0.0
+        return {"z": f"{figure(height)} m"} if height > _SUNK else {}
 
 
 def by_unit(joints: Sequence[Joint]) -> list[tuple[str, list[Joint]]]:

@@ -56,7 +56,7 @@ def _data(entry: Rule | Retired) -> Row:
     if isinstance(entry, Retired):
         return {"code": entry.code, "name": entry.name, "retired": entry.reason}
     pages = [{"about": page.about, "example": page.example, "instead": page.instead} for page in pages_of(entry.code)]
-    named: Row = {"code": entry.code, "name": entry.name, "severity": entry.severity, "preview": entry.preview}
+    named: Row = {"code": entry.code, "name": entry.name, "severity": entry.severity, "preview": entry.preview, "deep": entry.deep}
     return {**named, "summary": entry.summary, "pages": pages}
 
 
@@ -75,8 +75,10 @@ def _manners(rule: Rule) -> Iterator[str]:
     yield ""
     if rule.preview:
         yield "It may still misfire, and is looked for with --preview only."
+    if rule.deep == "only":
+        yield "Only a simulation can tell: it is looked for with --deep."
     if rule.severity == "error":
-        yield "A scenario with it cannot be compiled."
+        yield "It cannot be suppressed." if rule.deep == "only" else "A scenario with it cannot be compiled."
     else:
         yield f"A comment on the line of the finding, or on the line above, suppresses it: # deepbots: ignore[{rule.code}]"
 

@@ -53,6 +53,7 @@ def command(
     fail_on: Annotated[FailOn | None, typer.Option("--fail-on", help="What makes the exit code 1; errors, unless said otherwise.")] = None,
     exit_zero: Annotated[bool, typer.Option("--exit-zero", help="The same as --fail-on never.")] = False,
     preview: Annotated[bool | None, typer.Option("--preview/--no-preview", help="Also the rules that may still misfire.")] = None,
+    deep: Annotated[bool, typer.Option("--deep", help="Also simulate each scenario for a short while, and measure.")] = False,
     fix: Annotated[bool, typer.Option("--fix", help="Write what can only have been meant into the files.")] = False,
     unsafe_fixes: Annotated[bool, typer.Option("--unsafe-fixes", help="Good guesses as well, with --fix or --diff.")] = False,
     diff: Annotated[bool, typer.Option("--diff", help="Show what --fix would change, and write nothing.")] = False,
@@ -63,7 +64,8 @@ def command(
 ) -> None:
     """Say everything that is wrong with scenarios.
 
-    Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed.
+    Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed,
+    but for --deep, which simulates what has no errors in a process of its own and tells what it measures.
     In a folder, every .yaml file with a `deepbots:` key is read. What a project always wants stands in its deepbots.toml,
     under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
 
@@ -71,6 +73,7 @@ def command(
       deepbots lint cartpole.yaml
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
+      deepbots lint cartpole.yaml --deep
       deepbots lint cartpole.yaml --fix --unsafe-fixes
       deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
 
@@ -78,8 +81,12 @@ def command(
     """
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
-    selection = Selection(_words("--select", select) or project.select, _words("--ignore", ignore) or project.ignore, preview=previewed)
-    look = Look(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, stdin_name)
+    selection = Selection(
+        _words("--select", select) or project.select, _words("--ignore", ignore) or project.ignore, preview=previewed, deep=deep
+    )
+    if deep:
+        _check_simulator(fix or diff or unsafe_fixes)
+    look = Look(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
     names = named(scenarios, project)
     if stdin_name and STDIN not in names:
         raise UsageError("--stdin-filename goes with - for standard input")
@@ -108,6 +115,14 @@ def _words(option: str, given: Codes) -> Words | None:
         return None
     text = ",".join(given)
     return Words(tuple(word.strip() for word in text.split(",")), Source(option, text))
+
+
+def _check_simulator(fixing: bool) -> None:
+    from deepbots_cli.probing.process import require_simulator
+
+    if fixing:
+        raise UsageError("--deep measures, and nothing that it finds can be fixed by a program; run it without --fix and --diff")
+    require_simulator()
 
 
 def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence[str]) -> None:

@@ -92,6 +92,18 @@ class Watch:
         return self._marked(link, lambda other, other_link: other not in left_out)
 
 
+def depths(client: int) -> dict[tuple[Place, Place], float]:
+    """How deep (m) links of two bodies lie within each other, as the world stands now; only pairs that do."""
+    p.performCollisionDetection(client)
+    found: dict[tuple[Place, Place], float] = {}
+    for point in p.getContactPoints(physicsClientId=client):
+        _, one, other, link, other_link = point[:5]
+        pair = ((one, link), (other, other_link))
+        if one != other and point[8] < 0.0:
+            found[pair] = max(found.get(pair, 0.0), -point[8])
+    return found
+
+
 def force(client: int, body: int, link: int) -> ForceReader:
     read = partial(p.getContactPoints, body, -1, link, ANY, client)
     return lambda: sum(point[9] for point in read())

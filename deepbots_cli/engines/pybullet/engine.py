@@ -25,7 +25,7 @@ from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.substeps import Substeps
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import GROUND
-from deepbots_cli.port import STILL, Sight
+from deepbots_cli.port import STILL, Overlap, Sight
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -212,6 +212,17 @@ class PyBulletEngine:
         chain = Chain(body.model, link or body.model.root, joints)
         root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving)
         return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
+
+    def overlaps(self) -> list[Overlap]:
+        bodies = {body.number: (pool.name, body) for pool in self._pools.values() if pool.present for body in (pool.chosen,)}
+        deepest: dict[tuple[str, str], Overlap] = {}
+        for ((one, link), (other, other_link)), depth in contacts.depths(self._client).items():
+            if one in bodies and other in bodies:
+                (a, first), (b, second) = bodies[one], bodies[other]
+                found = Overlap((a, first.link(link).name), (b, second.link(other_link).name), depth)
+                known = deepest.get((a, b))
+                deepest[a, b] = found if known is None or known.depth < depth else known
+        return sorted(deepest.values(), key=lambda found: -found.depth)
 
     def _watch(self, body: Body) -> contacts.Watch:
         if body.number not in self._watches:

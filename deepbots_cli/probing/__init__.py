@@ -1,0 +1,62 @@
+"""`lint --deep`: a scenario is simulated for a short while, and what was measured becomes findings.
+
+    scenario ─▶ plan ─▶ another process: rolls ─▶ lines ─▶ report ─▶ rules ─▶ findings
+
+plan.py      which resets and episodes, counted in steps
+process.py   starts the process and reads what it told, however it ended; limits.py what it may use
+child.py     that process; rolls.py resets and episodes, speeds.py whether motion is still physics
+report.py    what it told, as data
+
+probed.py    scenario and report together, what rules read; blame.py which expression had no value
+physics.py   DB309, DB310          seen.py   DB607, DB608, DB611
+paid.py      DB702 to DB708        ended.py  DB806, DB808
+
+Only `child`, `rolls` and `speeds` import a simulator, and only in the other process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.lower import lower
+from deepbots_cli.diagnostics import RULES as CATALOGUE
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.probing import ended, paid, physics, seen
+from deepbots_cli.probing.limits import Limits
+from deepbots_cli.probing.plan import planned
+from deepbots_cli.probing.probed import Probed
+from deepbots_cli.probing.process import measured, require_simulator
+
+__all__ = ["RULES", "USUAL", "Limits", "Probe", "Rule", "probe", "require_simulator"]
+
+Rule = Callable[[Probed], Iterator[Finding]]
+
+USUAL = Limits()
+
+RULES: dict[str, Rule] = {**physics.RULES, **seen.RULES, **paid.RULES, **ended.RULES}
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a simulation came to; `left` says why it was left before its end, if it was and nothing is wrong with that."""
+
+    findings: Sequence[Finding]
+    left: str | None = None
+
+
+def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) -> Probe:
+    """Simulate a scenario that has no errors, in a process of its own, and judge it.
+
+    Where that finds errors there are no warnings: what episodes are like would follow from them.
+    """
+    assert checked.task is not None  # it has no errors
+    assert checked.namespace is not None
+    scenario = lower(checked.task)
+    report = measured(scenario, limits, allow_code=checked.document.allow_code)
+    probed = Probed(checked, checked.task, checked.namespace, scenario, planned(scenario), report)
+    found = [finding for code, rule in RULES.items() if preview or not CATALOGUE[code].deep_preview for finding in rule(probed)]
+    errors = [finding for finding in found if finding.severity == "error"]
+    slow = report.halt is not None and report.halt.kind == "slow"
+    return Probe(errors or found, f"{probed.when()}, after {report.halt.what}" if slow and report.halt else None)

@@ -1,0 +1,67 @@
+"""`deepbots lint --deep`, on the command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.source import shipped
+
+CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+SUNK = CARTPOLE.replace("z: 0.04 m", "z: 0.02 m")
+STILL = CARTPOLE.replace("x:         position(cart).x", "x:         position(cart).x\n  pull:      2 * fall_angle").replace(
+    "  x:               -0.4 .. 0.4 m", "  x: -0.4 .. 0.4 m\n  pull: 0 .. 90 deg"
+)
+
+
+@pytest.fixture
+def files(deepbots, tmp_path):
+    (tmp_path / "sunk.yaml").write_text(SUNK)
+    (tmp_path / "still.yaml").write_text(STILL)
+    return tmp_path
+
+
+def test_what_is_measured_is_a_finding_like_any_other(deepbots, files):
+    ran = deepbots("lint", "sunk.yaml", "--deep", "--json")
+    (found,) = json.loads(ran.out)["findings"]
+    assert (ran.code, found["code"], found["file"], found["start"]["line"]) == (1, "DB310", "sunk.yaml", 51)
+    assert deepbots("lint", "sunk.yaml").code == 0
+
+
+def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
+    said = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
+    assert (said.code, said.out.split()[2]) == (0, "DB608[constant-observation]")
+    assert deepbots("lint", "still.yaml", "--deep", "--ignore", "constant-observation", "--format", "concise").out == ""
+    (files / "still.yaml").write_text(STILL.replace("pull: 0 .. 90 deg", "pull: 0 .. 90 deg  # deepbots: ignore[DB608]"))
+    assert deepbots("lint", "still.yaml", "--deep", "--format", "concise").out == ""
+    assert deepbots("lint", "still.yaml", "--format", "concise").out == ""
+
+
+def test_one_that_is_selected_by_itself_without_a_simulation_is_told(deepbots, files):
+    (found,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
+    assert (found["code"], found["message"]) == ("DB902", "DB608 asks a simulation, and does not run")
+
+
+def test_a_scenario_with_errors_is_not_simulated_and_that_is_said(deepbots, files):
+    (files / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
+    ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise")
+    assert (ran.code, ran.out.split()[2]) == (1, "DB402[unknown-name]")
+    assert ran.err == "broken.yaml: not simulated, since it has errors\n"
+
+
+@pytest.mark.parametrize("option", ["--fix", "--diff"])
+def test_it_goes_with_no_fixing(deepbots, files, option):
+    ran = deepbots("lint", "sunk.yaml", "--deep", option)
+    assert (ran.code, ran.out) == (2, "")
+    assert "--deep" in ran.err
+
+
+def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, files, monkeypatch):
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if not (Path(entry) / "pybullet_data").exists()])
+    monkeypatch.delitem(sys.modules, "pybullet", raising=False)
+    ran = deepbots("lint", "sunk.yaml", "--deep")
+    assert (ran.code, ran.out) == (2, "")
+    assert "deepbots-cli[sim]" in ran.err
