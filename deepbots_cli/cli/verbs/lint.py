@@ -58,7 +58,7 @@ def command(
     unsafe_fixes: Annotated[bool, typer.Option("--unsafe-fixes", help="Good guesses as well, with --fix or --diff.")] = False,
     diff: Annotated[bool, typer.Option("--diff", help="Show what --fix would change, and write nothing.")] = False,
     stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="The file that standard input is of.")] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes, which pay from some ten files on.")] = 1,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes, which pay from some tens of files on.")] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
