@@ -28,8 +28,8 @@ def lower(value: Typed, owner: str, spread: Components | None = None) -> Scalars
     there is one scalar for each of these components, and a single draw is drawn anew for each.
     """
     if spread is None:
-        return _Lowering(owner).scalars(value)
-    lowered = [_Lowering(owner, f".{component}").scalars(value) for component in spread]
+        return Lowering(owner).scalars(value)
+    lowered = [Lowering(owner, f".{component}").scalars(value) for component in spread]
     return tuple(parts[index if len(parts) > 1 else 0] for index, parts in enumerate(lowered))
 
 
@@ -40,7 +40,9 @@ def constant(value: Typed) -> tuple[float | bool, ...] | None:
     return found if len(found) == len(scalars) else None
 
 
-class _Lowering:
+class Lowering:
+    """Lowers the trees of one item; its states and draws are named after `owner`, and those for one component after `target` too."""
+
     def __init__(self, owner: str, target: str = "") -> None:
         self._owner = owner
         self._target = target

@@ -9,9 +9,9 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.intervals import INF, Interval, hull
 from deepbots_cli.lang.scalar import Name, Scalar, World, children
-from deepbots_cli.rules.meaning import Book, Comparison
-from deepbots_cli.rules.payments import Payments, versions
-from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach
+from deepbots_cli.rules.meaning import Book, Comparison, book_of
+from deepbots_cli.rules.payments import Payments, payments_of, versions
+from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import between
 from deepbots_cli.task import Task, TaskEnding
@@ -38,12 +38,12 @@ def never_true(checked: Checked) -> Iterator[Finding]:
         return
     silent: set[str] | None = None
     for task in versions(checked):
-        found = {ending.value.name for ending in task.endings if _unlimited(Book(task), ending) == NEVER}
+        found = {ending.value.name for ending in task.endings if _unlimited(book_of(task), ending) == NEVER}
         silent = found if silent is None else silent & found
     for ending in checked.task.endings:
         if ending.value.name in (silent or ()):
             headline = f"`{ending.value.name}` can never hold"
-            notes = tuple(_reasons(Book(checked.task), ending))
+            notes = tuple(_reasons(book_of(checked.task), ending))
             yield Finding("DB801", ending.value.span, headline, help="give a limit that can be met, or take it out", notes=notes)
 
 
@@ -51,12 +51,12 @@ def _unlimited(book: Book, ending: TaskEnding) -> Interval:
     """Whether an ending holds in an episode that may last for ever; 0 .. 1 where that depends."""
     if ending.value.foreign is not None:
         return Interval(0.0, 1.0)
-    return Reach(book, steps=_ENDLESS).of(book.scalars(ending.value)[0])
+    return reach_of(book, _ENDLESS).of(book.scalars(ending.value)[0])
 
 
 def _reasons(book: Book, ending: TaskEnding) -> Iterator[str]:
     """Comparisons that never hold, and where their sides lie."""
-    reach = Reach(book, steps=_ENDLESS)
+    reach = reach_of(book, _ENDLESS)
     for entry in book.comparisons(ending.value):
         if all(reach.of(part) == NEVER for part in book.lowered(entry.node, entry.value.owner)):
             yield from _where(book, reach, entry)
@@ -83,7 +83,7 @@ def always_true(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    book = Book(checked.task)
+    book = book_of(checked.task)
     for ending in checked.task.endings:
         if _unlimited(book, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
@@ -109,8 +109,8 @@ def shadowed_limit(checked: Checked) -> Iterator[Finding]:
     if checked.task is None or checked.namespace is None:
         return
     yield from _two_limits(checked)
-    book = Book(checked.task)
-    payments = Payments(checked.task)
+    book = book_of(checked.task)
+    payments = payments_of(checked.task)
     for ending in checked.task.endings:
         if ending.value.foreign is not None or _unlimited(book, ending).single:
             continue  # DB801, DB802
@@ -202,11 +202,11 @@ def timeout_as_termination(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None or checked.namespace is None:
         return
-    book = Book(checked.task)
+    book = book_of(checked.task)
     shown = {name for entry in checked.task.observation for node in book.scalars(entry.value) for name in _leaves(book, node)}
     if shown & _CLOCK:
         return
-    reach = Reach(book)
+    reach = reach_of(book)
     for ending in checked.task.endings:
         if ending.value.foreign is not None:
             continue
@@ -231,7 +231,7 @@ def ends_at_reset(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    book = Book(checked.task)
+    book = book_of(checked.task)
     start = AtStart(book)
     for ending in checked.task.endings:
         if ending.value.foreign is None and start.of(book.scalars(ending.value)[0]) == ALWAYS != _unlimited(book, ending):

@@ -12,8 +12,8 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.dimensions import LENGTH
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Op, World
-from deepbots_cli.rules.meaning import Book
-from deepbots_cli.rules.reach import Reach
+from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.thresholds import Threshold, thresholds
 from deepbots_cli.rules.wording import figure
@@ -68,8 +68,8 @@ def unreachable_goal(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None or checked.task.world.terrain is not None:
         return
-    book = Book(checked.task)
-    reach = Reach(book)
+    book = book_of(checked.task)
+    reach = reach_of(book)
     for ending in checked.task.endings:
         if ending.outcome == "success" and ending.value.foreign is None and not _has_choice(book, ending):
             for entry in book.comparisons(ending.value):

@@ -13,8 +13,8 @@ from deepbots_cli.lang.functions import Family
 from deepbots_cli.lang.scalar import Scalar
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
-from deepbots_cli.rules.meaning import Book
-from deepbots_cli.rules.reach import Reach
+from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import between, span_of
 from deepbots_cli.task import ObservedValue, Task, Valued
 
@@ -123,7 +123,7 @@ def goal_in_observation(checked: Checked) -> Iterator[Finding]:
     task = checked.task
     if task is None or task.goal is None or task.training is None or task.training.replay is None:
         return
-    book = Book(task, ideal=True)
+    book = book_of(task, ideal=True)
     bodies = {thing.name for thing in task.world.objects} | {robot.name for robot in task.world.robots}
     known = bodies | {value.name for value in task.parameters}
     achieved, desired = (_told(book, side) for side in (task.goal.achieved, task.goal.desired))
@@ -157,8 +157,8 @@ def observation_unbounded(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    book = Book(checked.task)
-    reach = Reach(book)
+    book = book_of(checked.task)
+    reach = reach_of(book)
     for entry in {
         id(seen.entry): seen.entry for seen in numbers_seen(book) if not seen.entry.clip and not reach.of(seen.node).finite
     }.values():
@@ -182,8 +182,8 @@ def bounds_mismatch(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    book = Book(checked.task)
-    reach = Reach(book)
+    book = book_of(checked.task)
+    reach = reach_of(book)
     for seen in once(seen for seen in numbers_seen(book) if seen.entry.clip):
         known = reach.of(seen.node)
         if known.low >= seen.high or known.high <= seen.low:

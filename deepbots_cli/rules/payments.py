@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.lang import intervals as iv
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Scalar
-from deepbots_cli.rules.meaning import Book
+from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach
 from deepbots_cli.task import Task, TaskEnding, Valued
 
@@ -18,18 +19,20 @@ class Payments:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self.book = Book(task)
+        self.book = book_of(task)
         self.terms = tuple((term, self.book.scalars(term)[0]) for term in task.reward if term.foreign is None)
         self.is_whole = len(self.terms) == len(task.reward)
         self._steps = (1.0, float(self.book.last))
+        self._running = Reach(self.book, self._holding(None, False), self._steps)
+        self._at = {ending: Reach(self.book, self._holding(ending, ending is None), self._steps) for ending in (*task.endings, None)}
 
     def running(self, steps: tuple[float, float] | None = None) -> Reach:
         """In a step that ends nothing."""
-        return Reach(self.book, self._holding(None, False), steps or self._steps)
+        return Reach(self.book, self._holding(None, False), steps) if steps else self._running
 
     def at(self, ending: TaskEnding | None) -> Reach:
         """In the step in which this ending holds, and no other; None for the limit that cuts an episode short."""
-        return Reach(self.book, self._holding(ending, ending is None), self._steps)
+        return self._at[ending]
 
     def _holding(self, ending: TaskEnding | None, truncated: bool) -> dict[str, Interval]:
         holds = {entry.value.name: ALWAYS if entry is ending else NEVER for entry in self.task.endings}
@@ -55,6 +58,12 @@ class Payments:
         for _, node in terms:
             found = iv.add(found, reach.of(node))
         return found
+
+
+@lru_cache(maxsize=4)
+def payments_of(task: Task) -> Payments:
+    """What the reward of a task is worth, for all rules that ask."""
+    return Payments(task)
 
 
 def versions(checked: Checked) -> Iterator[Task]:

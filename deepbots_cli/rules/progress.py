@@ -8,8 +8,8 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Name, Op, Scalar, State
-from deepbots_cli.rules.meaning import Book
-from deepbots_cli.rules.payments import Payments
+from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.rules.payments import Payments, payments_of
 from deepbots_cli.rules.reach import NEVER, Reach
 from deepbots_cli.rules.thresholds import FOLLOWING, Threshold, is_clock, thresholds
 from deepbots_cli.task import TaskEnding, Valued
@@ -45,7 +45,7 @@ def suspicious_sign(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    payments = Payments(checked.task)
+    payments = payments_of(checked.task)
     ordinary, final = payments.split()
     for term, node in final:
         for ending in checked.task.endings:
@@ -212,7 +212,7 @@ def hidden_state_reward(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    book = Book(checked.task, ideal=True)
+    book = book_of(checked.task, ideal=True)
     task = checked.task
     seen: set[str] = set()
     for entry in task.observation:

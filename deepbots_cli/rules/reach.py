@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 
 from deepbots_cli.lang import intervals as iv
@@ -31,21 +32,29 @@ class Reach:
         self._time = Interval(before, last * book.period)
         self.given = {"step": Interval(first, last), "time": self._time, **given}
         self._known: dict[Name, Interval] = {}
+        self._seen: dict[int, tuple[Scalar, Interval]] = {}
 
     def of(self, node: Scalar) -> Interval:
+        # Rules ask for the same trees over and over. By identity, since to hash a tree is to walk it; a tree that is kept keeps its id.
+        seen = self._seen.get(id(node))
+        if seen is None:
+            seen = self._seen[id(node)] = (node, self._of(node))
+        return seen[1]
+
+    def _of(self, node: Scalar) -> Interval:
         match node:
-            case Const(value):
-                return exact(float(value))
+            case Op(op, args):
+                return self._op(op, args)
             case Name():
                 return self._name(node)
+            case Const(value):
+                return exact(float(value))
             case World():
                 return self._world(node)
             case State():
                 return self._state(node)
             case Draw(distribution, args):
                 return FUNCTIONS[distribution].interval([self.of(arg) for arg in args], 1)
-            case Op(op, args):
-                return self._op(op, args)
 
     def _name(self, node: Name) -> Interval:
         if node.name in self.given:
@@ -112,6 +121,12 @@ class Kept(Reach):
 
     def of(self, node: Scalar) -> Interval:
         return self._kept if self.book.identity(node) == self._quantity else super().of(node)
+
+
+@lru_cache(maxsize=8)
+def reach_of(book: Book, steps: tuple[float, float] | None = None) -> Reach:
+    """How far values reach in the given steps, for all rules that ask no more."""
+    return Reach(book, steps=steps)
 
 
 def _sum(*terms: Interval) -> Interval:

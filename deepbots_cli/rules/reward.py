@@ -10,9 +10,9 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.intervals import INF, Interval, absolute
 from deepbots_cli.lang.scalar import Scalar, State, walk
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.rules.meaning import Book
-from deepbots_cli.rules.payments import Payments, versions
-from deepbots_cli.rules.reach import NEVER, Kept, Reach
+from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.rules.payments import Payments, payments_of, versions
+from deepbots_cli.rules.reach import NEVER, Kept, Reach, reach_of
 from deepbots_cli.rules.thresholds import Threshold, is_clock, thresholds
 from deepbots_cli.task import TaskEnding, Valued
 
@@ -50,8 +50,8 @@ def reward_unbounded(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None or checked.namespace is None:
         return
-    book = Book(checked.task)
-    reach = Reach(book, steps=(1.0, float(book.last)))
+    book = book_of(checked.task)
+    reach = reach_of(book, (1.0, float(book.last)))
     guarded = _guarded(book, reach)
     for term in checked.task.reward:
         if term.foreign is None and not reach.of(book.scalars(term)[0]).finite:
@@ -134,7 +134,7 @@ def term_dominates(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    payments = Payments(checked.task)
+    payments = payments_of(checked.task)
     ordinary, final = payments.split()
     prizes = [absolute(payments.total(final, payments.at(ending))).high for ending in (*checked.task.endings, None)]
     most = max(prizes, default=0.0)
@@ -185,12 +185,12 @@ def inactive_term(checked: Checked) -> Iterator[Finding]:
         return
     silent: set[str] | None = None
     for task in versions(checked):
-        book = Book(task)
+        book = book_of(task)
         given = {ending.value.name: Interval(0.0, 1.0) for ending in task.endings}  # one that never holds is DB801
         reach = Reach(book, given, (1.0, float(book.last)))
         zero = {term.name for term in task.reward if term.foreign is None and reach.of(book.scalars(term)[0]) == NEVER}
         silent = zero if silent is None else silent & zero
-    book = Book(checked.task)
+    book = book_of(checked.task)
     for term in checked.task.reward:
         if term.name in (silent or ()) and not is_turned_down(term.typed, book):
             headline = f"`{term.name}` is zero in every step"
@@ -228,7 +228,7 @@ def rewards_early_death(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None or checked.task.goal is not None:
         return
-    payments = Payments(checked.task)
+    payments = payments_of(checked.task)
     ordinary, final = payments.split()
     step = payments.total(ordinary, payments.running())
     if not payments.is_whole or step.high >= 0.0:
@@ -290,7 +290,7 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    payments = Payments(checked.task)
+    payments = payments_of(checked.task)
     ordinary, _ = payments.split()
     successes = [ending for ending in checked.task.endings if ending.outcome == "success"]
     if not payments.is_whole or len(successes) != 1 or not ordinary:

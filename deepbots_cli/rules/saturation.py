@@ -13,9 +13,9 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.dimensions import ACCELERATION
 from deepbots_cli.lang.intervals import Interval, exact
 from deepbots_cli.lang.scalar import Name, Scalar, World, children
-from deepbots_cli.rules.meaning import Book, Comparison
+from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.observation import Seen, numbers_seen, once, range_span
-from deepbots_cli.rules.reach import Kept, Reach
+from deepbots_cli.rules.reach import Kept, Reach, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.thresholds import Threshold, thresholds
 from deepbots_cli.rules.wording import between, figure, span_of
@@ -49,8 +49,8 @@ def saturates_before_termination(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None or checked.namespace is None:
         return
-    book = Book(checked.task, ideal=True)
-    reach = Reach(book)
+    book = book_of(checked.task, ideal=True)
+    reach = reach_of(book)
     shown = [(seen, _made_of(book, seen.node)) for seen in numbers_seen(book)]
     met = set()
     for ending in checked.task.endings:
@@ -179,8 +179,8 @@ def observation_saturates(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None:
         return
-    book = Book(checked.task)
-    start, reach = AtStart(book), Reach(book)
+    book = book_of(checked.task)
+    start, reach = AtStart(book), reach_of(book)
     for seen in once(seen for seen in numbers_seen(book) if seen.entry.clip):
         first = start.of(seen.node)
         known = reach.of(seen.node)
