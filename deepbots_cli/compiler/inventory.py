@@ -78,8 +78,11 @@ def _keys(namespace: Namespace, spec: Scenario, kind: str, path: Path) -> list[N
         return [_keyed(namespace, ("reset", "layouts", name), "a layout") for name in spec.reset.layouts]
     name = str(path[2] if path[:1] == ("scripts",) and len(path) > 2 else path[1] if len(path) > 1 else "")
     part = spec.action.get(name)
-    options = part.choices if isinstance(part, DiscreteAction) else ()
-    return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in options]
+    if isinstance(part, DiscreteAction):
+        return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
+    symbol = namespace.settle(name) if part is not None else None  # a range for each member of a group
+    components = symbol.type.components if symbol is not None and symbol.type is not None else None
+    return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]
 
 
 def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:

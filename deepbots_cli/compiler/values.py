@@ -72,8 +72,11 @@ class Values:
         return descend(self.root, path)[0].span
 
     def key_span(self, path: Path) -> Span:
-        """Where the key at the end of `path` stands; the value where there is none."""
+        """Where the key at the end of `path` stands; the value where there is none, and of the whole file its first line."""
         node, key, _ = descend(self.root, path)
+        if key is None and node is self.root:
+            end = node.span.source.text.find("\n", node.span.start, node.span.end)
+            return node.span if end < 0 else Span(node.span.source, node.span.start, end)
         return key.span if key else node.span
 
     def text(self, path: Path, default: object = None) -> Text:

@@ -13,7 +13,7 @@ hovering.py     what stands under the cursor       defining.py where it is defin
 mending.py      fixes and suppressions             formatting.py, outlining.py
 
 cursor.py       the path of a place in a text that may be broken; brackets.py of one in brackets
-asking.py       what the language takes there
+asking.py       what the language takes there; written.py names in the text
 pointing.py     the piece of an expression, key or value under the cursor
 describing.py   keys, functions, types and findings in a few lines
 

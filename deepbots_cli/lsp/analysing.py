@@ -41,6 +41,12 @@ class Analysis:
         """Whether names have a meaning in it."""
         return self.checked is not None and self.checked.namespace is not None
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether its robots were read too; a finding in a robot takes all their names away."""
+        known = self.checked.namespace if self.checked else None
+        return known is not None and None not in known.robots.values()
+
     @cached_property
     def data(self) -> Any:
         """The scenario as plain values, with all that it extends and includes."""

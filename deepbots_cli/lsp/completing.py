@@ -21,22 +21,27 @@ from lsprotocol.types import (
 
 from deepbots_cli.compiler.inventory import names
 from deepbots_cli.diagnostics.registry import RULES
-from deepbots_cli.lsp.asking import at, specs
+from deepbots_cli.lang.functions import Family
+from deepbots_cli.lsp.asking import at, key_of, specs
 from deepbots_cli.lsp.describing import brief, of_key, of_kind
 from deepbots_cli.lsp.desk import View
-from deepbots_cli.lsp.expressing import Choice, begun, choices, is_expression, scope_of, units
+from deepbots_cli.lsp.expressing import Choice, awaits_unit, begun, choices, functions, is_expression, scope_of, units
 from deepbots_cli.lsp.files import files
+from deepbots_cli.lsp.written import written
+from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Quantity, Reference
 from deepbots_cli.schema.fields import Range as RangeLeaf
 from deepbots_cli.schema.part import Kinds, Mapped, Part, fields
 from deepbots_cli.schema.plain import COLOURS, Colour, Switch, Word
+from deepbots_cli.schema.scenario import VERSION
 from deepbots_cli.source.nodes import Path
 
-_ELSEWHERE = {"include": "a file with the value of this mapping; what stands beside it is merged over it"}
+_INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; what stands beside it is merged over it")
 _OF_FILES = {
     "extends": "another scenario that this one changes",
     "remove": "paths to take out of the extended scenario, such as `[observation.tip_speed]`",
 }
+_FIRST = Choice(f"deepbots: {VERSION}", CompletionItemKind.Keyword, "the first line of a scenario")
 _CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
 _COLON = re.compile(r"[\w]*[ \t]*:")
 
@@ -44,7 +49,9 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 def completion(view: View) -> CompletionList:
     """Everything that may be written at the place; the client filters by what is there already."""
     place = view.place
-    if place.role == "aside":
+    if view.document.is_blank:
+        items = [] if place.role == "aside" else [_item(view, _FIRST, place.start, f"{_FIRST.text}\n")]
+    elif place.role == "aside":
         items = _codes(view)
     elif place.role == "key":
         items = [*_keys(view), *(_values(view) if place.path else ())]
@@ -73,13 +80,12 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
         match spec:
             case Kinds():
                 yield from _kind_keys(spec, at(data, path))
+                yield _INCLUDE
             case Mapped(key=key):
                 yield from _named(view, key, path)
             case type():
                 yield from _part_keys(spec)
-            case _:
-                continue
-        yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _ELSEWHERE.items())
+                yield _INCLUDE
     if not path:
         yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _OF_FILES.items())
 
@@ -104,17 +110,36 @@ def _kind_keys(spec: Kinds, data: Any) -> Iterator[Choice]:
 
 def _values(view: View) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
-    for choice in _unique(_word_choices(view, data)):
-        yield _item(view, choice, place.start)
+    words = list(_word_choices(view, data)) or [*_example(view, data)]
+    yield from (_item(view, choice, place.start) for choice in _unique(words))
     for spec in specs(place.path, data):
-        if isinstance(spec, Leaf) and is_expression(spec) and view.analysis is not None and view.analysis.checked is not None:
-            scope = scope_of(view.analysis, spec, place.path)
+        if isinstance(spec, Leaf) and is_expression(spec):
             start = view.offset - len(begun(place.text))
-            if scope is not None:
-                yield from (_item(view, choice, start) for choice in choices(place.text, scope, view.analysis.checked))
+            yield from (_item(view, choice, start) for choice in _unique(_in_expression(view, spec, data)))
             return
-        if isinstance(spec, Leaf) and is_expression(spec) and place.text[-1:] == " ":
-            yield from (_item(view, choice, view.offset) for choice in units())
+
+
+def _in_expression(view: View, leaf: Leaf, data: Any) -> Iterator[Choice]:
+    """What may come next in an expression; names that no analysis knows yet come as they are written."""
+    path, text = view.place.path, view.place.text
+    if awaits_unit(text):
+        yield from units(leaf)
+        return
+    scope = scope_of(view.analysis, leaf, path) if view.analysis else None
+    if scope is not None and view.analysis is not None and view.analysis.checked is not None:
+        yield from choices(text, scope, view.analysis.checked)
+        return
+    yield from (Choice(name, CompletionItemKind.Variable, "") for name in written("value", path, data))
+    yield from functions(frozenset(Family))
+
+
+def _example(view: View, data: Any) -> Iterator[Choice]:
+    """The example of the key whose value is due, where the language has no words for it."""
+    path = view.place.path
+    part = key_of(path, data) if not view.place.text.strip() else None
+    found = example_of(part, str(path[-1])) if part is not None else None
+    if found is not None and "\n" not in found.text:
+        yield Choice(found.text, CompletionItemKind.Value, "an example")
 
 
 def _word_choices(view: View, data: Any) -> Iterator[Choice]:
@@ -159,8 +184,10 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
 def _named(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
     """The names that a reference may mean."""
     checked = view.analysis.checked if view.analysis else None
-    if checked is not None and isinstance(leaf, (Reference, Pattern)):
-        yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in names(checked, leaf.kind, path))
+    if isinstance(leaf, (Reference, Pattern)):
+        known = names(checked, leaf.kind, path) if checked is not None else ()
+        yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in known)
+        yield from (Choice(name, CompletionItemKind.Reference, leaf.kind) for name in written(leaf.kind, path, view.data))
 
 
 # Comments

@@ -95,7 +95,8 @@ class Desk:
         uri = analysis.document.uri
         if uri in self.documents:
             self.latest[uri] = analysis
-            if analysis.is_sound:
+            before = self._sound.get(uri)
+            if analysis.is_sound and (analysis.is_whole or before is None or not before.is_whole):
                 self._sound[uri] = analysis
 
     @property
@@ -108,9 +109,9 @@ class Desk:
         return {str(document.path): uri for uri, document in self.documents.items()}
 
     def ours(self, uri: str) -> Document | None:
-        """The open document of an address, if it is a scenario or a piece of one; an editor shows us all of its YAML."""
+        """The open document of an address, if it is a scenario, a piece of one, or still empty; an editor shows us all of its YAML."""
         document = self.documents.get(uri)
-        if document is None or document.is_scenario:
+        if document is None or document.is_scenario or document.is_blank:
             return document
         known = (*self.latest.values(), *self._sound.values())
         return document if any(one.checked and document.path in one.checked.document.files for one in known) else None

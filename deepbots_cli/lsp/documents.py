@@ -16,6 +16,7 @@ from deepbots_cli.source.nodes import Node
 from deepbots_cli.source.parse import parse
 
 _SCENARIO = re.compile(r"^\ufeff?deepbots[ \t]*:", re.MULTILINE)
+_BLANK = re.compile(r"\ufeff?(?:[ \t\r]*(?:#[^\n]*)?\n)*+[a-z]*\s*")
 _NAMELESS = "<untitled>"
 
 
@@ -42,6 +43,11 @@ class Document:
     def is_scenario(self) -> bool:
         """Whether this is a scenario, and no piece that others include."""
         return _SCENARIO.search(self.text) is not None
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether it may yet become a scenario: there is no more in it than comments and the beginning of a word."""
+        return _BLANK.fullmatch(self.text) is not None
 
     @cached_property
     def bytes(self) -> bytes:

@@ -11,17 +11,18 @@ from lsprotocol.types import CompletionItemKind
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import definition
 from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.lang import parser, syntax
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Param
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.types import Context, Kind, Scope
-from deepbots_cli.lang.units import UNITS
+from deepbots_cli.lang.units import UNITS, Unit
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.describing import of_function, of_symbol
-from deepbots_cli.schema.fields import Column, Expression, Leaf, Quantity, Range
+from deepbots_cli.schema.fields import MEASURES, Column, Expression, Leaf, Quantity, Range
 from deepbots_cli.source.nodes import Path
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")
-_BEHIND_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(?:[A-Za-z%]+(?:\^-?\d)?\s?[*/]\s?)*$")
+_BEHIND_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
 _GRAMMAR = {
     "when": "`a when c`: a where the condition holds, else 0",
     "and": "both conditions hold",
@@ -73,13 +74,16 @@ def begun(text: str) -> str:
     return found.group() if found else ""
 
 
+def awaits_unit(text: str) -> bool:
+    """Whether a number ends there, or a unit that a `*` or `/` goes on."""
+    word = begun(text)
+    return "." not in word and _BEHIND_NUMBER.search(text[: len(text) - len(word)]) is not None
+
+
 def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
-    """What may come at the end of `text`, in the place of the name that is begun there."""
+    """What may come at the end of `text`, in the place of the name that is begun there; units apart."""
     word = begun(text)
     before = text[: len(text) - len(word)]
-    if _BEHIND_NUMBER.search(before):
-        yield from units()
-        return
     kinds = _subjects(before)
     if kinds is not None:
         yield from _parts(scope, kinds)
@@ -87,16 +91,41 @@ def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
     if "." in word:
         yield from _components(word.rpartition(".")[0], scope)
     yield from _names(scope, checked)
-    for function in FUNCTIONS.values():
-        if function.family in ALLOWED[scope.context]:
-            yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, of_function(function))
+    yield from functions(ALLOWED[scope.context])
     for said, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
         yield Choice(said, CompletionItemKind.Keyword, "", doc)
 
 
-def units() -> Iterator[Choice]:
-    for unit in UNITS.values():
+def units(leaf: Leaf) -> Iterator[Choice]:
+    """All of them, those in which a field of this kind is measured first."""
+    wanted = [unit for measure in _measures(leaf) if (unit := _unit(measure)) is not None]
+    yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
+    dimensions = [unit.dimension for unit in wanted]
+    for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
         yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
+
+
+def _measures(leaf: Leaf) -> list[str]:
+    if not isinstance(leaf, (Quantity, Range, Column)):
+        return []
+    return [measure for measure in (leaf.dimension, *leaf.dimension.split(" or ")) if measure in MEASURES and measure != "any"]
+
+
+def _unit(measure: str) -> Unit | None:
+    """That of the example of a measure."""
+    tree = parser.parse(MEASURES[measure][1], _ignored)
+    return tree.unit if isinstance(tree, syntax.Number) else None
+
+
+def _ignored(*_finding: object, **_more: object) -> None:
+    """An example has no findings."""
+
+
+def functions(families: frozenset[Family]) -> Iterator[Choice]:
+    """The functions of these families."""
+    for function in FUNCTIONS.values():
+        if function.family in families:
+            yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, of_function(function))
 
 
 def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:

@@ -15,7 +15,7 @@ from deepbots_cli.lsp.describing import of_finding, of_function, of_key, of_kind
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.pointing import Piece, Pointed, piece, pointed
 from deepbots_cli.schema.fields import Leaf, Pattern, Reference
-from deepbots_cli.schema.part import Mapped
+from deepbots_cli.schema.part import Kinds, Mapped
 
 _CODE = re.compile(r"DB\d{3}")
 _LONGEST = 300
@@ -107,13 +107,31 @@ def _key_or_value(view: View) -> Said | None:
 
 
 def _of_key(view: View, found: Pointed) -> str | None:
+    kinds = _kinds(view, found)
+    if kinds is not None:
+        return f"**{found.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
     part = key_of(found.path, view.data)
     if part is not None:
         return of_key(part, str(found.path[-1]))
     for spec in specs(found.path[:-1], view.data):
         if isinstance(spec, Mapped):
-            return _of_reference(view, found, spec.key) or f"`{found.text}`: a name of your choice, for {of_kind(spec.value)}"
+            own = _of_reference(view, found, spec.key) or _of_own_name(view, found)
+            return own or f"`{found.text}`: a name of your choice, for {of_kind(spec.value)}"
     return None
+
+
+def _kinds(view: View, found: Pointed) -> Kinds | None:
+    """The kinds among which the word under this key chooses."""
+    above = specs(found.path[:-1], view.data) if found.path else ()
+    return next((spec for spec in above if isinstance(spec, Kinds) and spec.key == found.path[-1]), None)
+
+
+def _of_own_name(view: View, found: Pointed) -> str | None:
+    """A name that is defined there, and what is known of its value."""
+    checked = view.analysis.checked if view.analysis else None
+    known = checked.namespace.definitions.values() if checked is not None and checked.namespace is not None else ()
+    defined = next((one for one in known if one.path == found.path and one.symbol is not None), None)
+    return f"`{found.text}`: {defined.origin.value}, {of_symbol(defined.symbol)}" if defined and defined.symbol else None
 
 
 def _of_value(view: View, found: Pointed) -> str | None:
@@ -121,6 +139,9 @@ def _of_value(view: View, found: Pointed) -> str | None:
         named = _of_reference(view, found, leaf)
         if named:
             return named
+    kinds = _kinds(view, found)
+    if kinds is not None and found.text in kinds.names:
+        return f"`{found.text}`: {kinds.about(found.text)}"
     steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
     part = key_of(steps, view.data)
     return of_key(part, str(steps[-1])) if part is not None else None

@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.lsp_cost [--json] [--requests 100]
 
-The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition and code actions is
-asked for at so many places of a scenario, drawn with seed 0, a quarter of them right behind a change of the text. Times are CPU
-times of the whole process, of all its threads, from the request to the answer, once everything has been asked for before.
+The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition, code actions, outline
+and formatting is asked for at so many places of a scenario, drawn with seed 0, a quarter of them right behind a change of the
+text. Times are CPU times of the whole process, of all its threads, from the request to the answer, once everything has been
+asked for before.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from tests.benchmarks.report import Row, options, show
 from tests.lsp.client import ROOT, Client, position
 
 SCENARIOS = ("pit_escape", "find_ball_random")
-METHODS = ("completion", "hover", "definition", "codeAction")
+METHODS = ("completion", "hover", "definition", "codeAction", "documentSymbol", "formatting")
 BAR = 50.0
 
 
@@ -31,9 +32,9 @@ def cpu_seconds(process: int) -> float:
 
 
 def ask(client: Client, method: str, uri: str, place: dict[str, int]) -> None:
-    params: dict[str, Any] = {"textDocument": {"uri": uri}, "position": place}
-    if method == "codeAction":
-        params = {"textDocument": {"uri": uri}, "range": {"start": place, "end": place}, "context": {"diagnostics": []}}
+    params: dict[str, Any] = {"textDocument": {"uri": uri}, "position": place, "range": {"start": place, "end": place}}
+    params |= {"context": {"diagnostics": []}} if method == "codeAction" else {}
+    params |= {"options": {"tabSize": 2, "insertSpaces": True}} if method == "formatting" else {}
     client.request(f"textDocument/{method}", params)
 
 

@@ -150,3 +150,80 @@ def test_a_comment_that_suppresses_is_completed_with_the_warnings(typing):
     assert "DB205" in found
     assert "DB402" not in found
     assert typing("# a decision every 256 ms", "# a deci¦") == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "first"),
+    [
+        ("timestep: 32 ms", "timestep: 32 ¦", ["s", "ms", "us", "min", "h"]),
+        ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 ¦}\n      yaw", ["N*m", "N"]),
+        ("noise: 0.15", "height: 1 ¦", ["m", "mm", "cm", "km"]),
+    ],
+)
+def test_units_of_the_field_come_first(typing, old, new, first):
+    assert typing(old, new)[: len(first)] == first
+
+
+def test_behind_a_unit_and_a_factor_names_come_and_no_units(typing):
+    found = typing("{roll: {backward: roller.gyro.y < 0 rad/s", "{roll: {backward: 5 rad/s * roller.gyro.¦")
+    assert {"roller.gyro.x", "roller.gyro.y", "roller.gyro.z"} <= set(found)
+    assert "m" not in typing("{roll: {backward: roller.gyro.y < 0 rad/s", "{roll: {backward: 5 rad/s * ¦")
+
+
+def test_a_file_that_begins_is_offered_its_first_line_and_then_its_sections(client, project):
+    uri = client.open(project / "scenarios" / "first.yaml", "")
+    assert client.labels_at(uri, 0) == ["deepbots: 1"]
+    client.change(uri, "# mine\ndee")
+    assert client.labels_at(uri, len("# mine\ndee")) == ["deepbots: 1"]
+    client.change(uri, "deepbots: ")
+    assert client.labels(uri, "deepbots: ¦") == ["1"]
+    client.change(uri, "deepbots: 1\n")
+    assert client.labels_at(uri, 12)[:3] == ["name", "summary", "parameters"]
+    client.change(uri, "deepbots: 1\nworld: {timestep: ")
+    assert client.labels(uri, "timestep: ¦")[0] == "32 ms"
+    client.close(uri)
+
+
+BEGUN = """\
+deepbots: 1
+name: Begun
+world: {timestep: 20 ms}
+robots:
+  cart:
+    urdf: cartpole
+    sensors: {pole_angle: {type: joint_position, joint: pole_hinge}}
+    actuators: {wheels: {type: velocity_motor, joints: ['wheel_*'], max_torque: 10 N*m}}
+"""
+
+
+def test_a_scenario_that_was_never_whole_offers_the_names_that_stand_in_it(client, project):
+    uri = client.open(project / "scenarios" / "begun.yaml", BEGUN + "    emit:\n      - ")
+    assert client.labels_at(uri, len(client.texts[uri])) == ["pole_angle"]
+    client.change(uri, BEGUN + "    apply:\n      ")
+    assert "wheels" in client.labels_at(uri, len(client.texts[uri]))
+    client.change(uri, BEGUN + "action: {go: {range: -1 .. 1, each: cart.wheels}}\nsignals: {far: 1 m}\nreward:\n  near: f")
+    assert "far" in client.labels_at(uri, len(client.texts[uri]))
+    client.close(uri)
+
+
+def test_where_a_name_of_ones_own_is_due_an_example_is_offered_and_nothing_else(client, pit):
+    client.change(pit, client.texts[pit] + "disturbances:\n  ")
+    (example,) = client.labels_at(pit, len(client.texts[pit]))
+    assert example.startswith("{gust: {body:")
+
+
+def test_while_a_robot_has_a_mistake_its_joints_are_still_offered(client, pit):
+    client.change(pit, client.texts[pit].replace("    emit: [gyro, accel]\n", "    emit: [gyro, accel]\n    receive:\n"))
+    assert client.findings(pit) != []
+    assert {"pitch", "yaw"} <= set(client.labels(pit, "joint: p¦itch"))
+
+
+def test_a_script_is_offered_the_components_that_it_has_to_decide(client, project):
+    text = BEGUN + "    emit: [pole_angle]\n    apply: {wheels: go}\n"
+    text += "action: {go: {range: -5 .. 5 rad/s, each: cart.wheels}}\nobservation: {cart.pole_angle: -1 .. 1 rad}\nreward: {time: 1}\n"
+    text += "truncation: {max_steps: 100}\nscripts:\n  still: {go: 0 rad/s}\n"
+    uri = client.open(project / "scenarios" / "begun.yaml", text)
+    assert [found["code"] for found in client.findings(uri) if found["severity"] == 1] == []
+    client.change(uri, text.replace("{go: 0 rad/s}", "{go: {"))
+    assert {"wheel_front_left", "wheel_rear_right"} <= set(client.labels(uri, "still: {go: {¦"))
+    client.close(uri)

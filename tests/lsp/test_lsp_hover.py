@@ -30,10 +30,14 @@ def test_expressions_tell_type_unit_and_interval(client, pit, around, said):
     [
         ("sub¦steps: 8", ["a whole number", "**Default:** `1`"]),
         ("max_tor¦que: 10 N*m}\n      yaw", ["torque"]),
-        ("algorithm: P¦PO", ["The learning algorithm"]),
+        ("algorithm: P¦PO", ["`PPO`:"]),
+        ("gyro: {type: gy¦ro", ["`gyro`:"]),
+        ("gyro: {ty¦pe: gyro", ["one of", "`camera`"]),
         ("joint: pi¦tch", ["a continuous joint", '<joint name="pitch"']),
         ("emit: [gy¦ro", ["a sensor"]),
-        ("escap¦ed: reach", ["a name of your choice"]),
+        ("escap¦ed: reach", ["an ending", "a truth value"]),
+        ("rea¦ch:  running", ["a signal", "a length (m), at least 0 m"]),
+        ("prog¦ress: delta", ["a name of your choice"]),
     ],
 )
 def test_keys_and_words_tell_what_they_are_for(client, pit, around, said):
@@ -122,7 +126,7 @@ def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client
     piece = client.open(project / "robots" / "epuck.yaml")
     assert client.findings(piece) == []
     assert client.definition(piece, "link: base_l¦ink") == [("epuck.urdf", 14, 14)]
-    assert "The kind of sensor" in client.hover(piece, "ty¦pe: infrared")
+    assert "`infrared`" in client.hover(piece, "ty¦pe: infrared")
     client.close(piece)
 
 

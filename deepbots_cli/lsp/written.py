@@ -1,0 +1,44 @@
+"""Names that stand in the text, whether or not an analysis knows them yet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from deepbots_cli.lsp.asking import at
+from deepbots_cli.source.nodes import Path
+
+_SECTIONS: dict[str, tuple[Path, ...]] = {
+    "action": (("action",),),
+    "layout": (("reset", "layouts"),),
+    "robot": (("robots",),),
+    "body": (("robots",), ("objects",)),
+    "body or link": (("robots",), ("objects",)),
+    "bodies or links": (("robots",), ("objects",)),
+    "line": (("world", "lines"),),
+    "setting": (("parameters",),),
+    "parameter or signal": (("parameters",), ("signals",)),
+    "value": (("parameters",), ("augment",), ("signals",)),
+}
+"""Where the names of each kind are keys."""
+_OF_ONE_ROBOT = {"sensor": "sensors", "actuator": "actuators"}
+
+
+def written(kind: str, path: Path, data: Any) -> Iterator[str]:
+    """The names in `data` that a reference of this kind may name at `path`."""
+    for section in _sections(kind, path):
+        found = at(data, section)
+        yield from found if isinstance(found, dict) else ()
+    robots = at(data, ("robots",)) if kind == "value" else ""
+    for robot in robots if isinstance(robots, dict) else ():
+        sent = at(data, ("robots", robot, "emit"))
+        yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
+
+
+def _sections(kind: str, path: Path) -> tuple[Path, ...]:
+    if kind in _OF_ONE_ROBOT:
+        return (("robots", path[1], _OF_ONE_ROBOT[kind]),) if path[:1] == ("robots",) and len(path) > 1 else ()
+    if kind == "choice":
+        named = path[2:3] if path[:1] == ("scripts",) else path[1:2]
+        return (("action", *named, "choices"),) if named else ()
+    return _SECTIONS.get(kind, ())
