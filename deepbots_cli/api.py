@@ -57,9 +57,11 @@ def locate(source: str | Path) -> tuple[Path, str]:
     """The file of a scenario and how to call it.
 
     Raises:
-        UsageError: There is neither such a file nor a shipped scenario of that name; lists those.
+        UsageError: There is neither such a file nor a shipped scenario of that name; lists those. Or it is a robot file.
     """
     path = Path(source)
+    if path.suffix.lower() in (".urdf", ".xacro"):
+        raise UsageError(f"{source} is a robot file, and no scenario; what is odd in it is shown by: deepbots inspect {source}")
     if path.is_file():
         return path, str(source)
     found = shipped.scenario_path(str(source))  # a folder of the same name does not hide it

@@ -50,6 +50,8 @@ def write(files: Files, folder: Path) -> list[Path]:
     Raises:
         UsageError: Other files are in the way; lists them, and nothing is written.
     """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
     wanted = {folder / target: content for target, content in files.items()}
     present = {path for path in wanted if path.exists() or path.is_symlink()}
     in_the_way = [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]

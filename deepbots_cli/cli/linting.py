@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,15 +10,13 @@ from pathlib import Path
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.folders import scenarios_in
 from deepbots_cli.cli.settings import Settings
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.errors import UsageError
 
 STDIN = "-"
 _NAMELESS = "<stdin>"
-_SCENARIO = re.compile(rb"^(?:\xef\xbb\xbf)?deepbots[ \t]*:", re.MULTILINE)
-_LOOKED_AT = 65_536
 
 
 @dataclass(frozen=True)
@@ -92,15 +89,7 @@ def _expanded(given: str, project: Settings) -> Iterator[str]:
     if given == STDIN or not folder.is_dir():
         yield given
         return
-    found = [path for path in sorted(folder.glob("*.yaml")) if path.is_file() and _is_scenario(path)]
-    if not found:
-        raise UsageError(f"there is no scenario in {given}: no .yaml file there has a `deepbots:` key")
-    yield from (str(path) for path in found if not project.excludes(path))
-
-
-def _is_scenario(path: Path) -> bool:
-    with path.open("rb") as file:
-        return _SCENARIO.search(file.read(_LOOKED_AT)) is not None
+    yield from (str(path) for path in scenarios_in(folder) if not project.excludes(path))
 
 
 def findings_of(names: Sequence[str], look: Look, jobs: int = 1) -> list[Finding]:

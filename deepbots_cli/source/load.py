@@ -114,6 +114,10 @@ def loads(
 
 
 def _roots(folder: Path, sets: Texts[str], allowed: Iterable[Path]) -> tuple[Path, ...]:
+    allowed = tuple(allowed)
+    for path in allowed:
+        if not path.is_dir():
+            raise UsageError(f"there is no folder {path} that could be read from; --allow-path names a folder outside the project")
     # A path typed on the command line is the user's own, and relative to where they stand.
     own = [roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
     return tuple(dict.fromkeys(path.resolve() for path in (*own, *shipped.data_roots(), *allowed)))
@@ -200,7 +204,9 @@ class _Reader:
             return None
         path = roots.resolve(value.text, folder, self.roots)
         if isinstance(path, roots.Refused):
-            self.findings.add("DB204", value.span, path.headline, help=path.help)
+            found = shipped.scenario_path(value.text) if word == "extends" else None
+            copied = f"`deepbots copy {value.text}` puts a copy beside this file, to be named as `{value.text}.yaml`"
+            self.findings.add("DB204", value.span, path.headline, help=copied if found else path.help)
             return None
         if path in chain:
             circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))

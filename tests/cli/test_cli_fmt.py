@@ -36,3 +36,11 @@ def test_a_file_that_cannot_be_read_is_left_alone(deepbots, tmp_path):
     assert ran.code == 1
     assert "deepbots lint a.yaml" in ran.err
     assert (tmp_path / "a.yaml").read_text() == "a: {b:   1\n"
+
+
+def test_a_broken_scenario_in_a_folder_is_refused_and_not_passed_over(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(TIDY)
+    (tmp_path / "broken.yaml").write_text("deepbots: 1\n  world: [\n")
+    ran = deepbots("fmt", ".", "--check")
+    assert ran.code == 1
+    assert "broken.yaml cannot be read" in ran.err

@@ -95,6 +95,12 @@ def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
     assert [line.split(":")[0] for line in ran.out.splitlines()] == ["s/a.yaml", "s/b.yaml"]
 
 
+def test_a_robot_file_is_no_scenario_to_be_linted(deepbots):
+    ran = deepbots("lint", "package://pybullet_data/r2d2.urdf")
+    assert ran.code == 2
+    assert "deepbots inspect package://pybullet_data/r2d2.urdf" in ran.err
+
+
 def test_a_folder_without_scenarios_is_wrong_usage(deepbots, tmp_path):
     ran = deepbots("lint", tmp_path)
     assert ran.code == 2

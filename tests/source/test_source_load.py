@@ -320,3 +320,15 @@ def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
 def test_a_misspelt_section_in_an_assignment_is_not_begun() -> None:
     document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", sets=["mesages.format=none"])
     assert [finding.code for finding in document.findings] == ["DB201"]
+
+
+def test_extending_a_shipped_scenario_by_its_name_says_how_to_copy_it() -> None:
+    (finding,) = loads("deepbots: 1\nextends: cartpole\n").findings
+    assert finding.code == "DB204"
+    assert "deepbots copy cartpole" in (finding.help or "")
+
+
+def test_a_folder_to_be_allowed_that_is_not_there_is_wrong_usage(tmp_path: Path) -> None:
+    file = write(tmp_path, a="deepbots: 1\n")
+    with pytest.raises(UsageError, match="there is no folder"):
+        load(file, allow_paths=[tmp_path / "nowhere"])

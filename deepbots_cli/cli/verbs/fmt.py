@@ -10,10 +10,11 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.folders import scenarios_in
 from deepbots_cli.cli.rewriting import Rewrite, difference, write
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import Mapping, files
+from deepbots_cli.source import files
 from deepbots_cli.source.layout import tidy
 from deepbots_cli.source.parse import parse
 
@@ -56,16 +57,7 @@ def _expanded(given: Path) -> Iterator[Path]:
     if not given.is_dir():
         yield given
         return
-    found = [path for path in sorted(given.glob("*.yaml")) if path.is_file() and _is_scenario(path)]
-    if not found:
-        raise UsageError(f"there is no scenario in {given}: no .yaml file there has a `deepbots:` key")
-    yield from found
-
-
-def _is_scenario(path: Path) -> bool:
-    source, readable = files.decode(files.read(path), str(path), Findings())
-    root = parse(source, Findings()) if readable else None
-    return isinstance(root, Mapping) and "deepbots" in root.entries
+    yield from scenarios_in(given)
 
 
 def _tidied(path: Path) -> Rewrite | None:

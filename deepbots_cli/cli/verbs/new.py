@@ -52,7 +52,9 @@ def command(
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
     """
     name = templates.check(name)
-    if (template is None) is (urdf is None):
+    if template and urdf:
+        raise UsageError("--template and --urdf exclude each other: a template brings its robot along")
+    if not (template or urdf):
         raise UsageError(f"say what to begin with: --template {'|'.join(templates.TEMPLATES)}, or --urdf ROBOT")
     made = robots.files(urdf, name, folder) if urdf else templates.files(template or "", name)
     written = editing.write(made, folder) if schema else copying.write(made, folder)
