@@ -280,7 +280,8 @@ def _rules() -> str:
 
 def _rule_page(page: Page) -> Iterator[str]:
     """What `deepbots explain` says too; the tests lay examples in YAML upon CartPole, and read robot files as they are."""
-    yield from ["", f"## {page.code} {RULES[page.code].name}", "", page.about]
+    is_second = page.deep and RULES[page.code].deep == "too"
+    yield from ["", f"### {page.code} by simulation" if is_second else f"## {page.code} {RULES[page.code].name}", "", page.about]
     if page.example:
         mark = "deep" if page.deep else "wrong"
         wrong, right = ("xml", "xml") if page.language == "xml" else (f"yaml {mark} {page.code}", "yaml fragment")

@@ -55,7 +55,7 @@ class Page:
 
 @cache
 def every_page() -> tuple[Page, ...]:
-    """All of them in the order of their codes; what two rules look for may have one code."""
+    """All of them in the order of their codes; where a code is told by text and by simulation, the page about text comes first."""
     return tuple(sorted([*map(_of_a_rule, everything()), *_of_the_file()], key=lambda page: page.code))
 
 

@@ -160,3 +160,43 @@ def test_a_gap_to_nothing_is_infinite(build):
     ghost = ObjectBody("ghost", Sphere(0.1), Pose((1, 0, 1)), solid=False)
     engine = build("pybullet", things(ball("ball", (0, 0, 1)), ghost))
     assert engine.gap(("ball", None), ("ghost", None))() == inf
+
+
+# What lies within something else
+
+
+def test_bodies_within_each_other_are_told_with_their_depth_deepest_first(build):
+    post = ObjectBody("post", Sphere(0.05), Pose((0, 0, 0.05)), **STAYS)
+    engine = build("pybullet", things(ball("near", (0.08, 0, 0.055)), ball("sunk", (1, 0, 0.03)), ball("clear", (2, 0, 0.06)), post))
+    first, second = engine.overlaps()
+    depths = {frozenset((found.one[0], found.other[0])): found.depth for found in (first, second)}
+    assert depths[frozenset(("near", "post"))] == pytest.approx(0.1 - sqrt(0.08**2 + 0.005**2), abs=1e-3)
+    assert depths[frozenset(("sunk", "ground"))] == pytest.approx(0.02, abs=1e-3)
+    assert first.depth >= second.depth
+
+
+def test_what_never_moves_overlaps_with_nothing_that_does_not_either(build):
+    one, other = (ObjectBody(name, Sphere(0.05), Pose((0, 0, 0.02)), **STAYS) for name in ("one", "other"))
+    assert list(build("pybullet", things(one, other)).overlaps()) == []
+
+
+def test_links_of_a_robot_that_overlap_are_named(build, worlds):
+    engine = build("pybullet", worlds.arena())
+    engine.place("robot", (0, 0, 0.02), (0, 0, 0, 1))
+    (found,) = engine.overlaps()
+    assert found.depth == pytest.approx(0.02, abs=1.5e-3)
+    assert {part[0] for part in (found.one, found.other)} == {"robot", "ground"}
+    assert any((part[1] or "").startswith("wheel_") for part in (found.one, found.other))
+
+
+def test_looking_for_overlaps_leaves_no_trace_beyond_a_reset(build):
+    world = things(ball("ball", (0, 0, 0.2)))
+
+    def fall(engine) -> list[object]:
+        engine.reset()
+        engine.step(40)
+        return [engine.pose("ball")(), engine.velocity("ball")()]
+
+    fresh, looked_at = build("pybullet", world), build("pybullet", world)
+    looked_at.overlaps()
+    assert fall(looked_at) == fall(fresh)
