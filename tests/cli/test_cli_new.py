@@ -236,3 +236,9 @@ def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_no_folder_
     (tmp_path / "taken").write_text("")
     into = deepbots("new", "mine", "taken", "--template", "pit")
     assert (into.code, "name a folder" in into.err) == (2, True)
+
+
+def test_a_robot_that_is_bolted_down_begins_above_the_ground(deepbots, tmp_path):
+    """The cart of this one is 20 cm high, around the origin of its rail."""
+    deepbots("new", "first", "--urdf", "package://pybullet_data/cartpole.urdf")
+    assert "robot: {z: 0.1 m}" in (tmp_path / "first.yaml").read_text(encoding="utf-8")
