@@ -13,6 +13,9 @@ _LONGEST = 64
 _SHORTEST = 4
 """Letters that a word needs for one slip to be told from another word; `x` is one slip away from `y`."""
 
+_BEGUN = 3
+"""Letters from which on a word may be the beginning of the one that is meant: `left` of `left_hinge`."""
+
 
 class Meant(NamedTuple):
     """What to write instead of a word or a sign, and whether nothing else can have been meant."""
@@ -22,12 +25,15 @@ class Meant(NamedTuple):
 
 
 def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The one of the `known` words that is most like `word`, whatever its case; None where none is."""
+    """The one of the `known` words that is most like `word`, whatever its case, or the only one that begins so; None where none is."""
     from difflib import get_close_matches  # only on the way to a message: its import costs 4 ms
 
     by_lower = {name.lower(): name for name in islice(known, _COMPARED)}
     close = get_close_matches(word[:_LONGEST].lower(), by_lower, 1, cutoff)
-    return by_lower[close[0]] if close else None
+    if close:
+        return by_lower[close[0]]
+    longer = [name for lower, name in by_lower.items() if lower.startswith(word.lower())] if len(word) >= _BEGUN else []
+    return longer[0] if len(longer) == 1 else None
 
 
 def meant(word: str, known: Iterable[str], *, ours: bool = False) -> Meant | None:

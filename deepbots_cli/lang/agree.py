@@ -73,7 +73,7 @@ def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report)
             value.start,
             value.end,
             f"{what} is {value.type.words}, not {dimension.words}",
-            _without_unit([value]) or _towards(value.type.dimension, dimension),
+            _without_unit([value]) or _remedy(value, dimension),
         )
     return False
 
@@ -99,6 +99,15 @@ def _without_unit(values: Sequence[Typed]) -> str | None:
             figures = " ".join(f"{figure:g}" for figure in value.symbol.value)
             return f"`{value.symbol.name}` is {figures}, a plain number; if it has a unit, write it where it is defined"
     return None
+
+
+def _remedy(value: Typed, needed: Dimension) -> str | None:
+    """What to write instead of a literal or a name of another dimension; otherwise what to do with the whole."""
+    if isinstance(value, Constant) and value.unit is not None and needed == NUMBER:
+        return "leave out its unit"
+    if isinstance(value, Reference) and value.type.dimension == NUMBER:
+        return f"give it a unit where it is defined, or multiply: `{value.symbol.name} * {example(needed)}`"
+    return _towards(value.type.dimension, needed)
 
 
 def _towards(given: Dimension, needed: Dimension) -> str | None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from deepbots_cli.lang import agree, syntax
 from deepbots_cli.lang.dimensions import NUMBER, Dimension
+from deepbots_cli.lang.foreign import CALLED_ELSEWHERE
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Function, Param, Shape
 from deepbots_cli.lang.intervals import INF, TRUTH, Interval, exact, hull
 from deepbots_cli.lang.names import subject_of, unknown
@@ -56,6 +57,9 @@ def call(node: syntax.Call, scope: Scope, visit: Visit, report: Report, occurren
     """The typed call, or None after a finding; `occurrence` numbers stateful calls and draws."""
     function = FUNCTIONS.get(node.function)
     if function is None:
+        if help := CALLED_ELSEWHERE.get(node.function):
+            report("DB402", node.start, node.name_end, f"unknown function `{node.function}`", help)
+            return None
         unknown("function", node.function, FUNCTIONS, node.start, node.name_end, report)
         return None
     available = _availability(node, function, scope.context, report)

@@ -80,8 +80,9 @@ def expect_range(
     if dimension and dimension not in _NEEDS_NO_UNIT and bare(found.low) and bare(found.high) and not zero(found.high):
         agree.missing_unit(found, dimension, report)  # one unit is missing, behind both ends
         return None
-    low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage)
-    high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage) if low else None
+    # The right end first: the unit of both stands there.
+    high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
+    low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage) if high else None
     return None if low is None or high is None else found._replace(low=low, high=high)
 
 

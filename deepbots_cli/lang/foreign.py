@@ -50,7 +50,22 @@ _INSTEAD = {
     "is": "compare with `==`",
     "in": "compare with `<` and `>`, joined by `and`",
 }
+_BETWEEN = {"when", "and", "or", "not", "every"}
 
+CALLED_ELSEWHERE = {
+    "random": "a draw is `uniform(low .. high)`, or `normal(mean +- deviation)`",
+    "rand": "a draw is `uniform(low .. high)`",
+    "randn": "a draw is `normal(mean +- deviation)`",
+    "gauss": "a draw is `normal(mean +- deviation)`",
+    "randint": "a draw of whole numbers is `integer(low .. high)`",
+    "clip": "write `clamp(x, low .. high)`",
+    "pow": "a power is `a ^ b`",
+    "square": "a power is `a ^ b`: `x ^ 2`",
+    "radians": "write the unit: `30 deg`",
+    "degrees": "divide by the unit: `angle / deg`",
+    "if": "write `where(condition, a, b)`, or `a when condition`",
+}
+"""Functions that other languages have, and what to write here instead."""
 
 # Signs with one meaning wherever they stand, each for one sign or word of ours. `!` binds differently elsewhere.
 _SAME = {"**": "^", "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/"} | {
@@ -69,6 +84,8 @@ _SAME = {"**": "^", "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<="
 def instead(stream: list[Token], at: int) -> Meant | None:
     """What to write for the sign at fault, with the blanks that a word needs around it."""
     token, same = stream[at], _SAME.get(stream[at].text)
+    if _decimal(stream, at):
+        return Meant(".", safe=False)
     if same is None or (token.text == "=" and at >= 2 and stream[at - 2].text in ("(", ",")):
         return None
     if same.isalpha():
@@ -90,7 +107,7 @@ def explain(stream: list[Token], at: int, missing: bool) -> tuple[Token, str, st
 def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None]:
     token = stream[at]
     if token.kind is TokenKind.END:
-        return "the expression breaks off", None
+        return "the expression breaks off", _about_end(stream, at)
     if token.text == "=":
         return "`=` in an expression", _about_equals(stream, at)
     shown = _visible(token.text)
@@ -100,6 +117,8 @@ def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None
         return f"a value is missing before `{shown}`", _INSTEAD.get(token.text)
     if token.text == ")":
         return "a parenthesis that was never opened", None
+    if comma := _decimal(stream, at):
+        return "a comma in a number", f"decimals take a point: `{comma}`"
     if token.kind is TokenKind.SIGN and token.text != "(":
         return f"`{shown}` in an odd place", _INSTEAD.get(token.text)
     if token.text == "(" and stream[at - 1].kind is TokenKind.NAME:
@@ -107,6 +126,24 @@ def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None
     numbers = token.kind is TokenKind.NUMBER and stream[at - 1].kind is TokenKind.NUMBER
     help = "a vector within a larger expression is written `vector(a, b, c)`" if numbers else None
     return f"an operator is missing before `{shown}`", help
+
+
+def _decimal(stream: list[Token], at: int) -> str | None:
+    """The number that `0,5` was meant to be, if that is what stands around the token."""
+    if stream[at].text != "," or not 0 < at < len(stream) - 1:
+        return None
+    whole, comma, part = stream[at - 1 : at + 2]
+    if not (whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start):
+        return None
+    return f"{whole.text}.{part.text}"
+
+
+def _about_end(stream: list[Token], at: int) -> str | None:
+    before = stream[at - 1] if at else None
+    opened = [token.text for token in stream].count("(") - [token.text for token in stream].count(")")
+    if before is None or before.text == ")" or (before.kind is not TokenKind.SIGN and before.text not in _BETWEEN):
+        return None
+    return f"a value {'and the closing `)` are' if opened > 0 else 'is'} missing behind `{before.text}`"
 
 
 def _about_equals(stream: list[Token], at: int) -> str:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.diagnostics.nearest import meant
+from deepbots_cli.diagnostics.nearest import Meant, meant
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Pick, Reference, Typed
-from deepbots_cli.lang.types import Kind, Report, Scope, Subject, shown
+from deepbots_cli.lang.types import Context, Kind, Report, Scope, Subject, shown
 
 # What is asked most often of a part of the world that is no place.
 _ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
+
+# Where a name may still have to be given that is missing, besides what is known there.
+_ELSEWHERE = {Context.APPLY: "what the agent decides is named under `action`"}
 
 
 def reference(node: syntax.Name, scope: Scope, report: Report) -> Typed | None:
@@ -25,22 +28,24 @@ def reference(node: syntax.Name, scope: Scope, report: Report) -> Typed | None:
         if symbol.type is None:
             return None
         value: Typed | None = Reference(symbol.type, node.start, node.end, symbol)
+        written = symbol.name
         for member in node.parts[length:]:
-            value = value and pick(value, member, node.start, node.end, report)
+            value = value and pick(value, member, node.start, node.end, report, written)
+            written = f"{written}.{member}"
         return value
     _no_value(node, scope, report)
     return None
 
 
-def pick(value: Typed, member: str, start: int, end: int, report: Report) -> Typed | None:
-    """One component by its name, or several by single letters (`.xy`)."""
+def pick(value: Typed, member: str, start: int, end: int, report: Report, written: str | None = None) -> Typed | None:
+    """One component by its name, or several by single letters (`.xy`); `written` is the value, where that is a name."""
     components = value.type.components
     if components is None:
         report("DB402", start, end, f"`.{member}` of a single value", "only vectors have components")
         return None
     wanted = (member,) if member in components else tuple(member)
     if not set(wanted) <= set(components) or len(set(wanted)) < len(wanted):
-        unknown("component", member, components, start, end, report)
+        unknown("component", member, components, start, end, report, None if written is None else f"{written}.")
         return None
     chosen = value.type._replace(components=None if len(wanted) == 1 else wanted)
     return Pick(chosen, start, end, value, tuple(components.index(name) for name in wanted))
@@ -74,12 +79,26 @@ def subject_of(node: syntax.Node, kinds: frozenset[Kind], function: str, scope: 
     return None
 
 
-def unknown(what: str, name: str, known: Iterable[str], start: int, end: int, report: Report) -> None:
-    """DB402 with the nearest of the known names, and a list of them."""
+def unknown(
+    what: str, name: str, known: Iterable[str], start: int, end: int, report: Report, before: str | None = "", also: str | None = None
+) -> None:
+    """DB402 with the nearest of the known names, and a list of them.
+
+    From `start` to `end` stand `before` and the name; None for what is no text to write again. What may be `also` of use is
+    said where no name is like it.
+    """
     names = sorted(known)
-    near = meant(name, names)
-    parts = [f"did you mean `{near.text}`?" if near else None, _known(names)]
-    report("DB402", start, end, f"unknown {what} `{name}`", " ".join(filter(None, parts)) or None, meant=near)
+    near = _of_a_part(name, names) or meant(name, names)
+    parts = [f"did you mean `{near.text}`?" if near else None, "; ".join(filter(None, (_known(names), None if near else also)))]
+    fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
+    report("DB402", start, end, f"unknown {what} `{name}`", " ".join(filter(None, parts)) or None, meant=fix)
+
+
+def _of_a_part(name: str, known: list[str]) -> Meant | None:
+    """`cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
+    first, dot, rest = name.partition(".")
+    longer = [other for other in known if other.endswith(f".{first}")]
+    return Meant(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
 
 
 def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:
@@ -91,7 +110,7 @@ def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:
     elif node.dotted in FUNCTIONS:
         report("DB402", node.start, node.end, f"`{node.dotted}` is a function", f"call it: `{FUNCTIONS[node.dotted].signature}`")
     else:
-        unknown("name", node.dotted, scope.names(), node.start, node.end, report)
+        unknown("name", node.dotted, scope.names(), node.start, node.end, report, also=_ELSEWHERE.get(scope.context))
 
 
 def _known(names: list[str]) -> str | None:

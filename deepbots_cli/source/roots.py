@@ -77,7 +77,8 @@ def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused
 def _similar(path: Path) -> str | None:
     """The name of a file beside `path` that was probably meant."""
     try:
-        names = [other.name for other in path.parent.iterdir() if other.suffix == path.suffix]
+        kinds = (path.suffix,) if path.suffix else (".urdf", ".yaml")
+        names = [other.name for other in path.parent.iterdir() if other.suffix in kinds]
     except OSError:
         return None
     return nearest(path.name, names)

@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.source.nodes import Node, Scalar
 
+_DIGITS = 20
+
 Part = tuple[Scalar | None, Scalar | None]
 
 GIVE_A_VALUE = "give it a value, or remove the key"
@@ -16,7 +18,11 @@ GIVE_A_VALUE = "give it a value, or remove the key"
 _COMMENT = re.compile(r":?[ \t]+(#[^\r\n]*)")
 _COLOUR = re.compile(r":[ \t]+(#[0-9A-Fa-f]{6})(?=\s|$)")
 _QUOTABLE = re.compile(r"""[^"\\#\n]*""")
+_WHOLE = re.compile(r"(?<![\w.])(-?[0-9]+),$")
+_GROUP = re.compile(r"[0-9]{3}")
 _COLON = re.compile(r"\s*:")
+_DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
+_JOINED = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
 _COLON_GLUED = re.compile(r"[\w.]+:\S")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
 
@@ -61,6 +67,9 @@ def _report_cut(span: Span, findings: Findings) -> None:
     quoted = f': "{text}"' if len(text) <= 60 and '"' not in text else ""
     help = f"put the value in quotes{quoted}, or on a line of its own; draws need no comma: uniform(a .. b)"
     fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
+    if draw := _DRAW.fullmatch(text):
+        better = f"{draw[1]}({draw[2]} {_JOINED[draw[1]]} {draw[3]})"
+        help, fix = f"a draw needs no comma: `{better}`", Fix((Edit(span, better),), safe=True)
     findings.add("DB001", span, "a comma inside brackets cuts this value in two", help=help, fix=fix)
 
 
@@ -75,7 +84,7 @@ def report_empty(key: Scalar, value: Scalar, flow: bool, findings: Findings) -> 
     elif flow and _COLON_GLUED.fullmatch(key.text):
         help = "put a space after the colon"
     elif flow and not _COLON.match(text, key.span.end):
-        help = "a comma inside brackets separates keys; put a value with a comma in quotes"
+        help = _about_comma(key) or "a comma inside brackets separates keys; put a value with a comma in quotes, several values in `[...]`"
     elif comment and not comment[1].startswith(("# ", "##")) and len(comment[1]) > 1:
         help = f'a `#` after a space begins a comment; put the value in quotes: "{comment[1].split()[0]}"'
     elif not flow and _continues(key):
@@ -93,8 +102,16 @@ def help_for_key(key: Scalar) -> str:
     if not key.text:
         return "write `name: value`"
     if not _COLON.match(key.span.source.text, key.span.end):
-        return "a comma inside brackets separates keys; digits are grouped as in 100_000, decimals take a point"
+        return _about_comma(key) or "a comma inside brackets separates keys; digits are grouped as in 100_000, decimals take a point"
     return f'put it in quotes: "{key.text}"'
+
+
+def _about_comma(key: Scalar) -> str | None:
+    """What to say of `1,5 cm` within brackets, where `5 cm` was read as a key."""
+    whole = _WHOLE.search(key.span.source.text, max(0, key.span.start - _DIGITS), key.span.start)
+    if whole is None or not key.text[:1].isdigit() or (_GROUP.fullmatch(key.text) and whole[1].strip("-0")):
+        return None  # `2,000` may be meant for two thousand
+    return f"decimals take a point: `{whole[1]}.{key.text[:_DIGITS]}`"
 
 
 def _continues(key: Scalar) -> bool:

@@ -60,6 +60,16 @@ def test_a_slip_in_a_word_of_the_language_is_put_right(deepbots, scenario, chang
     assert path.read_text().count("\n") == CARTPOLE.count("\n")
 
 
+@pytest.mark.parametrize(
+    ("written", "mended"),
+    [("0,5 when x > 0 m", "0.5 when x > 0 m"), ("1 when previous_action.forwrd", "1 when previous_action.forward")],
+)
+def test_a_decimal_comma_and_a_component_are_guessed_within_what_stands_around_them(deepbots, scenario, written, mended):
+    path = scenario(faulty(("alive: 1", f"alive: {written}")))
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    assert f"alive: {mended}\n" in path.read_text()
+
+
 @pytest.mark.parametrize("change", UNSAFE.values(), ids=UNSAFE.keys())
 def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, scenario, change):
     path = scenario(faulty(change))

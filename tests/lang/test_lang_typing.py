@@ -243,3 +243,27 @@ def test_every_function_is_documented_in_one_sentence():
     for function in FUNCTIONS.values():
         assert function.doc.endswith("."), function.name
         assert function.signature.startswith(function.name + "(")
+
+
+@pytest.mark.parametrize(
+    ("text", "help"),
+    [
+        ("0,5 when flag", "decimals take a point: `0.5`"),
+        ("delta(", "a value and the closing `)` are missing behind `(`"),
+        ("1 +", "a value is missing behind `+`"),
+        ("1 when", "a value is missing behind `when`"),
+        ("random()", "a draw is `uniform(low .. high)`, or `normal(mean +- deviation)`"),
+        ("clip(x, 0 m, 1 m)", "write `clamp(x, low .. high)`"),
+    ],
+)
+def test_a_habit_of_another_language_is_told_what_to_write_here(bench, text, help):
+    assert bench.only(text).help == help
+
+
+def test_a_component_without_its_robot_or_as_a_piece_of_a_name_is_known(bench):
+    assert "did you mean `cart.gyro.x`?" in bench.only("gyro.x > 0 rad/s").help
+    assert "did you mean `knee`?" in bench.only("stride.kne > 0").help
+
+
+def test_a_message_to_a_robot_that_nobody_sends_is_told_where_actions_are_named(bench):
+    assert "named under `action`" in bench.only("engine * 2", Context.APPLY).help

@@ -157,7 +157,7 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
         ("a: 'it's'", "DB001", "s'", '"it\'s"'),
         ("colour: #ff0000", "DB107", "colour", '"#ff0000"'),
         ("a: {colour: #ff0}\nb: 1", "DB001", "#ff0", '"#ff0"'),
-        ("a: {yaw: uniform(-1, 1), b: 2}", "DB001", "uniform(-1, 1)", '"uniform(-1, 1)"'),
+        ("a: {yaw: uniform(-1, 1), b: 2}", "DB001", "uniform(-1, 1)", "`uniform(-1 .. 1)`"),
         ("a: [max(b, c), d]", "DB001", "max(b, c)", '"max(b, c)"'),
         ("a: {b:1}", "DB107", "b:1", "space after the colon"),
         ("a: {b: 1, c}", "DB107", "c", "comma"),
@@ -296,3 +296,8 @@ def test_the_parser_in_python_gives_the_same_nodes_as_the_one_in_c(text: str) ->
         assert node is not None
         trees.append(repr(node).replace(repr(source), ""))
     assert trees[0] == trees[1]
+
+
+def test_a_decimal_comma_in_braces_is_shown_as_the_number_that_was_meant() -> None:
+    (finding,) = read("{x: 5 cm, y: -1,5 cm}")[1]
+    assert (finding.code, finding.span.text, finding.help) == ("DB107", "5 cm", "decimals take a point: `-1.5 cm`")
