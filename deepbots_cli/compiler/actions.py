@@ -15,7 +15,7 @@ from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import ContinuousAction, DiscreteAction
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.source.nodes import Mapping, Path
 from deepbots_cli.task import Forbidden, Valued
 
 
@@ -69,7 +69,9 @@ class Actions:
             return Symbol(name, None, refused="it arrives with the action; use the action variable")
         parts = self.parts()
         if not parts:
-            return Symbol(name, None, refused=None if self._parts else "the agent does nothing in this scenario")
+            written = self._values.root.get("action")  # of which findings may have left nothing
+            has_some = isinstance(written, Mapping) and written.entries
+            return Symbol(name, None, refused=None if has_some else "the agent does nothing in this scenario")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
         components = ir.own_action(parts)
@@ -117,6 +119,8 @@ class Actions:
         components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
             components = self._group(part.each, ("action", name, "each"))
+        elif self._values.is_lost("each"):
+            components = None
         if ends is None or components is None:
             return Symbol(name, None)
         low, high = ends.low[0], ends.high[0]

@@ -5,11 +5,10 @@ from __future__ import annotations
 from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.compiler.values import Values
 from deepbots_cli.lang.dimensions import LENGTH, NUMBER
 from deepbots_cli.lang.types import SPACE, Context
 from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path, descend
+from deepbots_cli.source.nodes import Path
 
 _NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
 _TOGETHER: tuple[tuple[Path, str], ...] = (
@@ -24,7 +23,7 @@ def copies(spec: Scenario, namespace: Namespace) -> ir.Copies | None:
     """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
-        if "count" in given.given and robot != name:
+        if "count" in given.given and robot != name and not values.is_lost("each"):
             headline = f"copies of `{robot}` without a policy for each are not supported yet"
             help = f"write `agent: {{each: {robot}}}`, which lets one policy act for every copy"
             values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
@@ -37,6 +36,8 @@ def copies(spec: Scenario, namespace: Namespace) -> ir.Copies | None:
     path, scope = ("robots", name), ParameterScope(namespace, Context.FIXED)
     robot_spec = spec.robots[name]
     count = values.number((*path, "count"), robot_spec.count, NUMBER, scope)
+    if robot_spec.spacing is None and values.is_lost("spacing"):
+        return None
     if robot_spec.spacing is None:
         help = f"say how far they stand apart, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.findings.add("DB102", values.span(("agent", "each")), f"the copies of `{name}` have no `spacing`", help=help)
@@ -58,10 +59,5 @@ def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
     paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.given]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
-        if _stands(path, values):
+        if values.stands(path):
             values.findings.add("DB108", values.key_span(path), f"{what} beside copies of `{name}` is not supported yet", help=_NOT_YET)
-
-
-def _stands(path: Path, values: Values) -> bool:
-    """Whether the file holds this key."""
-    return descend(values.root, path)[2] == len(path)

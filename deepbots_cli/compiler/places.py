@@ -176,6 +176,8 @@ class Places:
 
     def _check_spread(self, place: Placement, most: int, path: Path) -> None:
         """DB105 where up to `most` copies stand at the same coordinates."""
+        if any(self._values.stands((*path, way)) for way in ("region", "line", "grid")):
+            return  # there would be spots, were it not for a finding
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(coordinate.typed is not None and constant(coordinate.typed) is not None for coordinate in known)
         if most > 1 and is_fixed and place.spot is None and not any(place.spacing):

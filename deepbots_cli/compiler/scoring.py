@@ -118,7 +118,7 @@ def solved(spec: Scenario, values: Values) -> ir.Solved | None:
     if spec.solved is None:
         return None
     rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
-    known = spec.termination.success or spec.goal or values.is_lost("success") or values.is_lost("termination")
+    known = spec.termination.success or spec.goal or any(map(values.is_lost, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or ask for a `mean_return`"
         values.findings.add("DB407", values.span(("solved", "success_rate")), NO_SUCCESS, help=help)

@@ -103,6 +103,10 @@ class Values:
         """Note that the definition of `name` had a finding."""
         self._lost.add(name)
 
+    def stands(self, path: Path) -> bool:
+        """Whether the scenario holds this key, be its value right or not."""
+        return descend(self.root, path)[2] == len(path)
+
     def is_lost(self, name: str) -> bool:
         """Whether the definition of the dotted `name`, or of a part of it, had a finding."""
         return name in self._lost or not self._lost.isdisjoint(name.split("."))

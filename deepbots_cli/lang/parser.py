@@ -41,6 +41,7 @@ _MAX_DOTS = 8
 
 _STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
+_NEVER_CLOSED = "a parenthesis that is never closed"
 _SMALLER = "name parts of it, as signals or parameters"
 _SLOT_ENDS = {",", ")", "..", "+-", "|"}
 _SUFFIXES = {"when", "every", "each"}
@@ -140,6 +141,9 @@ class _Parser(TokenStream):
             operator = self._next()
             right = self._operation(strength + 1)
             if strength == _COMPARISON and _STRENGTH.get(self._peek.text) == _COMPARISON:
+                opening = self._unclosed()
+                if opening is not None and opening.start < right.start:  # what was left out belongs before the second one
+                    raise ExpressionError(opening.start, opening.end, _NEVER_CLOSED)
                 raise ExpressionError(left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`")
             left = Binary(left.start, right.end, operator.text, left, right)
         return left
@@ -251,7 +255,7 @@ class _Parser(TokenStream):
 
     def _close(self, opening: Token) -> Token:
         if self._ended:
-            raise ExpressionError(opening.start, opening.end, "a parenthesis that is never closed")
+            raise ExpressionError(opening.start, opening.end, _NEVER_CLOSED)
         if self._peek.text != ")":
             self._unexpected()
         return self._next()

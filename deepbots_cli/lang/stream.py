@@ -56,6 +56,16 @@ class TokenStream:
         self._next()
         return True
 
+    def _unclosed(self) -> Token | None:
+        """The last parenthesis that nothing closes."""
+        opened: list[Token] = []
+        for token in self._tokens:
+            if token.text == "(":
+                opened.append(token)
+            elif token.text == ")" and opened:
+                opened.pop()
+        return opened[-1] if opened else None
+
     def _number(self) -> Number:
         token = self._next()
         value = float(token.text.replace("_", ""))

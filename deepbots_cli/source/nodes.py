@@ -6,7 +6,8 @@ trees out of old nodes, so each value keeps the place where it was written.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import abc
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -21,25 +22,26 @@ Value = None | bool | int | float | str
 class Scalar:
     """A single value: its text after unquoting and folding, and what YAML 1.2 makes of it.
 
-    `offsets[i]` is the offset in the source of character `i` of `text` (with one more for the end),
-    so that a piece of an expression has a place; None when the text stands in the source unchanged
-    from `span.start` on.
+    `offsets()[i]` is the offset in the source of character `i` of `text` (with one more for the end),
+    so that a piece of an expression has a place; `offsets` is None when the text stands in the source unchanged
+    from `span.start` on. They are worked out when they are first asked for, since only findings do.
     """
 
     span: Span
     text: str
     value: Value
     style: Style = "plain"
-    offsets: tuple[int, ...] | None = field(default=None, repr=False)
+    offsets: Callable[[], abc.Sequence[int]] | None = field(default=None, repr=False, compare=False)
 
     def part(self, start: int, end: int) -> Span:
         """The span of `text[start:end]` in the source."""
         if self.offsets is None:
             return Span(self.span.source, self.span.start + start, self.span.start + end)
-        first = self.offsets[min(start, len(self.offsets) - 1)]
+        offsets = self.offsets()
+        first = offsets[min(start, len(offsets) - 1)]
         if end <= start:
             return Span(self.span.source, first, first)
-        return Span(self.span.source, first, max(first, self.offsets[min(end, len(self.offsets)) - 1] + 1))
+        return Span(self.span.source, first, max(first, offsets[min(end, len(offsets)) - 1] + 1))
 
 
 @dataclass(frozen=True)

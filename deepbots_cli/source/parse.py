@@ -38,6 +38,7 @@ _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal"
 _ANCHOR = re.compile(r"&[\w-]+(?:\s+|#[^\n]*\n)*")
 _PATTERN = re.compile(r"\*_\w+")  # `*_joint`; without the underscore an anchor may have been forgotten
 _TAG = re.compile(r"!\S*")
+_BELOW_SIGN = re.compile(r"[^\n]*\n\s*")
 _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None): "empty"}
 
 
@@ -179,9 +180,14 @@ class _Composer:
             self.end = end
         text = event.value
         value = scalars.resolve(text) if style == "plain" else text
-        if style in ("literal", "folded") and not text.strip():
-            value = None
-        return Scalar(Span(self.source, start, end), text, value, style, places.offsets(self.text[start:end], start, text, style))
+        raw = self.text[start:end]
+        offsets = places.offsets(raw, start, text, style)
+        if style in ("literal", "folded"):
+            if not text.strip():
+                value = None
+            elif below := _BELOW_SIGN.match(raw):
+                start += below.end()  # where the text is, and not the `|` above it
+        return Scalar(Span(self.source, start, end), text, value, style, offsets)
 
     def sequence(self, start: Event, depth: int) -> Sequence | None:
         items = [self.node(event, depth + 1) for event in self.children()]

@@ -7,7 +7,9 @@ what the user wrote. Folding only ever changes white space, so matching the visi
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 
 from deepbots_cli.source.nodes import Style
 
@@ -20,19 +22,23 @@ _NAMED = {"0": "\0", "a": "\a", "b": "\b", "t": "\t", "\t": "\t", "n": "\n", "v"
 }
 
 
-def offsets(raw: str, start: int, text: str, style: Style) -> tuple[int, ...] | None:
-    """The offset of each character of `text`, and of its end, in a file that holds `raw` at `start`.
+def offsets(raw: str, start: int, text: str, style: Style) -> Callable[[], Sequence[int]] | None:
+    """Gives the offset of each character of `text`, and of its end, in a file that holds `raw` at `start`.
 
     None if `text` stands there as it is.
     """
     if style == "plain" and raw == text:
         return None
+    return cache(partial(_offsets, raw, start, text, style))
+
+
+def _offsets(raw: str, start: int, text: str, style: Style) -> Sequence[int]:
     quotes = 1 if style in ("single", "double") else 0
     if quotes and raw[1:-1] == text:
-        return tuple(range(start + 1, start + len(raw)))
+        return range(start + 1, start + len(raw))
     body = raw.find("\n") + 1 if style in ("literal", "folded") else quotes
     end = len(raw) - quotes
-    return tuple(_matched(text, list(_atoms(raw, body, end, style)), start, end))
+    return array("Q", _matched(text, _Written(raw, body, end, style), start, end))
 
 
 def _atoms(raw: str, position: int, end: int, style: Style) -> Iterator[tuple[int, str]]:
@@ -56,13 +62,25 @@ def _unescape(escape: str) -> str:
     return "" if escape in ("\n", "\r\n") else _NAMED.get(escape, escape)
 
 
-def _matched(text: str, atoms: list[tuple[int, str]], start: int, end: int) -> Iterator[int]:
-    at = 0
+class _Written:
+    """The characters that were written, and their places in the text; kept in arrays, since a text may have a million."""
+
+    def __init__(self, raw: str, position: int, end: int, style: Style) -> None:
+        self.characters: list[str] = []
+        self.places = array("Q")
+        for place, character in _atoms(raw, position, end, style):
+            self.characters.append(character)
+            self.places.append(place)
+
+
+def _matched(text: str, written: _Written, start: int, end: int) -> Iterator[int]:
+    at, characters, places = 0, written.characters, written.places
+    count = len(characters)
     for character in text:
         if not character.isspace():
-            while at < len(atoms) - 1 and atoms[at][1] != character:
+            while at < count - 1 and characters[at] != character:
                 at += 1
-        yield start + (atoms[at][0] if at < len(atoms) else end)
-        if at < len(atoms) and (not character.isspace() or atoms[at][1].isspace()):
+        yield start + (places[at] if at < count else end)
+        if at < count and (not character.isspace() or characters[at].isspace()):
             at += 1
-    yield start + (atoms[at][0] if at < len(atoms) else end)
+    yield start + (places[at] if at < count else end)

@@ -115,8 +115,8 @@ def test_a_piece_of_a_text_has_an_exact_place(text: str, word: str, line_end: st
     assert found.part(start, start + len(word)).start == text.index(word)
 
 
-def test_a_block_of_text_ends_before_the_blank_lines_behind_it() -> None:
-    assert scalar("a: |\n  one\n  two\n\n\nb: 1", "a").span.text == "|\n  one\n  two"
+def test_a_block_of_text_begins_below_its_sign_and_ends_before_the_blank_lines_behind_it() -> None:
+    assert scalar("a: |\n  one\n  two\n\n\nb: 1", "a").span.text == "one\n  two"
 
 
 def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
