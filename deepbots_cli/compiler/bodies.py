@@ -39,7 +39,7 @@ class Bodies:
         group = self._namespace.groups.get(name)
         if isinstance(thing, spec.VariedObject):
             variants = tuple(self._variant(kind, given, thing, (*path, "one_of", kind)) for kind, given in thing.one_of.items())
-            if None in variants:
+            if None in variants or not variants:  # none is left where each of them has a finding
                 return []
             forms = tuple(variant for variant in variants if variant is not None)
             return [self._body(copy, thing, forms[0].shape, path, forms) for copy in (group.copies if group else (name,))]

@@ -78,8 +78,8 @@ class Layouts:
         """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is the origin."""
         cell = self._values.number((*path, "cell"), layout.cell, LENGTH, self._fixed)
         text = self._values.text((*path, "map"), layout.map)
-        rows = _rows(text)
-        if cell is None or not self._is_even(rows):
+        rows = _rows(text) if self._is_small(text) else []
+        if cell is None or not rows or not self._is_even(rows):
             return []
         self._check_size(len(rows[0]) * cell, len(rows) * cell, (*path, "cell"))
         legend = self._legend(layout, path)
@@ -106,16 +106,19 @@ class Layouts:
                 self._values.unknown(self._values.span((*path, "legend", letter)), "robot or object", body, known)
         return found
 
+    def _is_small(self, text: Text) -> bool:
+        if len(text.text.split()) <= _MOST_CELLS:
+            return True
+        self._values.findings.add("DB005", text.span, f"a map of more than {_MOST_CELLS:_} cells", help="use larger cells")
+        return False
+
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
-        if sum(map(len, rows)) > _MOST_CELLS:
-            self._values.findings.add("DB005", rows[0][0][1], f"a map of more than {_MOST_CELLS:_} cells", help="use larger cells")
-            return False
         for row in rows[1:]:
             if len(row) != len(rows[0]):
                 headline = f"a row of {len(row)} cells below one of {len(rows[0])}"
                 self._values.findings.add("DB106", row[0][1], headline, help="write a dot for each empty cell, and blanks between cells")
                 return False
-        return bool(rows)
+        return True
 
     def _check_size(self, width: float, depth: float, path: Path) -> None:
         arena = self._world.arena

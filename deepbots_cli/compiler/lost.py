@@ -13,7 +13,7 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.schema.explain import meant_by
 from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, Sequence, descend, to_data
 
-_KEY_BEFORE = re.compile(r"([\w.]+)['\"]?\s*:\s*$")
+_KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 _REACH = 200  # how far before a finding its key may stand, in characters
 
 

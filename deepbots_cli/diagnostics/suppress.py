@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 from deepbots_cli.diagnostics.finding import Edit, Finding, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
@@ -16,6 +17,12 @@ from deepbots_cli.diagnostics.registry import RETIRED, RULES
 
 # `<!--` is how a comment begins in a robot file.
 _COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE)
+
+
+_MOST_CODES = 50
+"""In one comment."""
+_MOST_COMPARED = 100
+"""Unknown codes that are compared with the known ones; a file of a megabyte may hold tens of thousands."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,9 @@ def suppress(
             used.add(key)
         else:
             kept.append(finding)
-    unused.extend(_unused(entry) for key, entry in wanted.items() if key not in used and _had_its_chance(entry.code, preview, deep))
+    left = [entry for key, entry in wanted.items() if key not in used and _had_its_chance(entry.code, preview, deep)]
+    compared = {id(entry) for entry in islice((entry for entry in left if entry.code not in RULES), _MOST_COMPARED)}
+    unused.extend(_unused(entry, compare=id(entry) in compared) for entry in left)
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
@@ -65,7 +74,12 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             span = Span(source, *comment.span())
             yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB603]")
             continue
-        for code in re.finditer(r"[^\s,]+", comment[1]):
+        codes = list(re.finditer(r"[^\s,]+", comment[1]))
+        if len(codes) > _MOST_CODES:
+            help = f"at most {_MOST_CODES} are read; name those that its line has findings of"
+            yield Finding("DB901", Span(source, *comment.span(1)), f"a suppression of {len(codes):_} codes", help=help)
+            continue
+        for code in codes:
             span = Span(source, comment.start(1) + code.start(), comment.start(1) + code.end())
             yield _Suppression(code.group(), span, line + 1 if alone else line, _removal(source, comment, code.group()))
 
@@ -78,13 +92,14 @@ def _had_its_chance(code: str, preview: bool, deep: bool) -> bool:
     return (preview or not rule.preview) and (rule.deep == "no" or (deep and (preview or not rule.deep_preview)))
 
 
-def _unused(entry: _Suppression) -> Finding:
+def _unused(entry: _Suppression, *, compare: bool) -> Finding:
     rule, removed = RULES.get(entry.code), Fix((entry.removal,), safe=True)
     if entry.code in RETIRED:
         help = f"remove the comment: {RETIRED[entry.code].reason}"
         return Finding("DB901", entry.span, f"{entry.code} is retired", help=help, fix=removed)
     if rule is None:
-        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=_similar(entry.code), fix=_respelt(entry))
+        near = nearest(entry.code, RULES) if compare else None
+        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=_similar(near), fix=_respelt(entry, near))
     if rule.severity == "error":
         return Finding(
             "DB901", entry.span, f"{entry.code} is an error, which cannot be suppressed", help="mend what it reports", fix=removed
@@ -101,17 +116,16 @@ def _removal(source: Source, comment: re.Match[str], code: str) -> Edit:
     line_end = len(source.text) if line_end < 0 else line_end
     if comment[0].startswith("<") or source.text[comment.end() : line_end].strip():
         return Edit(Span(source, *comment.span()), comment[0][: comment[0].index("deepbots")].rstrip())
-    start = len(source.text[: comment.start()].rstrip(" \t"))
-    if start == 0 or source.text[start - 1] == "\n":
+    line_start = source.text.rfind("\n", 0, comment.start()) + 1
+    start = line_start + len(source.text[line_start : comment.start()].rstrip(" \t"))
+    if start == line_start:
         return Edit(Span(source, start, min(line_end + 1, len(source.text))), "")
     return Edit(Span(source, start, comment.end()), "")
 
 
-def _respelt(entry: _Suppression) -> Fix | None:
-    near = nearest(entry.code, RULES)
+def _respelt(entry: _Suppression, near: str | None) -> Fix | None:
     return Fix((Edit(entry.span, near),), safe=False) if near else None
 
 
-def _similar(code: str) -> str:
-    near = nearest(code, RULES)
+def _similar(near: str | None) -> str:
     return f"did you mean {near}?" if near else "codes look like DB603"

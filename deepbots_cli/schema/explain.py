@@ -101,7 +101,7 @@ def _home_near(parent: Path, key: str) -> str | None:
         pairs = list(zip(home, here, strict=False))
         return next((i for i, (known, written) in enumerate(pairs) if known not in ("*", written)), len(pairs))
 
-    found = sorted(set(homes(Scenario, key)), key=lambda home: (-shared(home), len(home), home))
+    found = sorted(homes(Scenario).get(key, ()), key=lambda home: (-shared(home), len(home), home))
     if not found or len(found) > 6:
         return None
     best = found[0]
@@ -115,7 +115,7 @@ def meant_by(data: object, path: Path) -> Meant | None:
         return None
     key = str(path[-1])
     near = meant(key, tuple(fields(spec)), ours=True)
-    return near and near._replace(safe=near.safe and not any(True for _ in homes(Scenario, key)))
+    return near and near._replace(safe=near.safe and key not in homes(Scenario))
 
 
 def about(data: object, path: Path) -> str | None:

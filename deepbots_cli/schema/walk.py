@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 
 from deepbots_cli.schema.fields import Leaf
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
@@ -100,21 +101,31 @@ def settle(spec: Spec, data: object) -> Spec | None:
             return spec
 
 
-def homes(spec: Spec, key: str, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Where in the language a key is known: the paths of the parts that have it, `*` for a name of the user's own."""
+Home = tuple[str, ...]
+
+
+@cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
+def homes(part: type[Part]) -> Mapping[str, frozenset[Home]]:
+    """Where below a part each key of the language is known: the paths of the parts that have it, `*` for a name of the user's own."""
+    found: dict[str, set[Home]] = {}
+    for home, key in _homes(part, ()):
+        found.setdefault(key, set()).add(home)
+    return {key: frozenset(places) for key, places in found.items()}
+
+
+def _homes(spec: Spec, path: Home) -> Iterator[tuple[Home, str]]:
     match spec:
         case Listed():
-            yield from homes(spec.item, key, path)
+            yield from _homes(spec.item, path)
         case Mapped():
-            yield from homes(spec.value, key, (*path, "*"))
+            yield from _homes(spec.value, (*path, "*"))
         case Alternatives():
             for option in spec.options:
-                yield from homes(option, key, path)
+                yield from _homes(option, path)
         case Kinds():
             for model in {*map(spec.model, spec.names), *(model for _, model in spec.marked)}:
-                yield from homes(model, key, path)
+                yield from _homes(model, path)
         case type():
-            if key in fields(spec):
-                yield path
             for name, known in fields(spec).items():
-                yield from homes(known, key, (*path, name))
+                yield path, name
+                yield from _homes(known, (*path, name))

@@ -38,7 +38,7 @@ def fault(data: bytes) -> str | None:
     packed = b"".join(content for kind, content in _chunks(data) if kind == b"IDAT")
     unpacked = _unpacked(packed, header)
     if unpacked is None:
-        return "the picture does not hold as many pixels as it says"
+        return "the picture holds fewer or more pixels than it says"
     filters = unpacked[:: header.stride + 1]
     return "the picture is packed in an unknown way" if max(filters) > 4 else None
 
@@ -80,10 +80,10 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _unpacked(packed: bytes, header: Header) -> bytes | None:
-    """As many bytes as the header promises, or None; a bomb is never unpacked further."""
+    """As many bytes as the header promises, or None; a bomb is unpacked one byte further, which tells it."""
     wanted = header.height * (header.stride + 1)
     try:
-        unpacked = zlib.decompressobj().decompress(packed, wanted)
+        unpacked = zlib.decompressobj().decompress(packed, wanted + 1)
     except zlib.error:
         return None
     return unpacked if len(unpacked) == wanted else None

@@ -11,6 +11,7 @@ import math
 import re
 import sys
 from array import array
+from itertools import islice
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source
@@ -23,6 +24,10 @@ _PLACE = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
 _PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
+_LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
+_MOST_LINES = 400_000
+"""Vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read."""
+_MOST_CORNERS = 1_500_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
 
 
@@ -86,13 +91,22 @@ def _stl_numbers(data: bytes) -> array[float]:
 def _obj(data: bytes) -> str | None:
     if b"\0" in data:
         return "the OBJ file is not text"
+    if sum(1 for _ in islice(_LINES.finditer(data), _MOST_LINES + 1)) > _MOST_LINES:
+        return f"the OBJ file holds more than {_MOST_LINES:_} vertices and faces"
     vertices = len(_VERTEX.findall(data))
     if not vertices:
         return "the OBJ file holds no vertex"
     lower = data.lower()  # two plain searches take a third of the time of the pattern, which they nearly always spare
     if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
         return "the OBJ file holds a vertex that is not finite"
-    indices = set(_INDEX.findall(b"".join(_FACE.findall(data))))
+    indices: set[bytes] = set()
+    corners = 0
+    for face in _FACE.finditer(data):
+        named = _INDEX.findall(data, face.start(1), min(face.end(1), face.start(1) + 16 * _MOST_CORNERS))
+        indices.update(named)
+        corners += len(named)
+        if corners > _MOST_CORNERS:
+            return f"the OBJ file has faces of more than {_MOST_CORNERS:_} corners together"
     if not indices:
         return "the OBJ file holds no face"
     last = max(indices, key=lambda digits: (len(digits), digits))

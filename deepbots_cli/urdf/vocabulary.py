@@ -61,7 +61,7 @@ def check(root: Element, report: Report) -> None:
         element = waiting.pop()
         words = VOCABULARY[element.tag]
         for attribute in element.attributes:
-            if attribute not in words.attributes:
+            if attribute not in words.attributes and compared < MAX_WORDS:
                 compared += 1
                 _near_miss(report, element, attribute, words.attributes, attribute)
         for child in element.children:

@@ -17,7 +17,7 @@ import traceback
 from pathlib import Path
 
 from tests.fuzz.mutations import case
-from tests.fuzz.watch import watch
+from tests.fuzz.watch import allow, watch
 from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere, peak_memory
 
 BLOCK = 5_000
@@ -35,7 +35,8 @@ def main() -> int:
     failed, stop = 0, given.start + given.count
     gc.set_threshold(50_000)  # as the command line does
     with tempfile.TemporaryDirectory() as folder, Workbench(Path(folder)) as bench:
-        watch([Path(folder), keep])
+        allow(folder, keep)
+        watch()
         for start in range(given.start, stop, BLOCK):
             end = min(start + BLOCK, stop)
             failed += block(bench, start, end, keep)
@@ -52,6 +53,8 @@ def block(bench: Workbench, start: int, end: int, keep: Path) -> int:
     failed = 0
     sampled: dict[int, str] = {}
     for number in range(start, end):
+        if number % 200 == 0:
+            gc.collect()  # what one look leaves behind is no part of the memory of the next
         try:
             findings = bench.examine(number)
         except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for

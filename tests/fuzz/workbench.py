@@ -153,7 +153,8 @@ def digest(findings: Sequence[Finding]) -> str:
     said = [
         (f.code, f.span.where, f.span.end, f.headline, f.help, f.notes, [(also.span.where, also.text) for also in f.also]) for f in findings
     ]
-    return hashlib.sha256(json.dumps(said).encode("utf-8", "surrogatepass")).hexdigest()
+    text = json.dumps(said).replace(os.getcwd(), "<here>")  # a file that is missing is told with where it was looked for
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def digests_elsewhere(numbers: Sequence[int], hash_seed: int) -> list[str]:

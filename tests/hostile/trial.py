@@ -1,0 +1,89 @@
+"""Lints hostile files, each in a folder of its own, and says what came of it.
+
+The linting is done by a process of its own, since the watch over opened files cannot be taken off again, and since the peak of memory
+is that of a process, which shall not hold what the files were made from.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli import api
+from deepbots_cli.cli import main as command_line
+from tests.fuzz import watch
+from tests.fuzz.workbench import peak_memory
+from tests.hostile.cases import Hostile, cases
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a hostile file: the codes found at error level, CPU seconds, the exit code, what was opened that is no business of it.
+
+    `memory` is the peak of the process so far, in bytes.
+    """
+
+    codes: list[str]
+    seconds: float
+    exit_code: int
+    outside: list[str]
+    memory: int
+
+
+def outcomes() -> Iterator[tuple[Hostile, Outcome]]:
+    """Every case and what became of it; less than all if lint took its process down."""
+    command = [sys.executable, "-m", __name__]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with tempfile.TemporaryDirectory() as name:
+        home = Path(name).resolve()
+        with subprocess.Popen(command, cwd=home, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as linter:
+            assert linter.stdin is not None
+            assert linter.stdout is not None
+            for number, case in enumerate(cases()):
+                folder = home / str(number) / "project"
+                folder.mkdir(parents=True)
+                print(case.write(folder), file=linter.stdin, flush=True)
+                said = linter.stdout.readline()
+                shutil.rmtree(folder.parent, ignore_errors=True)
+                if not said:
+                    return
+                yield case, Outcome(**json.loads(said))
+            linter.stdin.close()
+
+
+def examine(main: Path) -> Outcome:
+    """Lint a scenario once for its time, and through the command line for its exit code."""
+    os.chdir(main.parent)
+    watch.allow(main.parent)
+    watch.OUTSIDE.clear()
+    start = time.process_time()
+    findings = api.lint(main)
+    seconds = time.process_time() - start
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        exit_code = command_line(["lint", str(main), "--format", "concise"])
+    os.chdir(main.parents[2])
+    codes = sorted({finding.code for finding in findings if finding.severity == "error"})
+    return Outcome(codes, seconds, exit_code, list(watch.OUTSIDE), peak_memory())
+
+
+def main() -> None:
+    api.lint("cartpole")  # everything is imported
+    watch.watch()
+    for line in sys.stdin:
+        print(json.dumps(vars(examine(Path(line.rstrip("\n"))))), flush=True)
+
+
+if __name__ == "__main__":
+    main()
