@@ -107,7 +107,11 @@ def lint(
     Raises:
         UsageError: There is no such file.
     """
-    return review(load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code), preview=preview)
+    checked = load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    try:
+        return review(checked, preview=preview)
+    finally:
+        checked.release()
 
 
 def review(checked: Checked, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:

@@ -51,6 +51,12 @@ class Look:
         return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
 
     def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+        try:
+            return self._found(checked, called)
+        finally:
+            checked.release()
+
+    def _found(self, checked: Checked, called: str) -> list[Finding]:
         """What the text tells, and then what a simulation does; a scenario with errors cannot be simulated."""
         found = api.review(checked, preview=self.preview)
         if not self.deep:

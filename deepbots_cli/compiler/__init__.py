@@ -94,6 +94,14 @@ class Checked:
         files = self.namespace.files if self.namespace else {}
         return Inputs(self.document, self.robots or {}, files, tuple(variant.inputs for variant in self.variants))
 
+    def release(self) -> None:
+        """Forget what names mean, once all is known that was asked. Names and their definitions hold each other, and would be left to
+        Python's search for garbage, which took a fifth of the time of linting a folder.
+        """
+        for checked in (self, *self.variants):
+            if checked.namespace is not None:
+                checked.namespace.release()
+
 
 def check(document: Document) -> Checked:
     """Run all passes that can run; every problem ends up in `findings`."""

@@ -77,6 +77,12 @@ class Namespace:
         """Names that the language gives, and whose type the scenario decides."""
         self._open: list[Definition] = []
 
+    def release(self) -> None:
+        """Forget all definitions."""
+        self.definitions.clear()
+        self.built_in.clear()
+        self.values.readings.clear()
+
     def varies(self, what: str, of: tuple[str, ...]) -> bool:
         """Whether an episode draws this figure."""
         return any((known.what, known.of) == (what, of) for known in self.variations)

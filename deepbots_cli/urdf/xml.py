@@ -73,6 +73,11 @@ class _Builder:
         self.parser.XmlDeclHandler = self._declaration
         self.parser.StartDoctypeDeclHandler = self._doctype
 
+    def close(self) -> None:
+        """Let go of the parser: it and its handlers hold each other and all elements, which only a search for garbage would find."""
+        self.parser.StartElementHandler = self.parser.EndElementHandler = None
+        self.parser.XmlDeclHandler = self.parser.StartDoctypeDeclHandler = None
+
     def offset(self, index: int) -> int:
         """The code point at byte `index`; counts on from the last one asked, so that a file is decoded once."""
         if self._ascii:
@@ -107,6 +112,14 @@ class _Builder:
 def parse(source: Source, findings: Findings) -> Element | None:
     """The root element, or None with one finding at the place where reading stopped."""
     builder = _Builder(source)
+    try:
+        return _parsed(builder, findings)
+    finally:
+        builder.close()
+
+
+def _parsed(builder: _Builder, findings: Findings) -> Element | None:
+    source = builder.source
     try:
         builder.parser.Parse(builder.data, True)
     except _RefusedError as refused:
