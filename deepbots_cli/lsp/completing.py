@@ -214,7 +214,8 @@ def _unique(found: Iterable[Choice]) -> Iterable[Choice]:
 
 
 def _item(view: View, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
-    lines = view.document.lines
+    lines, before = view.document.lines, view.document.plain[: view.offset]
+    start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))  # an edit may not go beyond the line
     span = Range(lines.position(start), lines.position(view.offset))
     return CompletionItem(
         label=choice.text,

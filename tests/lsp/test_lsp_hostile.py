@@ -36,7 +36,8 @@ ASKED_OF_A_PLACE = ("completion", "hover", "definition")
 def answer_all(desk: Desk, document: Document, position: Position) -> None:
     """Every request at one place; nothing may be raised."""
     view = desk.view(document.uri, position)
-    assert completion(view).items is not None
+    for item in completion(view).items:
+        assert item.text_edit.range.start.line == item.text_edit.range.end.line == view.document.lines.position(view.offset).line
     hover(view)
     definitions(view, desk.open_uris)
     Actions(desk, document, versioned=True).at(Range(position, position))
