@@ -109,7 +109,7 @@ def _value(part: Choices | Interval, word: str) -> float:
     except ValueError:
         value = float("nan")
     if not -1 <= value <= 1:
-        raise UsageError(
-            f"'{word}' is no value of '{part.name}'; the agent acts from -1 to 1, which mean {part.low:g} and {part.high:g} {part.unit}"
-        )
+        order = f"; its numbers go in the order {':'.join(part.components)}" if len(part.components) > 1 else ""
+        meaning = f"which mean {part.low:g} and {part.high:g} {part.unit}{order}"
+        raise UsageError(f"'{word}' is no value of '{part.name}'; the agent acts from -1 to 1, {meaning}")
     return value

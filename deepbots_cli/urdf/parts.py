@@ -28,6 +28,8 @@ from deepbots_cli.urdf.report import Report, known_names, quoted
 from deepbots_cli.urdf.xml import Element
 
 Colour = tuple[float, float, float, float]
+
+_FULL_TURN = 6.29  # rad: above 2 pi as files round it
 JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
 _UNIT_TOLERANCE = 1e-12
@@ -70,7 +72,13 @@ def _pose(element: Element, report: Report) -> Pose:
     origin = report.only(element, "origin")
     if origin is None:
         return Pose()
-    return Pose(_vector(origin, "xyz", (0.0, 0.0, 0.0), report), _vector(origin, "rpy", (0.0, 0.0, 0.0), report))
+    angles = _vector(origin, "rpy", (0.0, 0.0, 0.0), report)
+    largest = max(angles, key=abs)
+    if abs(largest) > _FULL_TURN:
+        turned = " ".join(f"{round(math.radians(angle), 4):g}" for angle in angles)
+        help = f'angles are in rad; if degrees are meant, write rpy="{turned}"'
+        report.warn("DB504", origin, f"{largest:g} rad is more than a full turn", attribute="rpy", help=help)
+    return Pose(_vector(origin, "xyz", (0.0, 0.0, 0.0), report), angles)
 
 
 def link(element: Element, name: str, named: dict[str, Colour], meshes: Meshes, report: Report) -> Link:

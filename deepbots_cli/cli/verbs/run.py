@@ -59,7 +59,7 @@ def command(
       deepbots run cartpole --actions forward,backward --steps 50
       deepbots run pit_escape --script rocking --episodes 100
 
-    An action of several parts is written with colons: --actions left:0.5,right:-0.5
+    The numbers of an action of several are parted by colons, the actions by commas: --actions 0.5:0.5,0.5:-0.5
     """
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
