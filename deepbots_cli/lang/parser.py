@@ -10,6 +10,7 @@ The first fault ends the reading of a text: what follows it could only be guesse
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NoReturn
 
 from deepbots_cli.lang.lexer import MAX_LENGTH, Token, TokenKind
@@ -38,6 +39,7 @@ from deepbots_cli.lang.units import UNITS
 MAX_NESTING = 64
 MAX_DEPTH = 128
 _MAX_DOTS = 8
+_SHORT = 80
 
 _STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
@@ -53,7 +55,7 @@ def parse(text: str, report: Report) -> Node | None:
         report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"at most {MAX_LENGTH} are read")
         return None
     try:
-        tree = _Parser(text).text()
+        tree = _remembered(text) if len(text) <= _SHORT else _Parser(text).text()
     except ExpressionError as fault:
         report(fault.code, fault.start, fault.end, fault.headline, fault.help, meant=fault.meant)
         return None
@@ -61,6 +63,14 @@ def parse(text: str, report: Report) -> Node | None:
         report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} operations, one upon the other", _SMALLER)
         return None
     return tree
+
+
+@lru_cache(maxsize=1024)
+def _remembered(text: str) -> Node:
+    """The tree of a short text. Trees are values and know no file, and `1 m` or `-1 .. 1` stand in every scenario: of 200 files, two
+    thirds of all texts were read before.
+    """
+    return _Parser(text).text()
 
 
 class _Parser(TokenStream):
