@@ -22,6 +22,7 @@ _PACKAGES = {
     "base": ("pyyaml", "typer"),
     "sim": ("gymnasium", "msgspec", "numpy", "pybullet"),
     "train": ("imageio", "imageio-ffmpeg", "rich", "stable-baselines3", "tensorboard", "torch"),
+    "editor": ("pygls",),
 }
 
 

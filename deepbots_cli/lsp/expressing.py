@@ -18,6 +18,7 @@ from deepbots_cli.lang.types import Context, Kind, Scope
 from deepbots_cli.lang.units import UNITS, Unit
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.describing import of_function, of_symbol
+from deepbots_cli.lsp.pointing import ignored
 from deepbots_cli.schema.fields import MEASURES, Column, Expression, Leaf, Quantity, Range
 from deepbots_cli.source.nodes import Path
 
@@ -113,12 +114,8 @@ def _measures(leaf: Leaf) -> list[str]:
 
 def _unit(measure: str) -> Unit | None:
     """That of the example of a measure."""
-    tree = parser.parse(MEASURES[measure][1], _ignored)
+    tree = parser.parse(MEASURES[measure][1], ignored)
     return tree.unit if isinstance(tree, syntax.Number) else None
-
-
-def _ignored(*_finding: object, **_more: object) -> None:
-    """An example has no findings."""
 
 
 def functions(families: frozenset[Family]) -> Iterator[Choice]:

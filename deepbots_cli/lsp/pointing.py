@@ -60,7 +60,7 @@ class Piece(NamedTuple):
                     return node.type
         if isinstance(self.node, (syntax.Range, syntax.Spread, syntax.Options)):
             return None
-        typed = check(self.node, self.reading.scope, _ignored)
+        typed = check(self.node, self.reading.scope, ignored)
         return typed.type if typed else None
 
 
@@ -84,7 +84,7 @@ def piece(view: View) -> Piece | None:
     reading = min(found, key=lambda one: one[0])[1]
     index = _index(reading.text, view.then)
     text = reading.text.text
-    tree = parser.parse(text, _ignored)
+    tree = parser.parse(text, ignored)
     if tree is None or not tree.start <= index <= tree.end or "#" in text[text.rfind("\n", 0, index) + 1 : index]:  # a comment
         return None
     return _innermost(Piece(reading, index, tree))
@@ -150,5 +150,5 @@ def _below(tree: Typed) -> Iterator[Typed]:
         yield from _below(child)
 
 
-def _ignored(*_finding: object, **_more: object) -> None:
+def ignored(*_finding: object, **_more: object) -> None:
     """Findings are told elsewhere."""

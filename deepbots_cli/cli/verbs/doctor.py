@@ -42,4 +42,6 @@ def _verdict(broken: list[str], missing: list[str]) -> str:
         return "linting works; simulating and training need the extras that are missing"
     if "train" in missing:
         return "linting and simulating work; training needs the extra that is missing"
+    if "editor" in missing:
+        return "everything works but the language server, which needs the extra that is missing"
     return "everything works"
