@@ -11,6 +11,7 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.strokes import walls
 from deepbots_cli.compiler.terrain import terrain
 from deepbots_cli.compiler.variations import figure, figures
+from deepbots_cli.diagnostics import Edit, Fix
 from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, NUMBER, TIME
 from deepbots_cli.lang.types import PLANE, SPACE, Context
 from deepbots_cli.schema.scenario import Scenario
@@ -40,9 +41,9 @@ class WorldBuilder:
         path: Path = ("world", "gravity")
         gravity = figures(self._namespace, path, spec.gravity, ACCELERATION, self._drawn, "gravity", (), SPACE) or (0.0, 0.0, -9.81)
         if gravity[2] > 0:
-            self._values.findings.add(
-                "DB505", self._values.span(path), "gravity that pulls upwards", help="z points up: write `0 0 -9.81 m/s^2`"
-            )
+            span, downwards = self._values.span(path), f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
+            fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
+            self._values.findings.add("DB505", span, "gravity that pulls upwards", help=f"z points up: write `{downwards}`", fix=fix)
         bodies = Bodies(self._namespace)
         objects = [body for name, thing in self._spec.objects.items() for body in bodies.bodies(name, thing)]
         pieces = walls(self._spec, self._namespace)

@@ -105,7 +105,9 @@ def _has_shape(value: Typed, components: Components | None, what: str, report: R
             f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}",
         )
     elif len(found) != len(components) and found[0] in ("x", "1"):
-        report("DB106", value.start, value.end, f"{what} has {len(found)} values, not {len(components)}")
+        report(
+            "DB106", value.start, value.end, f"{what} has {len(found)} values, not {len(components)}", f"give {' and '.join(components)}"
+        )
     else:
         agree.differing(components, found, value.start, value.end, report)
     return False

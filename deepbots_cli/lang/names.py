@@ -113,8 +113,8 @@ def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:
         unknown("name", node.dotted, scope.names(), node.start, node.end, report, also=_ELSEWHERE.get(scope.context))
 
 
-def _known(names: list[str]) -> str | None:
-    return f"known are {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else None
+def _known(names: list[str]) -> str:
+    return f"known are {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else "there is none to choose from"
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:

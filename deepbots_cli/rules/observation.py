@@ -7,15 +7,17 @@ from typing import NamedTuple
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Origin
-from deepbots_cli.diagnostics import Finding, Label, Span
+from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.functions import Family
+from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Scalar
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import between, span_of
+from deepbots_cli.source.removal import removing
 from deepbots_cli.task import ObservedValue, Task, Valued
 
 _ROUNDING = 1e-6
@@ -49,6 +51,12 @@ def numbers_seen(book: Book) -> Iterator[Seen]:
 def range_span(checked: Checked, entry: ObservedValue) -> Span:
     assert checked.namespace is not None  # there is a task
     return checked.namespace.values.span(("observation", entry.value.name, "range"))
+
+
+def another_range(checked: Checked, seen: Seen, wide: Interval, dimension: Dimension) -> Fix | None:
+    """`wide` in the place of the range; None where the components have ranges of their own."""
+    is_one = len({*zip(seen.entry.low, seen.entry.high, strict=True)}) == 1
+    return Fix((Edit(range_span(checked, seen.entry), span_of(wide, dimension)),), safe=False) if is_one else None
 
 
 def privileged_observation(checked: Checked) -> Iterator[Finding]:
@@ -163,7 +171,10 @@ def observation_unbounded(checked: Checked) -> Iterator[Finding]:
         id(seen.entry): seen.entry for seen in numbers_seen(book) if not seen.entry.clip and not reach.of(seen.node).finite
     }.values():
         headline = f"`{entry.value.name}` is not clipped, and nothing bounds it"
-        yield Finding("DB601", range_span(checked, entry), headline, help="take `clip: false` out, or `clamp` the value under `augment`")
+        assert checked.namespace is not None  # there is a task
+        fix = removing(checked.namespace.values.root, ("observation", entry.value.name, "clip"))
+        help = "take `clip: false` out, or `clamp` the value under `augment`"
+        yield Finding("DB601", range_span(checked, entry), headline, help=help, fix=fix)
 
 
 def bounds_mismatch(checked: Checked) -> Iterator[Finding]:
@@ -188,8 +199,10 @@ def bounds_mismatch(checked: Checked) -> Iterator[Finding]:
         known = reach.of(seen.node)
         if known.low >= seen.high or known.high <= seen.low:
             headline = f"`{seen.entry.value.name}` is {between(known, seen.dimension)}, and never within its range"
-            help = "give the range that it has" + (f": `{span_of(known, seen.dimension)}`" if known.finite and not known.single else "")
-            yield Finding("DB602", range_span(checked, seen.entry), headline, help=help)
+            is_known = known.finite and not known.single
+            help = "give the range that it has" + (f": `{span_of(known, seen.dimension)}`" if is_known else "")
+            fix = another_range(checked, seen, known, seen.dimension) if is_known else None
+            yield Finding("DB602", range_span(checked, seen.entry), headline, help=help, fix=fix)
 
 
 def once(found: Iterator[Seen]) -> Iterator[Seen]:

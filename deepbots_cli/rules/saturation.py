@@ -14,7 +14,7 @@ from deepbots_cli.lang.dimensions import ACCELERATION
 from deepbots_cli.lang.intervals import Interval, exact
 from deepbots_cli.lang.scalar import Name, Scalar, World, children
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
-from deepbots_cli.rules.observation import Seen, numbers_seen, once, range_span
+from deepbots_cli.rules.observation import Seen, another_range, numbers_seen, once, range_span
 from deepbots_cli.rules.reach import Kept, Reach, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.thresholds import Threshold, thresholds
@@ -137,11 +137,13 @@ def _edge(seen: Seen, threshold: Threshold, reach: Reach) -> float:
 def _unseen(checked: Checked, book: Book, sight: Sight, ending: Valued, comparison: Comparison) -> Finding:
     assert checked.namespace is not None  # as the caller found
     seen, name = sight.seen, sight.seen.entry.value.name
-    help = "let it go on beyond the limit: widen its range, or what it is clamped to"
+    help, fix = "let it go on beyond the limit: widen its range, or what it is clamped to", None
     if book.identity(seen.node) == book.identity(sight.threshold.quantity):
         headline = f"`{name}` is seen no further than {figure(sight.edge, seen.dimension)}, and the episode fails"
         headline += f" at {figure(sight.threshold.limit, seen.dimension)}"
-        help = f"let its range go beyond the limit, as `{span_of(_wide(seen, sight.threshold), seen.dimension)}` does"
+        wide = _wide(seen, sight.threshold)
+        help = f"let its range go beyond the limit, as `{span_of(wide, seen.dimension)}` does"
+        fix = another_range(checked, seen, wide, seen.dimension)
     elif (dimension := sight.threshold.dimension) is not None:
         headline = f"`{name}` stays the same from {figure(sight.edge, dimension)} on, and the episode fails"
         headline += f" at {figure(sight.threshold.limit, dimension)}"
@@ -151,7 +153,8 @@ def _unseen(checked: Checked, book: Book, sight: Sight, ending: Valued, comparis
     if comparison.value.owner:
         text = checked.namespace.values.text(tuple(comparison.value.owner.split(".")))
         place = text.part(comparison.node.start, comparison.node.end)
-    return Finding("DB603", range_span(checked, seen.entry), headline, help=help, also=(Label(place, f"`{ending.name}` ends it here"),))
+    also = (Label(place, f"`{ending.name}` ends it here"),)
+    return Finding("DB603", range_span(checked, seen.entry), headline, help=help, also=also, fix=fix)
 
 
 def _wide(seen: Seen, threshold: Threshold) -> Interval:
@@ -212,7 +215,8 @@ def _gravity(checked: Checked, book: Book) -> Iterator[Finding]:
         headline = f"`{seen.entry.value.name}` ends at {figure(seen.high if reading > 0 else seen.low, ACCELERATION)}"
         headline += f", and at rest its {axis} is {figure(reading, ACCELERATION)}"
         help = f"let its range hold gravity, as `{span_of(wide, ACCELERATION)}` does"
-        yield Finding("DB611", range_span(checked, seen.entry), headline, help=help)
+        fix = another_range(checked, seen, wide, ACCELERATION)
+        yield Finding("DB611", range_span(checked, seen.entry), headline, help=help, fix=fix)
 
 
 def _at_rest(book: Book, leaf: Scalar) -> float | None:

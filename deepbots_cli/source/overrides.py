@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics import Findings, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.source import files
 from deepbots_cli.source.merge import follow, replace
@@ -70,7 +70,9 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[Path, Scal
             return ("parameters", dotted), _key(path, start, end), []
         if dotted not in root.entries and (near := nearest(dotted, parameters.entries, 0.75)):
             help = f"did you mean `{near}`?"
-            findings.add("DB201", path.part(start, end), f"there is no parameter `{dotted}`", help=help)
+            place = path.part(start, end)
+            fix = Fix.replacing(place, dotted, near, safe=False)
+            findings.add("DB201", place, f"there is no parameter `{dotted}`", help=help, fix=fix)
             return None
     steps, reached, rest = follow(root, dotted)
     at = start + len(dotted) - len(rest)

@@ -79,7 +79,7 @@ def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, s
     assert path.read_text() == CARTPOLE
 
 
-@pytest.mark.parametrize("comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB702]\n"])
+@pytest.mark.parametrize("comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB703]\n"])
 def test_a_suppression_of_nothing_is_taken_out(deepbots, scenario, comment):
     path = scenario(CARTPOLE.replace("  alive: 1\n", f"  alive: 1{comment}"))
     assert deepbots("lint", "a.yaml", "--fix", "--fail-on", "warning").code == 0
@@ -243,3 +243,22 @@ def test_options_that_do_not_go_together_are_refused(deepbots, scenario, words):
 def test_lint_says_how_many_findings_can_be_fixed(deepbots, scenario):
     scenario(faulty(("  timestep:", "  timestop:"), ("pole_hinge}", "pole_hnge}")))
     assert deepbots("lint", "a.yaml").err == "1 can be fixed by --fix, 1 more by --unsafe-fixes\n"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        ("observation: {cart.pole_angle: -0.23 .. 0.23 rad}", "observation: {cart.pole_angle: -18 .. 18 deg}"),
+        ("observation: {cart.pole_angle: 80 .. 100 deg}", "observation: {cart.pole_angle: -74.48 .. 74.48 deg}"),
+        ("world: {gravity: 0 0 9.81 m/s^2}", "world: {gravity: 0 0 -9.81 m/s^2}"),
+        ("evaluation: {cases: {steep: {set: {fall_angel: 12 deg}}}}", "evaluation: {cases: {steep: {set: {fall_angle: 12 deg}}}}"),
+    ],
+)
+def test_a_figure_that_the_help_names_is_a_guess_that_may_be_taken(deepbots, scenario, tmp_path, wrong, right):
+    scenario(CARTPOLE)
+    upon = tmp_path / "b.yaml"
+    upon.write_text(f"deepbots: 1\nextends: a.yaml\n{wrong}\n")
+    deepbots("lint", "b.yaml", "--fix")
+    assert wrong in upon.read_text()
+    assert deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes", "--fail-on", "warning").code == 0
+    assert upon.read_text() == f"deepbots: 1\nextends: a.yaml\n{right}\n"
