@@ -111,7 +111,9 @@ class Fix:
 
     @classmethod
     def replacing(cls, span: Span, old: str, new: str, *, safe: bool) -> Fix | None:
-        """`new` for `old`, where that stands at `span` as it is: neither folded nor written with escapes."""
+        """`new` for `old`, where that stands at `span` as it is, in quotes perhaps: neither folded nor written with escapes."""
+        if span.text in (f'"{old}"', f"'{old}'") and not set(new) & set("\"'\\"):
+            span = Span(span.source, span.start + 1, span.end - 1)
         return cls((Edit(span, new),), safe) if span.text == old else None
 
 

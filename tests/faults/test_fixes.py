@@ -1,0 +1,105 @@
+"""What fixes leave behind: the text that was meant, every comment, no new mistake, and nothing more to fix."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cli.mending import Mender
+from deepbots_cli.diagnostics import Finding
+from tests.faults.injected import ROOT, everything, sources
+from tests.faults.trying import Project
+
+GOLDEN = ROOT / "tests" / "golden" / "lint"
+TOP_LEVEL = re.compile(r"^(?=[a-z]\w*:)", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
+    return Project(tmp_path_factory.mktemp("project"))
+
+
+@pytest.fixture(scope="module")
+def folder(project: Project) -> Path:
+    """A copy of the scenarios with mistakes, in which every section has a comment above it."""
+    copy = project.scenarios.parent / "lint"
+    shutil.copytree(GOLDEN, copy)
+    for path in copy.glob("err/*.yaml"):
+        text = path.read_bytes().decode()
+        if "deepbots: ignore" not in text:
+            numbers = iter(range(1000))
+            path.write_bytes(TOP_LEVEL.sub(lambda _, count=numbers: f"# remark {next(count)}\n", text).encode())
+    return copy
+
+
+def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
+    whole = {path.name: path.read_text(encoding="utf-8") for path in sources()}
+    typos = [case for case in everything() if case.kind.startswith("typo") and case.style == "plain"]
+    unfixed = []
+    for case in typos[::3]:
+        (found,) = project.errors(case)
+        if found.fix is None:
+            unfixed.append(case)
+        else:
+            assert applied(found, case.text) == whole[case.source], (case.source, found.headline)
+    assert len(unfixed) < len(typos) / 60, [(case.source, case.kind, case.at) for case in unfixed]
+
+
+def test_a_misspelt_name_in_quotes_is_put_right_between_them(project: Project) -> None:
+    typos = [case for case in everything() if case.kind == "typo in a joint or link" and case.style in ("single-quoted", "double-quoted")]
+    for case in typos[::3]:
+        (found,) = project.errors(case)
+        assert found.fix is not None
+        mended = applied(found, case.text)
+        assert mended[: case.at] == case.text[: case.at]
+        assert mended.endswith(case.text[case.until :])
+
+
+def test_a_second_run_finds_nothing_to_do_and_comments_stay(folder: Path) -> None:
+    mended = 0
+    for path in sorted(folder.glob("err/*.yaml")):
+        before = api.lint(path)
+        if not any(finding.fix for finding in before):
+            continue
+        text = path.read_text(encoding="utf-8")
+        rewrites = Mender([str(path)], unsafe=True).mend()
+        for rewrite in rewrites:
+            rewrite.path.write_bytes(rewrite.after)
+        mended += bool(rewrites)
+        again = Mender([str(path)], unsafe=True)
+        assert again.mend() == [], path.name
+        assert len(errors(again.left)) <= len(errors(before)), path.name
+        left = path.read_text(encoding="utf-8")
+        assert re.findall("# remark.*", left) == re.findall("# remark.*", text), path.name
+        for finding in again.left:  # what has a fix still has one that would do harm
+            if finding.fix is not None and finding.span.source.text == left:
+                path.write_text(applied(finding, left), encoding="utf-8")
+                assert {(found.code, found.headline) for found in errors(api.lint(path))} - {
+                    (f.code, f.headline) for f in errors(again.left)
+                }
+                path.write_text(left, encoding="utf-8")
+        for rewrite in rewrites:
+            rewrite.path.write_bytes(rewrite.before)
+    assert mended > 30
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in (ROOT / "scenarios").glob("*.yaml")))
+def test_a_shipped_scenario_has_nothing_to_fix(project: Project, name: str) -> None:
+    assert Mender([str(project.scenarios / name)], unsafe=True).mend() == []
+
+
+def errors(findings: list[Finding] | tuple[Finding, ...]) -> list[Finding]:
+    return [finding for finding in findings if finding.severity == "error"]
+
+
+def applied(finding: Finding, text: str) -> str:
+    """`text` after the edits of a finding's fix."""
+    assert finding.fix is not None
+    for edit in sorted(finding.fix.edits, key=lambda edit: edit.span.start, reverse=True):
+        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
+    return text
