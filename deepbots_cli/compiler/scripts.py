@@ -76,11 +76,11 @@ class _Reader:
         if not part.components:
             self._values.findings.add("DB103", key, f"several values, where `{part.name}` is one", help=self._example(part.name))
             return None
-        for name in given:
-            if name not in part.components:
-                self._values.unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
+        strange = [name for name in given if name not in part.components]
+        for name in strange:
+            self._values.unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
         for name in part.components:
-            if name not in given:
+            if name not in given and not strange:  # otherwise it probably stands there under another name
                 headline = f"the script `{place[1]}` does not decide `{name}` of `{part.name}`"
                 self._values.findings.add("DB102", key, headline, help="give a value for each component, or one for all")
         aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]

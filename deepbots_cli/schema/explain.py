@@ -17,7 +17,7 @@ from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, Sequence
 from deepbots_cli.source.traps import GIVE_A_VALUE
 
 _SHOWN = 40
-_EXEMPLARY = 60
+_EXEMPLARY = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
 
@@ -155,6 +155,9 @@ def wanted(data: object, path: Path) -> str:
     told = about(data, path)
     if told is not None and told.startswith(f"`{path[-1]}`"):
         return told
+    kinds = spec_at(Scenario, data, path[:-1], settled=False)
+    if isinstance(kinds, Kinds) and path[-1] == kinds.key:
+        return f"it is one of {_listed(kinds.names)}"
     holder = spec_at(Scenario, data, path[:-1])
     if not isinstance(holder, Mapped):
         return GIVE_A_VALUE

@@ -265,6 +265,11 @@ class Expression(Leaf):
     def example(self) -> str:
         return "abs(x) > 0.4 m" if self.boolean else "2 * speed"
 
+    def help_for(self, value: object) -> str | None:
+        if isinstance(value, list) and self.context == "apply":
+            return "for a value each, give every joint an actuator of its own, or the action `each: robot.actuator`"
+        return super().help_for(value)
+
     def holds(self, value: object) -> bool:
         if isinstance(value, bool):
             return self.boolean is not False

@@ -53,6 +53,14 @@ FAULTS = [
     ),
     ("alive: 1", "alive: [1]", "DB103", "[1]", "expected a mapping or an expression, found a list", None),
     (
+        "{wheels: drive * wheel_speed}",
+        "{wheels: [1, 2]}",
+        "DB103",
+        "[1, 2]",
+        "expected an expression, found a list",
+        "an actuator of its own",
+    ),
+    (
         "fallen:    abs(cart.pole_angle) > fall_angle",
         "fallen: 3",
         "DB103",
@@ -217,6 +225,7 @@ UNFINISHED = [
     ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "as in `emit: [pole_angle]`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n", "eye", "write it like `{type: joint_position}`"),
     ("world:\n  lines: {track: }\n", "track", "its keys are `through`, `closed`, `width`"),
+    ("robots:\n  bot:\n    urdf: rover\n    sensors:\n      eye:\n        type:\n", "type", "one of `joint_position`, `joint_velocity`"),
 ]
 
 
