@@ -94,7 +94,7 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
 @pytest.mark.parametrize(
     ("gone", "said"),
     [
-        (("pygls",), "everything works but the language server"),
+        (("pygls",), "everything works but the language server, which needs the extra that is missing"),
         ((), "everything works"),
         (("torch",), "linting and simulating work; training needs the extra that is missing"),
         (("pybullet", "torch"), "linting works; simulating and training need the extras that are missing"),
