@@ -10,7 +10,7 @@ VERBS: Mapping[str, str] = {
     "lint": "Say everything that is wrong with scenarios.",
     "explain": "Say what a finding means, why it matters and what to write instead.",
     "fmt": "Put scenario files into the canonical layout.",
-    "lsp": "Serve an editor: findings as you type, completion, explanations, fixes.",
+    "lsp": "Serve an editor: findings as you type, completion, fixes.",
     "inspect": "Show what a scenario means: spaces, messages, reward, timing.",
     "run": "Run episodes without a trained policy, and show the reward terms.",
     "compile": "Print the Python that a scenario is compiled to.",

@@ -16,7 +16,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Serve an editor: findings as you type, completion, explanations, fixes.
+    """Serve an editor: findings as you type, completion, fixes.
 
     Any editor that speaks the language server protocol starts it by itself, and talks to it over standard input and output.
     It completes keys, names and functions, tells types, units and ranges, and leads to definitions.
