@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 INF = math.inf
 
 
-@dataclass(frozen=True)
-class Interval:
-    """All numbers from `low` to `high`, both included; either may be infinite."""
+class Interval(NamedTuple):
+    """All numbers from `low` to `high`, both included; either may be infinite.
+
+    Rules make thousands for each scenario, and making a tuple takes half of the time of making a frozen dataclass.
+    """
 
     low: float = -INF
     high: float = INF
 
-    def __contains__(self, value: float) -> bool:
-        return self.low <= value <= self.high
+    def __contains__(self, value: Any) -> bool:
+        return bool(self.low <= value <= self.high)
 
     @property
     def finite(self) -> bool:
