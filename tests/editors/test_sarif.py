@@ -1,0 +1,40 @@
+"""What `--format sarif` writes, against the schema of the standard; `make editors` says where that is."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cli.reports import report
+from deepbots_cli.diagnostics import Finding
+
+pytestmark = pytest.mark.editors
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "lint"
+
+
+@pytest.fixture(scope="session")
+def schema() -> jsonschema.Draft7Validator:
+    place = os.environ.get("SARIF_SCHEMA")
+    if place is None:
+        pytest.skip("`make editors` installs the schema and runs this")
+    return jsonschema.Draft7Validator(json.loads(Path(place).read_text(encoding="utf-8")))
+
+
+def sarif(findings: list[Finding]) -> object:
+    return json.loads(report(findings, "sarif", (), ("error",)))
+
+
+def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(schema: jsonschema.Draft7Validator) -> None:
+    findings = [finding for path in sorted(GOLDEN.glob("err/*.yaml")) for finding in api.lint(path, preview=True)]
+    assert len(findings) > 200
+    assert [error.message for error in schema.iter_errors(sarif(findings))] == []
+
+
+def test_no_findings_are_told_in_valid_sarif(schema: jsonschema.Draft7Validator) -> None:
+    assert [error.message for error in schema.iter_errors(sarif([]))] == []
