@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.nearest import nearest
@@ -23,7 +23,7 @@ FailOn = Literal["error", "warning", "never"]
 _TABLES = (("deepbots.toml", ("lint",)), ("pyproject.toml", ("tool", "deepbots", "lint")))
 # How `tool.deepbots` can be written: most projects say nothing of it, and are spared a parser.
 _TOOL = re.compile(rb"\btool\W{0,9}deepbots|^\s*\[\W*tool\W*\]", re.MULTILINE)
-_WORDS = {"format": ("full", "concise", "json", "github", "sarif", "junit"), "fail-on": ("error", "warning", "never")}
+_WORDS: dict[str, tuple[str, ...]] = {"format": get_args(Format), "fail-on": get_args(FailOn)}
 
 
 @dataclass(frozen=True)

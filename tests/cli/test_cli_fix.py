@@ -262,3 +262,11 @@ def test_a_figure_that_the_help_names_is_a_guess_that_may_be_taken(deepbots, sce
     assert wrong in upon.read_text()
     assert deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes", "--fail-on", "warning").code == 0
     assert upon.read_text() == f"deepbots: 1\nextends: a.yaml\n{right}\n"
+
+
+def test_a_difference_takes_no_format_since_it_holds_no_findings(deepbots, scenario):
+    scenario(CARTPOLE)
+    for option in (["--json"], ["--format", "sarif"]):
+        ran = deepbots("lint", "a.yaml", "--diff", *option)
+        assert (ran.code, ran.out) == (2, "")
+        assert "--diff shows the change and no findings" in ran.err

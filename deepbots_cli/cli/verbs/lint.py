@@ -95,6 +95,8 @@ def command(
     changes = False
     if fix or diff or unsafe_fixes:
         _check_fixing(fix, diff, sets, names)
+        if diff and (as_json or format):
+            raise UsageError("--diff shows the change and no findings, so it takes no --format")
         findings, changes = _mended(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
