@@ -19,7 +19,7 @@ from deepbots_cli.lang.size import MAX_SIZE, size
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Constant, Invocation, Redraw, Typed, TypedRange, Vector
 from deepbots_cli.lang.types import PLANE, SPACE, Components, Report, Scope, Stage, Type
-from deepbots_cli.lang.units import suggest_unit
+from deepbots_cli.lang.units import multiple, suggest_unit
 
 _NUMBERED = {Family.STATEFUL, Family.DRAW}
 
@@ -216,12 +216,12 @@ class _Checker:
                 f"to multiply, write `*` before `{name.dotted}`",
             )
             return True
-        meant = suggest_unit(name.dotted)
-        help = (
-            f"did you mean `{meant.text}`?"
-            if meant
-            else "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
-        )
+        meant, scaled = suggest_unit(name.dotted), multiple(name.dotted)
+        help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
+        if meant is not None:
+            help = f"did you mean `{meant.text}`?"
+        elif scaled is not None:
+            help = f"give it in {scaled[1]}: 1 {name.dotted} is {scaled[0]:g} {scaled[1]}"
         self._report("DB501", name.start, name.end, f"unknown unit `{name.dotted}`", help, meant=meant)
         return True
 

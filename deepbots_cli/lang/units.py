@@ -135,12 +135,24 @@ _LOOSE = frozenset({"rads", "nm"})
 """More than one radian, or nanometres, may be meant as well."""
 
 
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+
+
 def suggest_unit(name: str) -> Meant | None:
     """The unit that was probably meant by the unknown `name`; certain where that is its name written out."""
     known = name if name in _MEANT else name.lower()
     if known in _MEANT:
         return Meant(_MEANT[known], known not in _LOOSE)
+    if multiple(name) is not None:
+        return None  # the unit without its prefix would be another figure
+    if len(name) > 1 and known in UNITS:
+        return Meant(known, safe=False)
     from difflib import get_close_matches  # only on the way to a finding: its import costs 4 ms; here case tells apart: m, M
 
     close = get_close_matches(name, UNITS, n=1)
     return Meant(close[0], safe=False) if close else None
+
+
+def multiple(name: str) -> tuple[float, str] | None:
+    """The multiple of a known unit that `name` is, as `mrad` is 0.001 rad; the language has a few of them only."""
+    return (_PREFIXES[name[0]], name[1:]) if name[:1] in _PREFIXES and name[1:] in UNITS else None

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.lang.dimensions import ANGLE, FORCE, FREQUENCY, LENGTH, NUMBER, SPEED, TIME, TORQUE, Dimension
-from deepbots_cli.lang.units import UNITS, suggest_unit
+from deepbots_cli.lang.units import UNITS, multiple, suggest_unit
 
 exponents = st.integers(-4, 4) | st.fractions(-2, 2, max_denominator=4)
 dimensions = st.builds(Dimension, exponents, exponents, exponents, exponents)
@@ -101,3 +101,15 @@ def test_a_misspelt_unit_is_recognised(bench, typed, meant):
 
 def test_a_force_is_a_mass_times_an_acceleration(bench):
     assert bench.clean("2 kg * 3 m/s^2 + 1 N").type.dimension == FORCE
+
+
+@pytest.mark.parametrize(("typed", "unit"), [("mrad", "rad"), ("um", "m"), ("uN", "N")])
+def test_a_multiple_of_a_unit_is_never_taken_for_the_unit(typed, unit):
+    assert suggest_unit(typed) is None
+    found = multiple(typed)
+    assert found is not None
+    assert found[1] == unit
+
+
+def test_a_unit_in_capitals_is_the_unit():
+    assert suggest_unit("KG") == ("kg", False)
