@@ -17,6 +17,7 @@ _OFTEN = 0.5
 _FEW = 100
 """Steps; of fewer nothing is concluded."""
 _ROUNDING = 1e-6
+"""As a share of a range."""
 
 
 def observation_outside_space(probed: Probed) -> Iterator[Finding]:
@@ -96,7 +97,8 @@ def _value(probed: Probed, number: Number) -> float:
 
 def _real(probed: Probed, number: Number) -> float:
     low, high = number.entry.low[number.component], number.entry.high[number.component]
-    return low + (_value(probed, number) + 1.0) / 2.0 * (high - low)
+    value = low + (_value(probed, number) + 1.0) / 2.0 * (high - low)
+    return value if abs(value) > _ROUNDING * (high - low) else 0.0
 
 
 RULES = {"DB607": observation_outside_space, "DB608": constant_observation, "DB611": observation_saturates}
