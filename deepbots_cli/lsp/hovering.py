@@ -7,6 +7,7 @@ import re
 from lsprotocol import types
 
 from deepbots_cli.compiler.inventory import Named, definition, names
+from deepbots_cli.compiler.scopes import RobotScope
 from deepbots_cli.lang import syntax
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.units import UNITS
@@ -16,6 +17,7 @@ from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.pointing import Piece, Pointed, piece, pointed
 from deepbots_cli.schema.fields import Leaf, Pattern, Reference
 from deepbots_cli.schema.part import Kinds, Mapped
+from deepbots_cli.source import Scalar, descend
 
 _CODE = re.compile(r"DB\d{3}")
 _LONGEST = 300
@@ -129,9 +131,21 @@ def _kinds(view: View, found: Pointed) -> Kinds | None:
 def _of_own_name(view: View, found: Pointed) -> str | None:
     """A name that is defined there, and what is known of its value."""
     checked = view.analysis.checked if view.analysis else None
-    known = checked.namespace.definitions.values() if checked is not None and checked.namespace is not None else ()
-    defined = next((one for one in known if one.path == found.path and one.symbol is not None), None)
-    return f"`{found.text}`: {defined.origin.value}, {of_symbol(defined.symbol)}" if defined and defined.symbol else None
+    if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
+        return None
+    defined = next((one for one in checked.namespace.definitions.values() if one.path == found.path and one.symbol is not None), None)
+    if defined is not None and defined.symbol is not None:
+        return f"`{found.text}`: {defined.origin.value}, {of_symbol(defined.symbol)}"
+    if found.path[:1] == ("robots",) and found.path[2:3] == ("sensors",):
+        boards = (reading.scope for reading in view.analysis.readings if isinstance(reading.scope, RobotScope))
+        own = next((board.own[found.text] for board in boards if board.robot == found.path[1] and found.text in board.own), None)
+        return f"`{found.text}`: a sensor, {of_symbol(own)}" if own is not None else None
+    node, _, steps = descend(checked.document.root, found.path)
+    if steps < len(found.path) or not isinstance(node, Scalar):
+        return None
+    span = node.part(0, len(node.text))
+    read = next((reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None)
+    return f"`{found.text}`: {of_type(read.trees[0].type)}" if read is not None else None
 
 
 def _of_value(view: View, found: Pointed) -> str | None:

@@ -37,7 +37,9 @@ def test_expressions_tell_type_unit_and_interval(client, pit, around, said):
         ("emit: [gy¦ro", ["a sensor"]),
         ("escap¦ed: reach", ["an ending", "a truth value"]),
         ("rea¦ch:  running", ["a signal", "a length (m), at least 0 m"]),
-        ("prog¦ress: delta", ["a name of your choice"]),
+        ("prog¦ress: delta", ["a plain number", "different in every step"]),
+        ("sensors: {gy¦ro:", ["a sensor", "an angular velocity (rad/s)", "x, y, z"]),
+        ("forw¦ard_only:", ["a name of your choice"]),
     ],
 )
 def test_keys_and_words_tell_what_they_are_for(client, pit, around, said):
