@@ -6,6 +6,7 @@ options.py   arguments that several verbs share
 terminal.py  what goes to stdout and stderr, and when in colour
 outlets.py   stdout and stderr whose reader may be gone
 tables.py    aligned columns
+words.py     keys and functions, as `explain` tells of them
 folders.py   which files of a folder are scenarios
 linting.py   what `lint` looks at          reports.py   its formats
 settings.py  how a project wants it

@@ -93,3 +93,27 @@ def test_explaining_needs_no_extra():
     block = "".join(f"sys.modules['{name}'] = None; " for name in ("numpy", "gymnasium", "pybullet", "torch", "rich"))
     code = f"import sys; {block}from deepbots_cli.cli import main; sys.exit(main(['explain', 'DB603']))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def test_a_key_is_explained_with_where_it_stands_its_unit_and_an_example(deepbots):
+    ran = deepbots("explain", "through")
+    assert ran.code == 0
+    assert "`world.lines.<name>`" in ran.out
+    assert "The points of the line in the ground plane." in ran.out
+    assert "in m, required" in ran.out
+    assert "For example: through: [" in ran.out
+
+
+def test_a_function_is_explained_with_its_arguments_and_an_example(deepbots):
+    assert deepbots("explain", "beside").out.splitlines()[0] == "beside(body, line): a function"
+
+
+def test_a_word_that_is_key_and_function_is_explained_as_both(deepbots):
+    said = deepbots("explain", "position").out
+    assert "position(body): a function" in said
+    assert "position: a key of" in said
+
+
+def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
+    said = " ".join(deepbots("explain", "type").out.split())
+    assert "type: a key of `robots.<name>.actuators.<name>` Its kind, one of velocity_motor, position_motor" in said

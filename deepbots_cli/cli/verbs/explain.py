@@ -11,6 +11,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.cli.words import explained
 from deepbots_cli.diagnostics import Rule
 from deepbots_cli.diagnostics.registry import Retired, unknown, with_prefix
 from deepbots_cli.errors import UsageError
@@ -18,23 +19,29 @@ from deepbots_cli.rules.pages import pages_of
 
 
 def command(
-    finding: Annotated[str, typer.Argument(metavar="[CODE|NAME]", help="A code, the beginning of codes such as DB6, or a name.")] = "",
+    finding: Annotated[
+        str, typer.Argument(metavar="[CODE|NAME]", help="A code, the beginning of codes such as DB6, a name, a key or a function.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Say what a finding means, why it matters and what to write instead.
 
-    Without a code, all findings are listed.
+    Without a code, all findings are listed. A key of the language or one of its functions is explained as well.
 
     \b
       deepbots explain DB603
       deepbots explain saturates-before-termination
       deepbots explain DB7
+      deepbots explain through
       deepbots explain
     """
     found = with_prefix(finding)
     if not found:
-        raise UsageError(unknown(finding))
-    if as_json:
+        lines = [] if as_json else explained(finding)
+        if not lines:
+            raise UsageError(unknown(finding))
+        terminal.say("\n".join(map(_wrapped, lines)))
+    elif as_json:
         terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
     elif len(found) > 1:
         terminal.say(table([_row(entry) for entry in found], indent=""))
