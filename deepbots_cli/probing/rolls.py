@@ -318,6 +318,6 @@ def _infinite(environment: Supervisor) -> list[str]:
 
 def _lines(error: BaseException) -> list[str]:
     """The lines of the generated module in which an expression had no value, the innermost first."""
-    cause = error.__cause__ or error
-    frames = [frame for frame in traceback.extract_tb(cause.__traceback__) if frame.filename.startswith("<deepbots")]
-    return [frame.line or "" for frame in reversed(frames)]
+    raised = [error.__cause__, error] if error.__cause__ else [error]
+    frames = [frame for each in raised for frame in reversed(traceback.extract_tb(each.__traceback__))]
+    return [frame.line or "" for frame in frames if frame.filename.startswith("<deepbots")]

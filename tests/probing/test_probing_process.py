@@ -32,6 +32,8 @@ def hoard(supervisor):
         kept = bytearray(2 ** 40)
     except MemoryError:
         import os; os._exit(77)
+def fail(supervisor):
+    return 1 / (supervisor.step_count - 2)
 def shout(supervisor):
     import os; os.write(1, b'{"done": true}\\n~99\\n'); print("{"); return 0.0
 """
@@ -89,6 +91,12 @@ def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> No
     assert "after 1 s of CPU time" in probed.left
     probed = probe(checked(), limits=Limits(wall=0.01))
     assert (probed.findings, probed.left) == ([], "while the world was built, after 0.01 s")
+
+
+def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
+    found = only(probe(checked("fail"), limits=TIGHT))
+    assert (found.code, found.span.text) == ("DB707", "hostile:fail")
+    assert "ZeroDivisionError" in found.notes[1]
 
 
 def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> None:
