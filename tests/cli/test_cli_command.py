@@ -122,7 +122,7 @@ def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(
 def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr(api, "lint", lambda *_, **__: 1 // 0)
+    monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
     ran = deepbots("lint", "cartpole")
     assert ran.code == 3
     assert "ZeroDivisionError" in ran.err
@@ -135,7 +135,7 @@ def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypa
 
 def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
     monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
-    monkeypatch.setattr(api, "lint", lambda *_, **__: 1 // 0)
+    monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         deepbots("lint", "cartpole")
 
