@@ -23,12 +23,15 @@ class Payments:
         self.terms = tuple((term, self.book.scalars(term)[0]) for term in task.reward if term.foreign is None)
         self.is_whole = len(self.terms) == len(task.reward)
         self._steps = (1.0, float(self.book.last))
-        self._running = Reach(self.book, self._holding(None, False), self._steps)
+        self._running: dict[tuple[float, float], Reach] = {}
         self._at = {ending: Reach(self.book, self._holding(ending, ending is None), self._steps) for ending in (*task.endings, None)}
 
     def running(self, steps: tuple[float, float] | None = None) -> Reach:
         """In a step that ends nothing."""
-        return Reach(self.book, self._holding(None, False), steps) if steps else self._running
+        steps = steps or self._steps
+        if steps not in self._running:
+            self._running[steps] = Reach(self.book, self._holding(None, False), steps)
+        return self._running[steps]
 
     def at(self, ending: TaskEnding | None) -> Reach:
         """In the step in which this ending holds, and no other; None for the limit that cuts an episode short."""

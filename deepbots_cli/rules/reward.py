@@ -141,7 +141,9 @@ def term_dominates(checked: Checked) -> Iterator[Finding]:
     if not 0.0 < most < INF:
         return
     for term, node in ordinary:
-        if payments.running().of(node).single:
+        known = payments.running().of(node)
+        largest = max(abs(known.low), abs(known.high)) * payments.book.last * payments.task.agent.repeat
+        if known.single or largest <= _DWARFED * most:  # what it adds up to block by block is no more than that
             continue
         least = _least(payments, node)
         if least > _DWARFED * most:

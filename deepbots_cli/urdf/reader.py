@@ -11,17 +11,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
-from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics import Finding, Findings, Label, Source, Span
 from deepbots_cli.urdf import checks, parts, vocabulary, xml
-from deepbots_cli.urdf.mesh import Meshes, ResolveMesh, beside
+from deepbots_cli.urdf.mesh import Meshes, Refusal, ResolveMesh, beside
 from deepbots_cli.urdf.model import Joint, Mesh, RobotModel
 from deepbots_cli.urdf.report import Report, quoted
 from deepbots_cli.urdf.xml import Element
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
+_SMALL = 64 * 1024
 MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
 
 
@@ -63,6 +65,30 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
     """The same for a file that is already in memory."""
+    known = _remembered(data, display) if len(data) <= _SMALL else None
+    if known is None:
+        return _read(data, display, findings, resolve_mesh)
+    file, found = known
+    for finding in found:
+        findings.append(finding)
+    return file
+
+
+@lru_cache(maxsize=32)
+def _remembered(data: bytes, display: str) -> tuple[RobotFile | None, tuple[Finding, ...]] | None:
+    """What comes of a small file, which a folder of scenarios and the cases of one read again; None where meshes have a say."""
+    asked: list[str] = []
+
+    def resolve(reference: str) -> Refusal:
+        asked.append(reference)
+        return Refusal("not looked for")
+
+    findings = Findings()
+    file = _read(data, display, findings, resolve)
+    return None if asked else (file, tuple(findings))
+
+
+def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh) -> RobotFile | None:
     source = _decode(data, display, findings)
     if source is None:
         return None
