@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepbots_cli import api
+from deepbots_cli.cli.mending import Mender
+from deepbots_cli.diagnostics import Finding
 from tests.fuzz.mutations import CORPUS, PIECES, READS, SEEDS, Case, case
 from tests.fuzz.mutations import ROOT as REPOSITORY
 from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
@@ -34,6 +37,28 @@ def test_findings_are_the_same_under_another_hash_seed(bench: Workbench) -> None
 
 def test_a_number_always_gives_the_same_damage() -> None:
     assert [case(number) for number in range(50)] == [case(number) for number in range(50)]
+
+
+def test_fixing_a_damaged_file_does_no_harm_and_leaves_nothing_to_do(bench: Workbench) -> None:
+    fixed = 0
+    for number in range(200):
+        damaged = case(number)
+        with bench.laid_out(damaged):
+            before = errors(api.lint(damaged.main, preview=True))
+            rewrites = Mender([str(damaged.main)], unsafe=True, preview=True).mend()
+            for rewrite in rewrites:
+                rewrite.path.write_bytes(rewrite.after)
+            again = Mender([str(damaged.main)], unsafe=True, preview=True)
+            assert again.mend() == [], number
+            assert errors(again.left) <= before, number
+            for rewrite in rewrites:
+                rewrite.path.write_bytes(rewrite.before)
+        fixed += bool(rewrites)
+    assert fixed > 10
+
+
+def errors(findings: Sequence[Finding]) -> int:
+    return sum(finding.severity == "error" for finding in findings)
 
 
 DAMAGE = st.lists(

@@ -80,7 +80,7 @@ class Workbench:
             FailedError: Something does not hold.
         """
         number = damaged.number
-        with self._laid_out(damaged):
+        with self.laid_out(damaged):
             findings = self._linted(damaged)
             _check_places(findings)
             if number % 100 == 0:
@@ -98,7 +98,8 @@ class Workbench:
         return findings
 
     @contextlib.contextmanager
-    def _laid_out(self, damaged: Case) -> Iterator[None]:
+    def laid_out(self, damaged: Case) -> Iterator[None]:
+        """The damaged file stands in its place, and the whole one again behind."""
         whole = damaged.file.read_bytes()
         damaged.file.write_bytes(damaged.data)
         try:
