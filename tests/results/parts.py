@@ -205,7 +205,7 @@ LINTING = Part(
     title="What lint finds, and what it withstands",
     prose="""\
 Mistakes put into scenarios (`tests/faults`): the one finding has to begin and end where the mistake does, to the character, with its code,
-and nothing else may be told. Damaged files (`tests/fuzz`, of which `make fuzz COUNT=500000` tries more): no exception, the same findings
+and nothing else may be told. Damaged files (`tests/fuzz`; `make fuzz` tries more): no exception, the same findings
 when asked again, the right exit code, and what has no error compiles. Hostile files (`tests/hostile`): bombs, depth, size, meshes and
 pictures that lie, paths that lead outside.""",
     tables=(Benchmark("injected_faults"), Benchmark("damaged_files"), Benchmark("hostile_files")),
