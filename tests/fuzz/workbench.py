@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -44,8 +45,13 @@ class _TooLong(BaseException):
 
 
 def peak_memory() -> int:
-    """Bytes of memory that this process held at most."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    """Bytes of memory that this process held at most.
+
+    On Linux `ru_maxrss` would begin with the peak of the process that started this one.
+    """
+    status = Path("/proc/self/status")
+    held = re.search(r"^VmHWM:\s*(\d+) kB", status.read_text(encoding="utf-8"), re.MULTILINE) if status.exists() else None
+    return 1024 * (int(held[1]) if held else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 class Workbench:
