@@ -11,7 +11,7 @@ from deepbots_cli.lang.intervals import INF, Interval, hull
 from deepbots_cli.lang.scalar import Name, Scalar, World, children
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
-from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, reach_of
+from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, Supposing, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import between
 from deepbots_cli.task import Task, TaskEnding
@@ -134,7 +134,7 @@ def _within(payments: Payments, steps: tuple[float, float]) -> Reach:
     ordinary = payments.total(list(payments.terms), payments.running())
     ticks = steps[1] * payments.task.agent.repeat
     known = Interval(min(0.0, ordinary.low * ticks), max(0.0, ordinary.high * ticks)) if payments.is_whole else Interval()
-    return Reach(payments.book, {"episode_return": known}, steps)
+    return Supposing(payments.book, {"episode_return": known}, steps)
 
 
 def _before(payments: Payments, step: int) -> Reach:
@@ -142,7 +142,7 @@ def _before(payments: Payments, step: int) -> Reach:
     ordinary = payments.total(list(payments.terms), payments.running())
     ticks = float((step - 1) * payments.task.agent.repeat)
     known = Interval(ordinary.low * ticks, ordinary.high * ticks) if payments.is_whole and ordinary.finite else Interval()
-    return Reach(payments.book, {"episode_return": known}, (float(step), float(step)))
+    return Supposing(payments.book, {"episode_return": known}, (float(step), float(step)))
 
 
 def _two_limits(checked: Checked) -> Iterator[Finding]:

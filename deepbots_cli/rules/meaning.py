@@ -14,7 +14,7 @@ from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
 from deepbots_cli.ir import Sensor
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.lower import Lowering, Scalars, lower
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World, names_in
 from deepbots_cli.lang.scalar import children as parts
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.lang.types import Stage, Symbol, Type
@@ -65,6 +65,7 @@ class Book:
             self._defined |= {"achieved": (task.goal.achieved, ""), "desired": (task.goal.desired, "")}
             self._defined["goal_reached"] = (_reached(task.goal), "")
         self._scalars: dict[str, dict[str | None, Scalar]] = {}
+        self._behind: dict[Name, frozenset[str]] = {}
         self._lowered: dict[str, _Lowered] = {}
         self._learnt: dict[tuple[int, str], Typed] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
@@ -111,6 +112,15 @@ class Book:
             self._scalars[node.name] = dict(zip(names, parts, strict=False))
         known = self._scalars[node.name]
         return known[node.component] if node.component in known else next(iter(known.values()))
+
+    def names_behind(self, node: Name) -> frozenset[str]:
+        """The names that a value depends on, and its own."""
+        found = self._behind.get(node)
+        if found is None:
+            meant = self.definition(node)
+            further = [] if meant is None else [self.names_behind(name) for name in names_in(meant)]
+            found = self._behind[node] = frozenset((node.name,)).union(*further)
+        return found
 
     def _learn(self, typed: Typed, robot: str) -> None:
         """Note the intervals of the names in a tree."""

@@ -10,7 +10,7 @@ from deepbots_cli.lang import intervals as iv
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Scalar
 from deepbots_cli.rules.meaning import book_of
-from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach
+from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, Supposing
 from deepbots_cli.task import Task, TaskEnding, Valued
 
 
@@ -24,13 +24,13 @@ class Payments:
         self.is_whole = len(self.terms) == len(task.reward)
         self._steps = (1.0, float(self.book.last))
         self._running: dict[tuple[float, float], Reach] = {}
-        self._at = {ending: Reach(self.book, self._holding(ending, ending is None), self._steps) for ending in (*task.endings, None)}
+        self._at = {ending: Supposing(self.book, self._holding(ending, ending is None), self._steps) for ending in (*task.endings, None)}
 
     def running(self, steps: tuple[float, float] | None = None) -> Reach:
         """In a step that ends nothing."""
         steps = steps or self._steps
         if steps not in self._running:
-            self._running[steps] = Reach(self.book, self._holding(None, False), steps)
+            self._running[steps] = Supposing(self.book, self._holding(None, False), steps)
         return self._running[steps]
 
     def at(self, ending: TaskEnding | None) -> Reach:

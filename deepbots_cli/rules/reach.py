@@ -119,14 +119,28 @@ class Kept(Reach):
         self._quantity = quantity
         self._kept = kept
 
-    def of(self, node: Scalar) -> Interval:
-        return self._kept if self.book.identity(node) == self._quantity else super().of(node)
+    def _of(self, node: Scalar) -> Interval:
+        return self._kept if self.book.identity(node) == self._quantity else super()._of(node)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def reach_of(book: Book, steps: tuple[float, float] | None = None) -> Reach:
     """How far values reach in the given steps, for all rules that ask no more."""
     return Reach(book, steps=steps)
+
+
+class Supposing(Reach):
+    """What values are if the names in `given` have these values. What they have no part in is worked out once, whatever is supposed."""
+
+    def __init__(self, book: Book, given: Mapping[str, Interval], steps: tuple[float, float] | None = None) -> None:
+        super().__init__(book, given, steps)
+        self._anyhow = reach_of(book, steps)
+        self._supposed = given.keys()
+
+    def _name(self, node: Name) -> Interval:
+        if node not in self._known and self.book.names_behind(node).isdisjoint(self._supposed):
+            self._known[node] = self._anyhow.of(node)
+        return super()._name(node)
 
 
 def _sum(*terms: Interval) -> Interval:

@@ -12,7 +12,7 @@ from deepbots_cli.lang.scalar import Scalar, State, walk
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
-from deepbots_cli.rules.reach import NEVER, Kept, Reach, reach_of
+from deepbots_cli.rules.reach import NEVER, Kept, Reach, Supposing, reach_of
 from deepbots_cli.rules.thresholds import Threshold, is_clock, thresholds
 from deepbots_cli.task import TaskEnding, Valued
 
@@ -189,7 +189,7 @@ def inactive_term(checked: Checked) -> Iterator[Finding]:
     for task in versions(checked):
         book = book_of(task)
         given = {ending.value.name: Interval(0.0, 1.0) for ending in task.endings}  # one that never holds is DB801
-        reach = Reach(book, given, (1.0, float(book.last)))
+        reach = Supposing(book, given, (1.0, float(book.last)))
         zero = {term.name for term in task.reward if term.foreign is None and reach.of(book.scalars(term)[0]) == NEVER}
         silent = zero if silent is None else silent & zero
     book = book_of(checked.task)
