@@ -14,7 +14,7 @@ from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
 from deepbots_cli.ir import Sensor
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.lower import Lowering, Scalars, lower
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World, names_in
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World, walk
 from deepbots_cli.lang.scalar import children as parts
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.lang.types import Stage, Symbol, Type
@@ -22,6 +22,7 @@ from deepbots_cli.task import Task, TaskGoal, TaskRobot, Valued
 from deepbots_cli.urdf.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
+_LASTING = ("duration", "integral")
 
 
 class Comparison(NamedTuple):
@@ -37,6 +38,10 @@ class _Lowered(Lowering):
     def __init__(self, owner: str) -> None:
         super().__init__(owner)
         self._known: dict[int, tuple[Typed, Scalars]] = {}
+
+    def __contains__(self, value: Typed) -> bool:
+        """Whether it was lowered before, alone or as part of another."""
+        return id(value) in self._known
 
     def scalars(self, value: Typed) -> Scalars:
         known = self._known.get(id(value))
@@ -87,8 +92,12 @@ class Book:
 
     def lowered(self, typed: Typed, owner: str) -> tuple[Scalar, ...]:
         """What a tree of the supervisor computes, per component; the same objects each time."""
-        self._learn(typed, "")
-        return self._lowered.setdefault(owner, _Lowered(owner)).scalars(typed)
+        lowering = self._lowered.get(owner)
+        if lowering is None:
+            lowering = self._lowered[owner] = _Lowered(owner)
+        if typed not in lowering:
+            self._learn(typed, "")
+        return lowering.scalars(typed)
 
     def meaning(self, node: Scalar) -> Scalar:
         """What a name stands for, through all names that only rename; any other tree is what it is."""
@@ -105,21 +114,26 @@ class Book:
             return None
         if node.name not in self._scalars:
             value, robot = self._defined[node.name]
-            self._learn(value.typed, robot)
-            found = lower(value.typed, value.owner)
-            parts = [self._on_board(part, robot) for part in found] if robot else found
-            names = value.components if len(found) > 1 else (None,)
+            parts = self._of_robot(value, robot) if robot else self.scalars(value)
+            names = value.components if len(parts) > 1 else (None,)
             self._scalars[node.name] = dict(zip(names, parts, strict=False))
         known = self._scalars[node.name]
         return known[node.component] if node.component in known else next(iter(known.values()))
 
+    def _of_robot(self, value: Valued, robot: str) -> Scalars:
+        """What a value on board of a robot computes, per component."""
+        self._learn(value.typed, robot)
+        return tuple(self._on_board(part, robot) for part in lower(value.typed, value.owner))
+
     def names_behind(self, node: Name) -> frozenset[str]:
-        """The names that a value depends on, and its own."""
+        """The names that a value depends on, its own among them, and `time` where it depends on how long something lasts."""
         found = self._behind.get(node)
         if found is None:
             meant = self.definition(node)
-            further = [] if meant is None else [self.names_behind(name) for name in names_in(meant)]
-            found = self._behind[node] = frozenset((node.name,)).union(*further)
+            inside = list(walk(meant)) if meant is not None else []
+            further = [self.names_behind(part) for part in inside if isinstance(part, Name)]
+            lasting = any(isinstance(part, State) and part.function in _LASTING for part in inside)
+            found = self._behind[node] = frozenset((node.name, "time") if lasting else (node.name,)).union(*further)
         return found
 
     def _learn(self, typed: Typed, robot: str) -> None:

@@ -126,19 +126,21 @@ class Kept(Reach):
 @lru_cache(maxsize=16)
 def reach_of(book: Book, steps: tuple[float, float] | None = None) -> Reach:
     """How far values reach in the given steps, for all rules that ask no more."""
-    return Reach(book, steps=steps)
+    return Reach(book) if steps is None else Supposing(book, _NOTHING, steps)
 
 
 class Supposing(Reach):
-    """What values are if the names in `given` have these values. What they have no part in is worked out once, whatever is supposed."""
+    """What values are in these steps if the names in `given` have these values.
 
-    def __init__(self, book: Book, given: Mapping[str, Interval], steps: tuple[float, float] | None = None) -> None:
+    What neither has a part in is worked out once, whatever is supposed.
+    """
+
+    def __init__(self, book: Book, given: Mapping[str, Interval], steps: tuple[float, float]) -> None:
         super().__init__(book, given, steps)
-        self._anyhow = reach_of(book, steps)
-        self._supposed = given.keys()
+        self._anyhow = reach_of(book)
 
     def _name(self, node: Name) -> Interval:
-        if node not in self._known and self.book.names_behind(node).isdisjoint(self._supposed):
+        if node not in self._known and self.book.names_behind(node).isdisjoint(self.given):
             self._known[node] = self._anyhow.of(node)
         return super()._name(node)
 

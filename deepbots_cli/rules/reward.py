@@ -304,8 +304,10 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
             if is_clock(payments.book, asked.quantity):
                 continue
             pay = payments.total(list(payments.terms), Staying(running, quantity, kept)).low
+            if pay <= 0.0:
+                continue
             prize = payments.total(list(payments.terms), Staying(payments.at(success), quantity, kept)).high
-            if pay > 0.0 and pay * horizon(payments) > prize:
+            if pay * horizon(payments) > prize:
                 headline = f"staying just short of `{success.value.name}` pays {pay:.3g} in every step, and reaching it {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
                 help = "pay for coming nearer, as `-10 * delta(distance) / m` does, or let the success pay more than the steps that it ends"
