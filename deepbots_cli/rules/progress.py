@@ -79,15 +79,25 @@ def _away(payments: Payments, ordinary: list[tuple[Valued, Scalar]], ending: Tas
         if is_clock(payments.book, asked.quantity):
             continue
         slope = Slope(payments.book, running, asked)
-        slopes = [(term, slope.of(node)) for term, node in ordinary]
-        wrong = -1.0 if asked.above else 1.0
-        if all(found in (0.0, wrong) for _, found in slopes) and any(found == wrong for _, found in slopes):
-            for term, found in slopes:
-                if found == wrong:
-                    headline = f"`{term.name}` pays less the nearer `{ending.value.name}` comes"
-                    also = (Label(ending.value.span, "success asks for the opposite"),)
-                    yield Finding("DB703", term.span, headline, help="turn the sign round", also=also)
+        wrong = _going(slope, ordinary, -1.0 if asked.above else 1.0)
+        for term in wrong:
+            headline = f"`{term.name}` pays less the nearer `{ending.value.name}` comes"
+            also = (Label(ending.value.span, "success asks for the opposite"),)
+            yield Finding("DB703", term.span, headline, help="turn the sign round", also=also)
+        if wrong:
             return
+
+
+def _going(slope: Slope, terms: list[tuple[Valued, Scalar]], way: float) -> list[Valued]:
+    """The terms with this slope; none if another has the opposite, or one that is not known."""
+    found: list[Valued] = []
+    for term, node in terms:
+        known = slope.of(node)
+        if known == way:
+            found.append(term)
+        elif known != 0.0:
+            return []
+    return found
 
 
 def _is_joined(book: Book, ending: TaskEnding) -> bool:
