@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
 from dataclasses import dataclass, replace
+from operator import is_
 from pathlib import Path
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
@@ -168,15 +169,15 @@ class _Reader:
                 return node
             case Sequence():
                 items = tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items)
-                return Sequence(node.span, items)
+                return node if all(map(is_, items, node.items)) else Sequence(node.span, items)
             case Mapping():
-                entries = {
-                    key: Entry(entry.key, self.expanded(entry.value, folder, chain, depth + 1))
-                    for key, entry in node.entries.items()
-                    if key != "include"
-                }
-                siblings = replace(node, entries=entries)
                 include = node.entries.get("include")
+                others = {key: entry for key, entry in node.entries.items() if key != "include"}
+                values = {key: self.expanded(entry.value, folder, chain, depth + 1) for key, entry in others.items()}
+                if include is None and all(values[key] is entry.value for key, entry in others.items()):
+                    return node  # as most are
+                entries = {key: Entry(entry.key, values[key]) for key, entry in others.items()}
+                siblings = replace(node, entries=entries)
                 if include is None:
                     return siblings
                 included = self.referenced(include, folder, chain)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
+@cache
 def data_dir() -> Path:
     """The folder that holds `scenarios` and `robots`."""
     package = Path(__file__).resolve().parents[1]
