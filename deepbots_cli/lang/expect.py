@@ -87,6 +87,8 @@ def expect_range(
 
 
 def _in_dimension(value: Typed, dimension: Dimension, what: str, report: Report) -> Typed | None:
+    if value.type.dimension == dimension:
+        return value
     if (bare(value) and dimension in _BARE_MEANS_SI) or agree.has_dimension(value, dimension, what, report):
         return value._replace(type=value.type._replace(dimension=dimension))
     return None

@@ -55,7 +55,9 @@ def parse(text: str, report: Report) -> Node | None:
         report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"at most {MAX_LENGTH} are read")
         return None
     try:
-        tree = _remembered(text) if len(text) <= _SHORT else _Parser(text).text()
+        if len(text) <= _SHORT:
+            return _remembered(text)  # each level takes a character at least, so that it cannot be too deep
+        tree = _Parser(text).text()
     except ExpressionError as fault:
         report(fault.code, fault.start, fault.end, fault.headline, fault.help, meant=fault.meant)
         return None
