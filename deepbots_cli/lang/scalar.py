@@ -75,7 +75,7 @@ Scalar = Const | Name | World | Op | State | Draw
 
 def children(scalar: Scalar) -> tuple[Scalar, ...]:
     """The arguments of an operation, a state or a draw; nothing below the others."""
-    return scalar.args if isinstance(scalar, Op | State | Draw) else ()
+    return scalar.args if isinstance(scalar, (Op, State, Draw)) else ()
 
 
 def names_in(scalar: Scalar) -> list[Name]:

@@ -6,7 +6,7 @@ millions of operations; a checked expression stays below `MAX_SIZE`.
 
 from __future__ import annotations
 
-from deepbots_cli.lang.typed import Invocation, Typed, Vector, children
+from deepbots_cli.lang.typed import Constant, Invocation, Reference, Typed, Vector, children
 
 MAX_SIZE = 10_000
 # The arithmetic of the largest world function, per component of its result.
@@ -18,6 +18,8 @@ _ROTATION_READS = 3
 def size(node: Typed) -> int:
     """An upper bound of the number of operations over all components, itself cut off at twice `MAX_SIZE`."""
     own = len(node.type.components) if node.type.components else 1
+    if isinstance(node, (Constant, Reference)):
+        return min(own, 2 * MAX_SIZE)
     of_world = isinstance(node, Invocation) and bool(node.subjects)
     repeated = _ROTATION_READS if of_world else 1
     total = own * (_WORLD_SIZE if of_world else 1)

@@ -115,11 +115,11 @@ class Redraw(NamedTuple):
 
 def children(node: Typed) -> tuple[Typed, ...]:
     match node:
+        case Constant() | Reference():  # first, since most are
+            return ()
         case Pick(value=value):
             return (value,)
         case Operation(args=args) | Invocation(args=args):
             return args
         case Vector(items=items):
             return items
-        case _:
-            return ()
