@@ -121,7 +121,7 @@ def _roots(folder: Path, sets: Texts[str], allowed: Iterable[Path]) -> tuple[Pat
             raise UsageError(f"there is no folder {path} that could be read from; --allow-path names a folder outside the project")
     # A path typed on the command line is the user's own, and relative to where they stand.
     own = [roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
-    return tuple(dict.fromkeys(path.resolve() for path in (*own, *shipped.data_roots(), *allowed)))
+    return tuple(dict.fromkeys((*own, *shipped.data_roots(), *(path.resolve() for path in allowed))))
 
 
 class _Reader:

@@ -140,7 +140,7 @@ class _Composer:
         node: Node | None
         if isinstance(event, ScalarEvent):
             node = self.scalar(event)
-            if node.style == "plain" and isinstance(node.value, str | int):
+            if node.style == "plain" and isinstance(node.value, (str, int)):
                 scalars.warn(node.text, node.span, self.findings)
             elif node.value == math.inf or node.value == -math.inf:
                 self.findings.add("DB105", node.span, "the number is too large to compute with", help="write a smaller number")
@@ -273,7 +273,7 @@ class _Composer:
         return isinstance(event, CollectionStartEvent) and bool(event.flow_style)
 
     def tagged(self, event: Event) -> bool:
-        if not isinstance(event, ScalarEvent | CollectionStartEvent) or event.tag is None:
+        if not isinstance(event, (ScalarEvent, CollectionStartEvent)) or event.tag is None:
             return False
         mark = _TAG.search(self.text, begin(event))
         span = Span(self.source, *mark.span()) if mark else self.span(event)

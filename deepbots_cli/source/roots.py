@@ -58,9 +58,10 @@ def display(path: Path) -> str:
 def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused:
     """The file that `reference`, written in a file of the folder `base`, stands for.
 
-    Symbolic links are followed before it is compared with the `roots`, so a link leads no further than a path.
+    Symbolic links are followed before it is compared with the `roots`, in which they are followed already, so a link leads no
+    further than a path.
     """
-    roots = tuple(root.resolve() for root in roots)
+    roots = tuple(roots)
     path = base / reference.replace("\0", "\ufffd")
     try:
         path = path.resolve()
