@@ -67,6 +67,8 @@ def suppress(
 
 
 def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
+    if "ignore" not in source.text:  # a hundred times faster than to look for comments, and true of most files
+        return
     for comment in _COMMENT.finditer(source.text):
         line = source.position(comment.start()).line
         alone = not source.line(line)[: source.position(comment.start()).column - 1].strip()
