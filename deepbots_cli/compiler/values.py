@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as Table
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
@@ -21,8 +20,7 @@ from deepbots_cli.schema.plain import choose_from
 from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend
 
 
-@dataclass(frozen=True)
-class Text:
+class Text(NamedTuple):
     """A text of the scenario: what it says, where each part of it stands, and what its field takes."""
 
     text: str
