@@ -154,7 +154,7 @@ start about a twentieth is the interpreter, a fifth typer, a third making some 1
 folder, about half is reading and typing its expressions and its robot, an eighth its YAML, a third the rules, most of that how far values
 reach in an episode. It took twice as long before rules shared what they work out, texts and robot files were remembered, and names let go
 of at once, and another eighth more before values that nothing supposed has a part in were worked out once; no function that is left takes a
-twentieth of it by itself. Beside one busy process it has taken 2.8 to 3.6 s. In the same way the quadruped has come out at 1.12 to 1.23,
+twentieth of it by itself. Beside one busy process it has taken 2.8 to 3.6 s. Beside such, the quadruped has come out at 1.12 to 1.23,
 and FindBallRandom at 1.28 to 1.36: what it remembers of the way is worked out in every step.""",
     tables=tuple(map(Benchmark, ("step_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
 )
