@@ -14,7 +14,7 @@ from tests.results.parts import PARTS, Part
 from tests.results.places import Places
 from tests.results.section import lines_of
 from tests.results.standing import Standing
-from tests.results.tables import measured_on, table, wrapped
+from tests.results.tables import count, measured_on, number, table, wrapped
 
 Experiments = Mapping[str, Experiment]
 Tables = Mapping[str, Mapping[str, Any]]
@@ -109,14 +109,18 @@ def _lines_of_part(part: Part, measured: Mapping[str, Any]) -> list[str]:
         rows = [(row["what"], _counted(row), f"`{entry['command']}`") for entry, row in known]
         lines += table(("what", part.figure, "command"), rows)
     else:
-        rows = [
-            (row["what"], row["bar_words"].rstrip(), f"{row['measured']:.3g} {row['unit']}".rstrip(), _verdict(row)) for _, row in known
-        ]
+        rows = [(row["what"], row["bar_words"].rstrip(), f"{_figure(row)} {row['unit']}".rstrip(), _verdict(row)) for _, row in known]
         lines += table(("what", "bar", part.figure, "met"), rows)
         lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
     if missing := [entry.command for entry in part.tables if entry.name not in measured]:
         lines += ["", *wrapped(f"Not measured: {', '.join(f'`{command}`' for command in missing)}.")]
     return [*lines, "", f"`make results PART={part.name}`", "", *measured_on(measured.values()), ""]
+
+
+def _figure(row: Mapping[str, Any]) -> str:
+    """Counts are exact, other figures have three digits."""
+    value = row["measured"]
+    return count(int(value)) if value == int(value) else number(value, 3)
 
 
 def _verdict(row: Mapping[str, Any]) -> str:
