@@ -208,7 +208,8 @@ LINTING = Part(
 Mistakes put into scenarios (`tests/faults`): the one finding has to begin and end where the mistake does, to the character, with its code,
 and nothing else may be told. Damaged files (`tests/fuzz`; `make fuzz` tries more): no exception, the same findings
 when asked again, the right exit code, and what has no error compiles. Hostile files (`tests/hostile`): bombs, depth, size, meshes and
-pictures that lie, paths that lead outside.""",
+pictures that lie, paths that lead outside. The half million was linted before rules and readers were last made faster; of what came
+out of that 60 000 more were tried, from number 1 005 000 on, and none failed.""",
     tables=(Benchmark("injected_faults"), Benchmark("damaged_files"), Benchmark("hostile_files")),
 )
 PARTS = (COSTS, PHYSICS, CHANNEL, LINTING, HOLDS)
