@@ -2,7 +2,8 @@
 
 In a round every fix that overlaps no other is made at once. Where that brings new errors, halves of them are tried
 until those that do are found, and left out. Rounds follow until one changes nothing, since a fix may uncover the next,
-and so a second run finds nothing to do.
+and so a second run finds nothing to do. An error inside of the entry that was fixed is none that the fix brings: as long as
+the entry could not be understood, nobody could tell.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import files, roots, shipped
 from deepbots_cli.source.load import NO_DRAFTS, Drafts
-from deepbots_cli.source.nodes import to_data
+from deepbots_cli.source.nodes import Mapping, around, to_data
 from deepbots_cli.source.parse import parse
 
 _ROUNDS = 10
@@ -29,17 +30,32 @@ _LOOKS = 150
 _MOST_AT_ONCE = 500
 _BOM = b"\xef\xbb\xbf"
 
+_OF_TWO_ENTRIES = frozenset({"DB002", "DB202"})
+"""That a name is taken is a matter of two entries: it was free as long as it was misspelt."""
+
 _OF_ONE_SCENARIO = frozenset({"DB205", "DB901"})
 """What this scenario does not use, another one that reads the same file may."""
 
 
+Said = tuple[str, str, str]
+"""A finding by its file, its code and its headline."""
+
+
 @dataclass(frozen=True)
 class Seen:
-    """What is wrong with one scenario, and the files that it was read from, itself first."""
+    """What is wrong with one scenario, and the files that it was read from, itself first.
+
+    `root` is None where it cannot be read, and it is `understood` where rules have looked at it.
+    """
 
     findings: Sequence[Finding]
     files: dict[Path, Source]
-    readable: bool
+    root: Mapping | None
+    understood: bool
+
+    @property
+    def readable(self) -> bool:
+        return self.root is not None
 
     @cached_property
     def own(self) -> dict[Source, Path]:
@@ -84,15 +100,16 @@ class Mender:
         self._looks = _LOOKS
         self.drafts: dict[Path, bytes] = dict(drafts)
         self.fixed: list[Finding] = []
+        self._uncovered: Counter[Said] = Counter()
         self._seen = {name: self._look(name, self.drafts) for name in names}
 
     def mend(self) -> list[Rewrite]:
         """Fix what can be fixed; the files that would change by it."""
         for name, start in list(self._seen.items()):
-            kept = dict(self.drafts), dict(self._seen), list(self.fixed)
+            kept = dict(self.drafts), dict(self._seen), list(self.fixed), Counter(self._uncovered)
             self._mend(name, patient=True)
-            if start.readable and _new(self._seen[name], start):  # an error that a fix uncovered has stayed
-                self.drafts, self._seen, self.fixed = kept
+            if start.readable and _counted(_new(self._seen[name], start)) - self._uncovered:  # an error that a fix brought has stayed
+                self.drafts, self._seen, self.fixed, self._uncovered = kept
                 self._mend(name, patient=False)
         return [Rewrite(path, self._originals[path], data) for path, data in self.drafts.items() if data != self._originals[path]]
 
@@ -104,7 +121,7 @@ class Mender:
     def _look(self, name: str, drafts: Drafts) -> Seen:
         checked = api.load(name, allow_paths=self._allow_paths, allow_code=self._allow_code, drafts=drafts)
         document = checked.document
-        return Seen(api.review(checked, preview=self._preview), document.files, document.root is not None)
+        return Seen(api.review(checked, preview=self._preview), document.files, document.root, checked.task is not None)
 
     def _mend(self, name: str, *, patient: bool) -> None:
         """Rounds until one changes nothing. With `patient`, an error that has a fix itself may come out of a fix."""
@@ -122,8 +139,9 @@ class Mender:
         while waiting and self._looks:
             fixes = waiting.pop()
             self._looks -= 1
-            edited = self._edited(start, [*accepted, *fixes])
-            seen = self._harmless(name, fixes, {**base, **edited}, set(edited), patient) if fixes else None
+            edits = sorted((edit for finding in (*accepted, *fixes) for edit in _edits(finding)), key=lambda edit: edit.span.start)
+            edited = self._edited(start, edits)
+            seen = self._harmless(name, fixes, {**base, **edited}, edits, patient) if fixes else None
             if seen is not None:
                 accepted += fixes
                 self.drafts, self._seen = {**base, **edited}, {**self._seen, **seen}
@@ -133,8 +151,9 @@ class Mender:
         return accepted
 
     def _chosen(self, seen: Seen) -> list[Finding]:
-        """Findings whose fixes may be tried together. As long as there are errors, what warnings say may follow from them."""
-        possible = [finding for finding in seen.errors or seen.findings if self._is_possible(finding, seen)]
+        """Findings whose fixes may be tried together. What warnings say may follow from errors that keep rules from looking."""
+        solid = seen.findings if seen.understood else seen.errors
+        possible = [finding for finding in solid if self._is_possible(finding, seen)]
         chosen: list[Finding] = []
         ends: dict[Source, int] = {}
         for finding in islice(sorted(possible, key=lambda finding: finding.sort_key), _MOST_AT_ONCE):
@@ -153,12 +172,11 @@ class Mender:
             return False
         return finding.code != "DB901" or _keeps_values(finding)
 
-    def _edited(self, seen: Seen, fixes: Iterable[Finding]) -> dict[Path, bytes]:
-        """What the files come to hold by `fixes`, all of which were found in the same look."""
+    def _edited(self, seen: Seen, edits: Iterable[Edit]) -> dict[Path, bytes]:
+        """What the files come to hold by `edits`, all of which were found in the same look."""
         by_source: dict[Source, list[Edit]] = {}
-        for finding in fixes:
-            for edit in _edits(finding):
-                by_source.setdefault(edit.span.source, []).append(edit)
+        for edit in edits:
+            by_source.setdefault(edit.span.source, []).append(edit)
         return {seen.own[source]: self._mark(seen.own[source], source) + _applied(source, edits) for source, edits in by_source.items()}
 
     def _mark(self, path: Path, source: Source) -> bytes:
@@ -170,9 +188,11 @@ class Mender:
             self._originals[path] = data
         return _BOM if self._originals[path].startswith(_BOM) else b""
 
-    def _harmless(self, name: str, fixes: list[Finding], drafts: Drafts, touched: set[Path], patient: bool) -> dict[str, Seen] | None:
-        """All scenarios that read a file of `touched`, looked at again; None if one is worse off, or a finding is still there."""
+    def _harmless(self, name: str, fixes: list[Finding], drafts: Drafts, edits: list[Edit], patient: bool) -> dict[str, Seen] | None:
+        """All scenarios that read an edited file, looked at again; None if one is worse off, or a finding is still there."""
         looks: dict[str, Seen] = {}
+        touched = {path for path, data in drafts.items() if data != self.drafts.get(path)}
+        uncovered: list[Finding] = []
         for other, before in self._seen.items():
             if other != name and touched.isdisjoint(before.files):
                 continue
@@ -183,13 +203,16 @@ class Mender:
                     return None
                 continue
             new = _new(after, before)
-            if patient and other == name:
-                new = [finding for finding in new if not self._is_possible(finding, after)]
+            if other == name:
+                uncovered = _uncovered(new, after, edits)
+                new = [finding for finding in new if finding not in uncovered and not (patient and self._is_possible(finding, after))]
             if new or not after.readable:
                 return None
         if self._seen[name].readable:
             still = _counted(fixes) & (_counted(looks[name].findings) - (_counted(self._seen[name].findings) - _counted(fixes)))
-            return None if still else looks
+            if still:
+                return None
+        self._uncovered += _counted(uncovered)
         return looks
 
 
@@ -212,7 +235,23 @@ def _keeps_values(finding: Finding) -> bool:
     return before is not None and after is not None and to_data(before) == to_data(after)
 
 
-def _counted(findings: Iterable[Finding]) -> Counter[tuple[str, str, str]]:
+def _uncovered(new: Iterable[Finding], after: Seen, edits: list[Edit]) -> list[Finding]:
+    """Of new errors those inside of entries that were edited; `edits` stand in the order of their places."""
+    entries = []
+    shift: Counter[Source] = Counter()
+    for edit in edits:
+        source, start = edit.span.source, edit.span.start + shift[edit.span.source]
+        shift[source] += len(edit.text) - (edit.span.end - edit.span.start)
+        entries.append(around(after.root, source.name, start, start + len(edit.text)) if after.root else None)
+    return [
+        finding
+        for finding in new
+        if finding.code not in _OF_TWO_ENTRIES
+        and any(entry and finding.span.source is entry.source and entry.start <= finding.span.start <= entry.end for entry in entries)
+    ]
+
+
+def _counted(findings: Iterable[Finding]) -> Counter[Said]:
     """Findings by what they say, since fixes elsewhere move them."""
     return Counter((finding.span.source.name, finding.code, finding.headline) for finding in findings)
 

@@ -66,6 +66,7 @@ from deepbots_cli.schema.walk import visit
 from deepbots_cli.source import Document
 from deepbots_cli.source.nodes import Mapping as Tree
 from deepbots_cli.source.nodes import descend
+from deepbots_cli.source.scalars import as_a_number
 from deepbots_cli.task import Task, Valued
 
 __all__ = ["Checked", "check"]
@@ -145,8 +146,8 @@ def _joined(findings: Findings) -> Findings:
         if error is not None:
             notes.setdefault(id(error), []).append(warning.headline)
             absorbed.add(id(warning))
-            if warning.code == "DB004" and warning.fix is not None:
-                fixes[id(error)] = warning.fix
+            if warning.code == "DB004" and (fix := as_a_number(warning.span)):
+                fixes[id(error)] = fix
     joined = Findings()
     for found in everything:
         if id(found) not in absorbed:

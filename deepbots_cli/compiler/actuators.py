@@ -11,6 +11,7 @@ from deepbots_cli.compiler.matching import expand, joints_of, links_of, unmatche
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.lang.intervals import exact
 from deepbots_cli.lang.types import SPACE, Components
 from deepbots_cli.schema.actuators import Actuator, Cartesian, Gripper, Motor, PositionMotor, Thrust, VelocityMotor
 from deepbots_cli.source.nodes import Path
@@ -136,10 +137,10 @@ class Actuators:
         for joint in joints:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
-                headline = (
-                    f"a position of {position:g} {joint_dimension(joint)}, where the robot file allows {reach.low:g} .. {reach.high:g}"
-                )
-                self._values.findings.add("DB304", self._values.span(place), headline, help=f"keep to the limits of `{joint.name}`")
+                from deepbots_cli.compiler.confines import Confines  # only on the way to a finding
+
+                confines = Confines(self._values, self._values.text(place), joint_dimension(joint), reach)
+                confines.report("a position of", exact(position), f"keep to the limits of `{joint.name}`")
                 return
 
     def _thrust(self, name: str, spec: Thrust, figures: Figures) -> Driven | None:

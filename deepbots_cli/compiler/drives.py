@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from deepbots_cli import ir
@@ -10,6 +11,7 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.variations import figure, figures
 from deepbots_cli.lang.dimensions import NUMBER, TIME, Dimension
+from deepbots_cli.lang.intervals import Interval, exact
 from deepbots_cli.lang.types import Context
 from deepbots_cli.schema.actuators import Actuator
 from deepbots_cli.source.nodes import Path
@@ -74,9 +76,12 @@ class Figures:
         """DB304 for a limit that the robot file undercuts for every joint."""
         known = [most for most in own if most is not None]
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
-            headline = f"a limit of {limit:g} {dimension}, where the robot file allows {max(known):g}"
+            from deepbots_cli.compiler.confines import Confines  # only on the way to a finding
+
+            place = (*self.place, key)
+            confines = Confines(self._values, self._values.text(place), dimension, Interval(-math.inf, max(known)))
             help = f"that of the robot file holds: lower this one, or raise `{key}` under `joints` if the motor can do more"
-            self._values.findings.add("DB304", self._values.span((*self.place, key)), headline, help=help)
+            confines.report("a limit of", exact(limit), help)
 
 
 def _tighter(own: Limits, found: float) -> Limits:

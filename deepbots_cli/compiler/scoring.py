@@ -9,15 +9,17 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.foreign import foreign
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.typed import Typed
 from deepbots_cli.lang.types import Context, Symbol
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskEnding, Valued
 
+_SHOWN = 60
 NO_SUCCESS = "a success rate, where nothing counts as success"
 
 
@@ -91,11 +93,22 @@ def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
             terms.append(foreign(name, given, ("reward", name), namespace, boolean=False))
             continue
         text = namespace.values.text(("reward", name), given)
-        typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD), boolean=False)
-        typed = typed and expect(typed, namespace.values.report(text), "a reward", dimension=NUMBER)
+        typed = _amount(text, namespace)
         if typed is not None:
             terms.append(Valued(name, text.span, text.text, typed, f"reward.{name}"))
     return tuple(terms)
+
+
+def _amount(text: Text, namespace: Namespace) -> Typed | None:
+    """What a term pays."""
+    report = namespace.values.report(text)
+    typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
+    if typed is not None and typed.type.boolean:
+        help = f"say what it is worth, as in `1 when {text.text if len(text.text) <= _SHOWN else '...'}`"
+        worth = "a truth value where a number belongs"
+        report("DB403", 0, len(text.text), worth, help, meant=lambda condition: f"1 when {condition}")
+        return None
+    return typed and expect(typed, report, "a reward", dimension=NUMBER)
 
 
 def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:

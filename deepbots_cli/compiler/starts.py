@@ -9,7 +9,6 @@ from deepbots_cli.compiler.matching import joint_missing
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import TIME, Dimension
-from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol
 from deepbots_cli.schema.plain import choose_from
 from deepbots_cli.schema.reset import JointState
@@ -64,10 +63,8 @@ def _start_value(given: object, path: Path, dimension: Dimension, subject: Subje
         return None
     reach, limits = typed.type.interval, subject.interval
     if dimension == subject.dimension and reach.finite and not reach.inside(limits):
-        headline = f"a start at {_span(reach)} {dimension}, where the robot file allows {_span(limits)}"
-        values.findings.add("DB304", text.span, headline, help="an engine pushes the joint back at once; keep to its limits")
+        from deepbots_cli.compiler.confines import Confines  # only on the way to a finding
+
+        help = "an engine pushes the joint back at once; keep to its limits"
+        Confines(values, text, dimension, limits).report("a start at", reach, help)
     return Valued(str(path[2]), text.span, text.text, typed, ".".join(map(str, path)))
-
-
-def _span(interval: Interval) -> str:
-    return f"{interval.low:.4g}" if interval.single else f"{interval.low:.4g} .. {interval.high:.4g}"

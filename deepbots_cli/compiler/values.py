@@ -14,7 +14,7 @@ from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.expect import expect, expect_range
 from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.typed import Redraw, Typed, TypedRange, zero
-from deepbots_cli.lang.types import Components, NoNames, Report, Scope, Stage
+from deepbots_cli.lang.types import Components, NoNames, Report, Rewriting, Scope, Stage
 from deepbots_cli.schema.fields import Leaf, Quantity
 from deepbots_cli.schema.plain import choose_from
 from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend
@@ -127,10 +127,11 @@ class Values:
             headline: str,
             help: str | None = None,
             notes: tuple[str, ...] = (),
-            meant: Meant | None = None,
+            meant: Meant | Rewriting | None = None,
         ) -> None:
-            span = text.part(start, end)
-            fix = Fix.replacing(span, text.text[start:end], meant.text, safe=meant.safe) if meant else None
+            span, piece = text.part(start, end), text.text[start:end]
+            better = Meant(meant(piece), safe=False) if callable(meant) else meant
+            fix = Fix.replacing(span, piece, better.text, safe=better.safe) if better else None
             self.findings.add(code, span, headline, help=help, notes=notes, fix=fix)
 
         return report

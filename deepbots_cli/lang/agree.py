@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, MASS, NUMBER, TIME, Dimension
+from deepbots_cli.lang.guesses import divided, over
 from deepbots_cli.lang.typed import Constant, Reference, Typed, TypedRange, bare, zero
 from deepbots_cli.lang.types import Components, Report, shown
 
@@ -61,20 +62,19 @@ def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) 
     return first.type.dimension
 
 
-def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report) -> bool:
-    """Whether `value` has `dimension` (a bare zero has any); otherwise DB502 or DB503 about `what`."""
+def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report, *, alone: bool = True) -> bool:
+    """Whether `value` has `dimension` (a bare zero has any); otherwise DB502 or DB503 about `what`.
+
+    `alone` says that no operator stands beside it, which would take hold of what is written behind it.
+    """
     if zero(value) or value.type.dimension == dimension:
         return True
     if bare(value):
         missing_unit(value, dimension, report)
     else:
-        report(
-            "DB503",
-            value.start,
-            value.end,
-            f"{what} is {value.type.words}, not {dimension.words}",
-            _without_unit([value]) or _remedy(value, dimension),
-        )
+        help = _without_unit([value]) or _remedy(value, dimension)
+        meant = divided(value, value.type.dimension) if alone and dimension == NUMBER and not isinstance(value, Constant) else None
+        report("DB503", value.start, value.end, f"{what} is {value.type.words}, not {dimension.words}", help, meant=meant)
     return False
 
 
@@ -113,8 +113,7 @@ def _remedy(value: Typed, needed: Dimension) -> str | None:
 def _towards(given: Dimension, needed: Dimension) -> str | None:
     """What would turn one into the other, where the difference is one plain unit."""
     if needed == NUMBER:
-        divisor = str(given)
-        return f"divide by the unit: `/ ({divisor})`" if "/" in divisor or "*" in divisor else f"divide by the unit: `/ {divisor}`"
+        return f"divide by the unit: `/ {over(given)}`"
     if given == NUMBER:
         return f"give one of its numbers a unit, as in `{example(needed)}`"
     excess = given / needed

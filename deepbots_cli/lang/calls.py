@@ -9,6 +9,7 @@ from deepbots_cli.lang import agree, syntax
 from deepbots_cli.lang.dimensions import NUMBER, Dimension
 from deepbots_cli.lang.foreign import CALLED_ELSEWHERE
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Function, Param, Shape
+from deepbots_cli.lang.guesses import swapped
 from deepbots_cli.lang.intervals import INF, TRUTH, Interval, exact, hull
 from deepbots_cli.lang.names import subject_of, unknown
 from deepbots_cli.lang.table import FUNCTIONS
@@ -262,4 +263,5 @@ def _warn(function: Function, values: tuple[Typed, ...], report: Report) -> None
     elif function.family is Family.DRAW and function.name in ("uniform", "integer"):
         low_end, high_end = values[0].type.interval, values[1].type.interval
         if low_end.low > high_end.high:
-            report("DB105", values[0].start, values[1].end, "a range whose low end is above its high end", "give the low end first")
+            headline, ends = "a range whose low end is above its high end", swapped(values[0], values[1])
+            report("DB105", values[0].start, values[1].end, headline, "give the low end first", meant=ends)

@@ -13,6 +13,7 @@ from deepbots_cli.lang import agree, operators, syntax
 from deepbots_cli.lang.calls import call
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.functions import Family
+from deepbots_cli.lang.guesses import swapped
 from deepbots_cli.lang.intervals import TRUTH, Interval, exact, hull
 from deepbots_cli.lang.names import pick, reference
 from deepbots_cli.lang.size import MAX_SIZE, size
@@ -82,7 +83,8 @@ def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: boo
     if agree.components_of((low, high), tree.start, tree.end, report) is None:
         return None
     if not falling and low.type.interval.low > high.type.interval.high:
-        report("DB105", tree.start, tree.end, "a range whose low end is above its high end", "give the low end first")
+        headline = "a range whose low end is above its high end"
+        report("DB105", tree.start, tree.end, headline, "give the low end first", meant=swapped(tree.low, tree.high))
         return None
     return TypedRange(low, high, tree.start, tree.end)
 

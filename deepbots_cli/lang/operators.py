@@ -107,7 +107,7 @@ def _product(node: syntax.Binary, left: Typed, right: Typed, components: Compone
 
 
 def _power(node: syntax.Binary, left: Typed, right: Typed, components: Components | None, report: Report) -> Operation | None:
-    if not agree.has_dimension(right, NUMBER, "the exponent", report):
+    if not agree.has_dimension(right, NUMBER, "the exponent", report, alone=False):
         return None
     dimension = _raised(left.type.dimension, right, report)
     if dimension is None:

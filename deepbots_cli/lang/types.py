@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from enum import Enum, IntEnum, StrEnum, auto
 from typing import NamedTuple, Protocol
 
@@ -187,6 +187,10 @@ class NoNames(NamedTuple):
         return ()
 
 
+Rewriting = Callable[[str], str]
+"""What to write instead of a piece of text, made of that piece: a good guess."""
+
+
 class Report(Protocol):
     """Takes a finding; `start` and `end` are offsets in the text of the expression, `meant` is what to write between them."""
 
@@ -198,5 +202,5 @@ class Report(Protocol):
         headline: str,
         help: str | None = None,
         notes: tuple[str, ...] = (),
-        meant: Meant | None = None,
+        meant: Meant | Rewriting | None = None,
     ) -> None: ...

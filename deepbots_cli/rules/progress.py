@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.diagnostics import Finding, Fix, Label
+from deepbots_cli.lang.guesses import negated
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Name, Op, Scalar, State
 from deepbots_cli.rules.meaning import Book, book_of
@@ -16,6 +17,7 @@ from deepbots_cli.task import TaskEnding, Valued
 
 _RISING = FOLLOWING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
 """Functions that rise with their first argument."""
+_SHOWN = 60
 _FEELERS = frozenset({"touch", "force", "infrared", "sonar", "laser", "lidar", "camera"})
 """Sensors that may tell of any body."""
 
@@ -56,11 +58,18 @@ def suspicious_sign(checked: Checked) -> Iterator[Finding]:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
                 kind = "a failure" if ending.outcome == "failure" else "a success"
                 also = (Label(ending.value.span, f"{kind} here"),)
-                yield Finding("DB703", term.span, f"`{ending.value.name}` is {kind}, and {verb}", help="turn the sign round", also=also)
+                yield _turn(term, f"`{ending.value.name}` is {kind}, and {verb}", also)
                 break
     successes = [ending for ending in checked.task.endings if ending.outcome == "success"]
     if payments.is_whole and len(successes) == 1:
         yield from _away(payments, ordinary, successes[0])
+
+
+def _turn(term: Valued, headline: str, also: tuple[Label, ...]) -> Finding:
+    turned = negated(term.typed)(term.text)
+    fix = Fix.replacing(term.span, term.text, turned, safe=False)
+    help = f"turn the sign round: `{turned}`" if len(turned) <= _SHOWN else "turn the sign round"
+    return Finding("DB703", term.span, headline, help=help, also=also, fix=fix)
 
 
 def _is_for_others_too(payments: Payments, node: Scalar, ending: TaskEnding) -> bool:
@@ -83,7 +92,7 @@ def _away(payments: Payments, ordinary: list[tuple[Valued, Scalar]], ending: Tas
         for term in wrong:
             headline = f"`{term.name}` pays less the nearer `{ending.value.name}` comes"
             also = (Label(ending.value.span, "success asks for the opposite"),)
-            yield Finding("DB703", term.span, headline, help="turn the sign round", also=also)
+            yield _turn(term, headline, also)
         if wrong:
             return
 

@@ -115,3 +115,22 @@ def walk(node: Node, path: Path = ()) -> Iterator[tuple[Path, Node]]:
         case Mapping():
             for name, entry in node.entries.items():
                 yield from walk(entry.value, (*path, name))
+
+
+def around(node: Node, name: str, start: int, end: int) -> Span | None:
+    """The narrowest entry, or item of a list, that holds this piece of the file `name`; None if none does."""
+    match node:
+        case Mapping():
+            parts = [(entry.key.span, entry.value) for entry in node.entries.values()]
+        case Sequence():
+            parts = [(item.span, item) for item in node.items]
+        case Scalar():
+            return None
+    for first, value in parts:
+        found = around(value, name, start, end)
+        if found:
+            return found
+        last = value.span if value.span.source is first.source else first  # a file of its own stands behind `include`
+        if first.source.name == name and first.start <= start and end <= max(first.end, last.end):
+            return Span(first.source, first.start, max(first.end, last.end))
+    return None

@@ -62,9 +62,21 @@ def warn(text: str, span: Span, findings: Findings) -> None:
     elif text and text[0] in "0123456789+-":
         odd = _odd_number(text)
         if odd:
-            number = _meant_number(text)
-            fix = Fix.replacing(span, text, number, safe=True) if number else None
-            findings.add("DB004", span, odd[0], help=odd[1], fix=fix)
+            headline, help = odd
+            if not _INT.fullmatch(text):
+                help = f"{help}, or put it in quotes if text is meant"
+            findings.add("DB004", span, headline, help=help, fix=_as_it_is_read(text, span))
+
+
+def as_a_number(span: Span) -> Fix | None:
+    """The fix of an odd number where a number is needed, if it can be read in one way only."""
+    number = _meant_number(span.text)
+    return Fix((Edit(span, number),), safe=True) if number else None
+
+
+def _as_it_is_read(text: str, span: Span) -> Fix | None:
+    """The same value in a way that every reader takes alike: where a number is needed, what is text here has an error of its own."""
+    return as_a_number(span) if _INT.fullmatch(text) else Fix((Edit(span, f'"{text}"'),), safe=True)
 
 
 def _odd_number(text: str) -> tuple[str, str] | None:
@@ -83,7 +95,7 @@ def _odd_number(text: str) -> tuple[str, str] | None:
     if _SEXAGESIMAL.fullmatch(text):
         return (
             f"`{text}` is text, though older YAML reads it as a number in base 60",
-            "write a duration with its unit, such as 750 s, or use quotes if text is meant",
+            "write a duration with its unit, such as 750 s",
         )
     if _GROUPS.fullmatch(text):
         return f"`{text}` is text: digits are grouped in threes", f"write {text.replace('_', '')}"

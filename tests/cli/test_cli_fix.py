@@ -176,6 +176,76 @@ def test_a_fix_may_uncover_the_next(deepbots, scenario):
     assert path.read_text() == CARTPOLE
 
 
+def test_a_mistake_that_a_misspelling_hid_is_told_once_that_is_put_right(deepbots, scenario):
+    path = scenario(faulty(("abs(x) > track", "abs(speed) > trak"), ("  timestep: 32 ms", "  timestop: 32 kg")))
+    ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    assert path.read_text() == faulty(("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg"))
+    assert "DB503[dimension-mismatch]: a speed (m/s) meets a length (m)" in ran.out
+    assert ran.code == 1
+
+
+def test_a_number_in_odd_groups_stays_the_text_that_it_is(deepbots, scenario):
+    path = scenario(CARTPOLE.replace("summary: Keep a free pole upright by driving a four-wheeled cart back and forth.", "summary: 10_00"))
+    assert deepbots("lint", "a.yaml", "--fix", "--fail-on", "warning").code == 0
+    assert 'summary: "10_00"\n' in path.read_text()
+
+
+GUESSES = [
+    ("reward: {alive: abs(x) < track}", "reward: {alive: 1 when abs(x) < track}"),
+    ("reward: {alive: -speed}", "reward: {alive: -speed / (m/s)}"),
+    ("reward: {alive: track - abs(x) when not fallen}", "reward: {alive: (track - abs(x)) / m when not fallen}"),
+    ("reward: {alive: exp(abs(x) - track)}", "reward: {alive: exp((abs(x) - track) / m)}"),
+    ("observation: {x: 0.4 .. -0.4 m}", "observation: {x: -0.4 .. 0.4 m}"),
+    ("observation: {x: 0.4 m .. -40 cm}", "observation: {x: -40 cm .. 0.4 m}"),
+    ("parameters: {track: 0.39 m}\nobservation: {x: track .. -track}", "parameters: {track: 0.39 m}\nobservation: {x: -track .. track}"),
+    ("reset: {set: {cart.pole_hinge: uniform(1 .. -1 deg)}}", "reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}"),
+]
+
+
+GUESSES += [
+    ("reset: {set: {cart.pole_hinge: uniform(-90 .. 2.50 deg)}}", "reset: {set: {cart.pole_hinge: uniform(-74.48 .. 2.50 deg)}}"),
+    ("robots: {cart: {actuators: {wheels: {max_torque: 20 N*m}}}}", "robots: {cart: {actuators: {wheels: {max_torque: 10 N*m}}}}"),
+    (
+        "robots: {cart: {actuators: {wheels: {max_velocity: 1_200 rpm}}}}",
+        "robots: {cart: {actuators: {wheels: {max_velocity: 95.49 rpm}}}}",
+    ),
+]
+GUESSES += [
+    (
+        f"augment: {{left: abs(x - 30 cm)}}\n{goal}\nreward: {{alive: 0, nearer: {wrong}}}",
+        f"augment: {{left: abs(x - 30 cm)}}\n{goal}\nreward: {{alive: 0, nearer: {right}}}",
+    )
+    for goal in ["termination: {success: {there: left < 5 cm}}\nobservation: {left: 0 .. 0.8 m}"]
+    for wrong, right in [
+        ("10 * delta(left) / m", "-10 * delta(left) / m"),
+        ("left / m - 1", "1 - left / m"),
+        ("(left - 1 m) / m", "-(left - 1 m) / m"),
+        ("left / m - 1 when not fallen", "1 - left / m when not fallen"),
+        ("left / m + 1", "-(left / m + 1)"),
+        ("-5 when there", "5 when there"),
+    ]
+]
+
+
+def test_a_guess_is_made_although_an_ending_holds_at_once(deepbots, scenario, tmp_path):
+    scenario(CARTPOLE)
+    upon = tmp_path / "b.yaml"
+    upon.write_text("deepbots: 1\nextends: a.yaml\nreset: {set: {cart.pole_hinge: 90 deg}}\n")
+    assert "DB806" in deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes").out
+    assert upon.read_text().endswith("{cart.pole_hinge: 74.48 deg}}\n")
+
+
+@pytest.mark.parametrize(("wrong", "right"), GUESSES)
+def test_a_guess_keeps_what_was_written_and_makes_it_whole(deepbots, scenario, tmp_path, wrong, right):
+    scenario(CARTPOLE)
+    upon = tmp_path / "b.yaml"
+    upon.write_text(f"deepbots: 1\nextends: a.yaml\n{wrong}  # why\n")
+    deepbots("lint", "b.yaml", "--fix")
+    assert wrong in upon.read_text()
+    assert deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes").code == 0
+    assert upon.read_text() == f"deepbots: 1\nextends: a.yaml\n{right}  # why\n"
+
+
 def test_diff_shows_the_change_and_writes_nothing(deepbots, scenario):
     text = faulty(("  timestep:", "  timestop:"))
     path = scenario(text)
