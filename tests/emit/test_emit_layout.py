@@ -45,7 +45,7 @@ def test_a_long_line_is_broken_and_means_the_same(line: str) -> None:
     assert [text for text in lines if len(text) > WIDTH and not text.lstrip().startswith("#")] == []
 
 
-@pytest.mark.parametrize("text", ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00"])
+@pytest.mark.parametrize("text", ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00", "車 é 🚗"])
 def test_a_docstring_says_what_the_text_says(text: str) -> None:
     said = ast.literal_eval("\n".join(docstring(text)))
     assert said.split() == text.split()

@@ -86,10 +86,12 @@ def test_any_name_of_a_scenario_gives_a_class(tmp_path: Path, name: str) -> None
     environment.close()
 
 
-@pytest.mark.parametrize("summary", ['"\\"\\"\\""', '"\\\\"', '"a\\nb"', "'quote \" and '' quote'", '"\\u2028 a \\t b \\x85"', "it's"])
+@pytest.mark.parametrize(
+    "summary", ['"\\"\\"\\""', '"\\\\"', '"a\\nb"', "'quote \" and '' quote'", '"🚗 車 é"', '"\\u2028 a \\t b \\x85"', "it's"]
+)
 def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
     code = api.compile(scenario(tmp_path, summary=summary)).code
-    compile(code, "printed", "exec")
+    exec(compile(code, "printed", "exec"), {"__name__": "printed"})
 
 
 def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:

@@ -28,13 +28,17 @@ def targets_code(names: Sequence[str]) -> str:
 
 
 def quoted(text: str) -> str:
-    """A string literal in double quotes; the escapes of JSON are a subset of Python's."""
-    return json.dumps(text)
+    """A string literal in double quotes and ASCII.
+
+    The escapes of JSON are a subset of Python's, but for what lies beyond 16 bits: there JSON writes two halves, which Python
+    does not join.
+    """
+    return json.dumps(text, ensure_ascii=False).encode("ascii", "backslashreplace").decode()
 
 
 def docstring(text: str) -> list[str]:
     """A string in triple quotes, over as many lines as it needs; the escapes leave no quote and no backslash of its own."""
-    lines = textwrap.wrap(json.dumps(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
+    lines = textwrap.wrap(quoted(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
     return [f'"""{lines[0]}"""'] if len(lines) == 1 else [f'"""{lines[0]}', *lines[1:], '"""']
 
 
