@@ -12,7 +12,8 @@ world.py        timestep, ground, arena, objects; strokes.py painted lines and w
 terrain.py      ground that is not flat
 bodies.py       objects; colours.py, files.py meshes and pictures
 robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
-controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that
+controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that,
+                confines.py what is beyond those of the robot file
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get; scripts.py policies by hand
 copies.py       several of one robot under one policy

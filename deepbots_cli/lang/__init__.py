@@ -11,7 +11,7 @@ types.py       Type, Stage, Symbol, Subject, Scope  intervals.py  interval arith
 functions.py   what an entry of the table says      table.py      the functions of the language
 examples.py    a call of each, for the reference
 typed.py       the typed tree                       check.py      tree to typed tree, with
-                 names.py, operators.py, calls.py, agree.py, size.py
+                 names.py, operators.py, calls.py, agree.py, size.py, guesses.py
 expect.py      what a field demands of a value
 scalar.py      what is left: single SI numbers      lower.py      typed tree to scalars, with
                  fold.py (constants), geometry.py (world functions)

@@ -212,6 +212,10 @@ class _Composer:
         for index, (key, value) in enumerate(pairs):
             if key is None or index in cut:
                 continue
+            if not isinstance(key.value, str):
+                headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
+                self.findings.add("DB103", key.span, headline, help=traps.help_for_key(key))
+                continue
             first = seen.setdefault(key.text, key)
             if first is not key:
                 help = "keep one of the two"
@@ -226,7 +230,7 @@ class _Composer:
         return Mapping(span, entries, partial=len(entries) < len(pairs), hollow=tuple(hollow))
 
     def key(self, event: Event, depth: int) -> Scalar | None:
-        """A key, or None with a finding if it is not a name."""
+        """A key, or None with a finding if it is no scalar. One that is a number may be the part of a value that commas cut."""
         if not isinstance(event, ScalarEvent):
             span = self.span(event)
             if not isinstance(event, AliasEvent):
@@ -244,10 +248,6 @@ class _Composer:
         if key.style == "plain" and key.text == "<<":
             help = "use `extends` for a whole file, or `include` for a part of one"
             self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help=help)
-            return None
-        if not isinstance(key.value, str):
-            help = traps.help_for_key(key)
-            self.findings.add("DB103", key.span, f"a key must be text, but this one is {_KINDS[type(key.value)]}", help=help)
             return None
         return key
 

@@ -22,6 +22,7 @@ _WHOLE = re.compile(r"(?<![\w.])(-?[0-9]+),$")
 _GROUP = re.compile(r"[0-9]{3}")
 _COLON = re.compile(r"\s*:")
 _DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
+_DRAWS = re.compile(r"\b(?:uniform|normal|choice|integer)\(")
 _JOINED = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
 _COLON_GLUED = re.compile(r"[\w.]+:\S")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
@@ -65,7 +66,9 @@ def cut_by_commas(found: Iterable[Part], findings: Findings) -> set[int]:
 def _report_cut(span: Span, findings: Findings) -> None:
     text = " ".join(span.text.split())
     quoted = f': "{text}"' if len(text) <= 60 and '"' not in text else ""
-    help = f"put the value in quotes{quoted}, or on a line of its own; draws need no comma: uniform(a .. b)"
+    help = f"put the value in quotes{quoted}, or on a line of its own"
+    if _DRAWS.search(text):
+        help += "; draws need no comma: uniform(a .. b)"
     fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
     if draw := _DRAW.fullmatch(text):
         better = f"{draw[1]}({draw[2]} {_JOINED[draw[1]]} {draw[3]})"

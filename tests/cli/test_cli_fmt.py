@@ -44,3 +44,22 @@ def test_a_broken_scenario_in_a_folder_is_refused_and_not_passed_over(deepbots, 
     ran = deepbots("fmt", ".", "--check")
     assert ran.code == 1
     assert "broken.yaml cannot be read" in ran.err
+
+
+def test_what_the_project_excludes_is_left_alone_in_its_folder_and_formatted_by_name(deepbots, tmp_path):
+    (tmp_path / "deepbots.toml").write_text("[lint]\nexclude = ['old*.yaml']\n")
+    for name in ("a.yaml", "old.yaml"):
+        (tmp_path / name).write_text(UNTIDY)
+    deepbots("fmt", ".")
+    assert (tmp_path / "a.yaml").read_text() == TIDY
+    assert (tmp_path / "old.yaml").read_text() == UNTIDY
+    deepbots("fmt", "old.yaml")
+    assert (tmp_path / "old.yaml").read_text() == TIDY
+
+
+def test_settings_that_mean_nothing_do_not_keep_a_named_file_from_being_formatted(deepbots, tmp_path):
+    (tmp_path / "deepbots.toml").write_text("[lint]\nexclud = []\n")
+    (tmp_path / "a.yaml").write_text(UNTIDY)
+    assert deepbots("fmt", ".").code == 2
+    assert deepbots("fmt", "a.yaml").code == 0
+    assert (tmp_path / "a.yaml").read_text() == TIDY

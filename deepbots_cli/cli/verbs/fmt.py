@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +12,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.folders import scenarios_in
 from deepbots_cli.cli.rewriting import Rewrite, difference, write
+from deepbots_cli.cli.settings import settings
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import files
@@ -30,14 +31,14 @@ def command(
 
     What they say stays, and so do comments and aligned columns.
 
-    In a folder, every .yaml file with a `deepbots:` key is meant.
+    In a folder, every .yaml file with a `deepbots:` key is meant but for those that the project excludes from linting.
 
     \b
       deepbots fmt cartpole.yaml
       deepbots fmt scenarios/ --check
     """
     rewrites, refused = [], False
-    for path in [path for given in paths for path in _expanded(given)]:
+    for path in _meant(paths):
         rewrite = _tidied(path)
         refused = refused or rewrite is None
         if rewrite is not None and rewrite.after != rewrite.before:
@@ -51,13 +52,17 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _expanded(given: Path) -> Iterator[Path]:
-    if not given.exists():
-        raise UsageError(f"there is no file {given}")
-    if not given.is_dir():
-        yield given
-        return
-    yield from scenarios_in(given)
+def _meant(paths: Sequence[Path]) -> Iterator[Path]:
+    """Files as they are named; of folders what the project does not exclude."""
+    for given in paths:
+        if not given.exists():
+            raise UsageError(f"there is no file {given}")
+    project = settings() if any(given.is_dir() for given in paths) else None
+    for given in paths:
+        if project is not None and given.is_dir():
+            yield from (path for path in scenarios_in(given) if not project.excludes(path))
+        else:
+            yield given
 
 
 def _tidied(path: Path) -> Rewrite | None:
