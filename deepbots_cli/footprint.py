@@ -6,14 +6,14 @@ its links as they are with all joints at 0. Lengths in m, angles in rad.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import cos, hypot, sin
 from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.urdf.mesh import extent
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Mesh, RobotModel, Shape, Sphere
+from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Joint, Mesh, RobotModel, Shape, Sphere
 from deepbots_cli.urdf.rotation import quaternion
 
 Spot = tuple[float, float]
@@ -164,19 +164,28 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
             yield from ((px, py, 0.0) for px, py, _ in _corners(shape, frame))
 
 
-def link_frames(model: RobotModel) -> dict[str, Frame]:
-    """Every link in the frame of the root, with all joints at 0."""
-    children: dict[str, list[tuple[str, Frame]]] = {}
+def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
+    """Every link in the frame of the root; `positions` of joints by name, in rad or m, 0 for one that is not named."""
+    below: dict[str, list[Joint]] = {}
     for joint in model.joints:
-        children.setdefault(joint.parent, []).append((joint.child, frames.frame(joint.origin)))
-    found = {model.root: frames.HERE}
-    waiting = [model.root]
+        below.setdefault(joint.parent, []).append(joint)
+    found, waiting = {model.root: frames.HERE}, [model.root]
     while waiting:
         parent = waiting.pop()
-        for child, frame in children.get(parent, ()):
-            found[child] = frames.inside(found[parent], frame)
-            waiting.append(child)
+        for joint in below.get(parent, ()):
+            found[joint.child] = behind(joint, found[parent], positions.get(joint.name, 0.0) if positions else 0.0)
+            waiting.append(joint.child)
     return found
+
+
+def behind(joint: Joint, parent: Frame, position: float) -> Frame:
+    """The frame of a joint's child, from that of its parent."""
+    frame = frames.inside(parent, frames.frame(joint.origin))
+    if not joint.moves or position == 0.0:
+        return frame
+    if joint.type == "prismatic":
+        return frames.inside(frame, (frames.scaled(joint.axis, position), frames.UPRIGHT))
+    return frames.inside(frame, (frames.HERE[0], frames.about(joint.axis, position)))
 
 
 # How large and how high

@@ -10,6 +10,7 @@ from deepbots_cli import ir
 from deepbots_cli.cli.anatomy import Sections
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.diagnostics import Finding, Findings
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.footprint import bounds, resting
@@ -36,8 +37,10 @@ def opened(reference: str) -> tuple[RobotFile, list[Finding]]:
     """
     found = mesh.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
     if isinstance(found, mesh.Refusal) or not found.is_file():
-        names = ", ".join(shipped.robot_names())
-        raise UsageError(f"there is no robot file {reference}; shipped robots are: {names}")
+        names = shipped.robot_names()
+        near = nearest(reference, names)
+        hint = f" (did you mean {near}?)" if near else ""
+        raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
     file = read(found, roots.display(found.resolve()), findings)
     if file is None or findings.errors:

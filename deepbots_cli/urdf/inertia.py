@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vector
+from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, RobotModel, Shape, Sphere, Vector
 from deepbots_cli.urdf.rotation import Matrix
 
 _HERE = Pose()
@@ -105,3 +105,17 @@ def _is_positive(m: Matrix, shift: float) -> bool:
     (a, d, e), (_, b, f), (_, _, c) = m
     a, b, c = a + shift, b + shift, c + shift
     return a > 0 and a * b - d * d > 0 and a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e) > 0
+
+
+def carried(model: RobotModel) -> dict[str, float]:
+    """Of each link by name, the mass (kg) of it and of all that hangs on it."""
+    mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in model.links}
+    below: dict[str, list[str]] = {name: [] for name in mass}
+    for joint in model.joints:
+        below[joint.parent].append(joint.child)
+    order = [model.root]
+    for link in order:  # parents first; a chain of links may be longer than Python's stack
+        order += below[link]
+    for link in reversed(order):
+        mass[link] += sum(mass[child] for child in below[link])
+    return mass

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import degrees, radians
 
 from deepbots_cli.urdf.model import Joint
 
@@ -27,7 +28,7 @@ _COMMENTS: Mapping[str, str] = {
 }
 _COLUMN = 40  # of comments
 _WIDTH = 110
-_PLAIN = re.compile(r"(?:package://)?[A-Za-z_.][A-Za-z0-9_./-]*")
+_PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
 _READ_OTHERWISE = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
 
 
@@ -75,17 +76,19 @@ def listed(key: str, names: Sequence[str]) -> list[str]:
 
 def pose(key: str, positions: Mapping[str, float], joints: Iterable[Joint]) -> list[str]:
     """`key: {hinge: 10 deg}`, over several lines where it is long."""
-    return _wrapped(f"{key}: {{", [f"{word(joint.name)}: {position(joint, positions[joint.name])}" for joint in joints], "}")
+    return _wrapped(f"{key}: {{", [f"{word(joint.name)}: {_position(joint, positions[joint.name])}" for joint in joints], "}")
 
 
-def position(joint: Joint, value: float) -> str:
-    """Of a joint, with its unit; whole degrees, or millimetres, within its limits."""
-    unit, per_unit = ("m", 1000.0) if joint.type == "prismatic" else ("deg", 57.29577951308232)
-    rounded = float(round(value * per_unit))
+def settled(joint: Joint, value: float) -> float:
+    """A position in rad or m, in whole degrees or millimetres, within the joint's limits."""
+    step = 1e-3 if joint.type == "prismatic" else radians(1.0)
     low, high = joint.limit.lower, joint.limit.upper
-    if joint.type != "continuous" and low is not None and high is not None:
-        rounded = min(max(rounded, low * per_unit), high * per_unit)
-    return f"{figure(rounded / 1000.0 if unit == 'm' else rounded)} {unit}"
+    rounded = round(value / step) * step
+    return rounded if joint.type == "continuous" or low is None or high is None else min(max(rounded, low), high)
+
+
+def _position(joint: Joint, value: float) -> str:
+    return f"{figure(value)} m" if joint.type == "prismatic" else f"{figure(degrees(value))} deg"
 
 
 def figure(value: float) -> str:

@@ -12,7 +12,8 @@ def hover(survey: Survey, robot: Robot) -> Draft:
     draft = Draft("A body with rotors flies to a point and stays there.")
     each = survey.mass * GRAVITY / len(survey.rotors)
     draft.remarks.append(
-        "A robot file says nothing of how air turns a rotor's body: add `drag` and `spin` to steer about the upright axis."
+        "A robot file says nothing of how air turns a rotor's body: to steer about the upright axis, give `drag` and `spin`, "
+        "and observe `robot.gyro` as a whole."
     )
     draft.add(
         "parameters", "home: 0 0 1 m", f"hover: {figure(each)} N    # per rotor, against its weight", f"gain:  {figure(0.3 * each)} N"
@@ -28,7 +29,7 @@ def hover(survey: Survey, robot: Robot) -> Draft:
     robot.add("apply", "rotors: hover + gain * push")
     draft.add("action", "push: {range: -1 .. 1, each: robot.rotors}")
     draft.add("augment", "error: local(robot, home - position(robot))", "v: local(robot, velocity(robot))")
-    draft.add("observation", "error: -2 .. 2 m", "v: -3 .. 3 m/s", "robot.down: -1 .. 1", "robot.gyro: -10 .. 10 rad/s")
+    draft.add("observation", "error: -2 .. 2 m", "v: -3 .. 3 m/s", "robot.down: -1 .. 1", "robot.gyro.xy: -10 .. 10 rad/s")
     draft.add("signals", "away: norm(error)")
     draft.add("reward", "near:   exp(-away / (0.3 m))", "effort: -0.01 * mean(push^2)")
     draft.add("termination", "failure:", "  lost:    away > 1.5 m", "  flipped: tilt(robot) > 100 deg", "  crashed: contact(robot, ground)")

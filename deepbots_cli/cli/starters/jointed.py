@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
-from math import hypot
+from math import hypot, radians
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.draft import Draft, figure, pose, word
-from deepbots_cli.cli.starters.limbs import Limb, Positions, bring, link_frames, neutral, range_of
+from deepbots_cli.cli.starters.draft import Draft, figure, word
+from deepbots_cli.cli.starters.limbs import Limb, Positions, bring, neutral, range_of
 from deepbots_cli.cli.starters.parts import Robot, by_unit, train
 from deepbots_cli.cli.starters.survey import Survey
-from deepbots_cli.frames import Triple
+from deepbots_cli.frames import Quaternion, Triple
 from deepbots_cli.urdf.rotation import quaternion
 
 _SIDES: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
@@ -26,25 +26,25 @@ def reach(survey: Survey, robot: Robot) -> Draft | None:
     found = next(_boxes(survey, limb), None)
     if found is None or len(arm) < len(limb.moving) or any(joint.type == "prismatic" for joint in arm):
         return None
-    (low, high), positions = found
+    box, positions = found
     draft = Draft("An arm brings its end to a place in space.")
     draft.remarks.append("Each corner of the box that `target` is drawn from was reached from `ready` when this was written.")
+    group = robot.group("arm", arm)
+    robot.begin(group, "ready", positions, arm)
+    robot.add("sensors", f"angles: {{type: joint_position, joints: {group}}}", f"tip: {{type: position, link: {word(limb.end)}}}")
+    robot.add("emit", "[angles, tip]")
+    robot.motor("motors", "position_motor", group, arm, "angles + stride * move    # each joint goes on from where it is")
+    robot.hold([joint for joint in survey.driven if joint not in arm])
+    low, high = (_vector(frames.add(corner, (0.0, 0.0, robot.height))) for corner in box)
     draft.add(
         "parameters",
         "stride: 0.05 rad    # what a joint turns by in a step, at most",
         f"precision: {figure(0.03 * limb.reach)} m    # so near is there",
-        f"target: uniform({_vector(low)} .. {_vector(high)} m)    # drawn anew in every episode",
+        f"target: uniform({low} .. {high} m)    # drawn anew in every episode",
     )
     draft.add("world", "timestep: 40 ms", "substeps: 10")
     radius = figure(0.015 * limb.reach)
     draft.add("objects", f"mark: {{shape: sphere, radius: {radius} m, colour: red, solid: false, fixed: true, pose: {{xyz: target}}}}")
-    group = robot.group("arm", arm)
-    robot.add("poses", *pose("ready", positions, arm))
-    robot.add("sensors", f"angles: {{type: joint_position, joints: {group}}}", f"tip: {{type: position, link: {word(limb.end)}}}")
-    robot.add("emit", "[angles, tip]")
-    robot.motor("motors", "position_motor", group, arm, "angles + stride * move    # each joint goes on from where it is")
-    robot.sets.append(f"robot.{group}: ready")
-    robot.hold([joint for joint in survey.driven if joint not in arm])
     draft.add("action", f"move: {{range: -1 .. 1, each: robot.{group}}}")
     draft.add("augment", "miss: target - robot.tip")
     bounded = all(joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None for joint in arm)
@@ -63,8 +63,9 @@ def walk(survey: Survey, robot: Robot) -> Draft:
     """Along the line that most of the hips lie on, x or y, on legs."""
     draft = Draft("A robot on legs walks forwards.")
     turn, legs = _upright(survey), [joint for limb in survey.limbs for joint in limb.moving if joint in survey.driven]
-    positions = _standing(survey, turn)
-    height, way = -_lowest(survey, positions, turn), _way(survey, turn)
+    tilt = quaternion(radians(turn[0]), radians(turn[1]), 0.0)
+    positions = _standing(survey, tilt)
+    height, way = survey.height(positions, tilt), _way(survey, tilt)
     draft.add(
         "parameters",
         "swing: 0.3 rad    # that a joint leaves its posture by, at most",
@@ -73,7 +74,7 @@ def walk(survey: Survey, robot: Robot) -> Draft:
     draft.add("world", "timestep: 20 ms", "substeps: 10")
     group = robot.group("legs", legs)
     chassis = word(survey.chassis)
-    robot.add("poses", *pose("stand", positions, legs))
+    robot.begin(group, "stand", positions, legs)
     robot.add(
         "sensors",
         f"angles: {{type: joint_position, joints: {group}}}",
@@ -83,7 +84,6 @@ def walk(survey: Survey, robot: Robot) -> Draft:
     )
     robot.add("emit", "{angles: angles - stand, rates: rates, gyro: gyro, down: down}")
     robot.motor("motors", "position_motor", group, legs, "stand + swing * stride")
-    robot.sets.append(f"robot.{group}: stand")
     robot.hold([joint for joint in survey.driven if joint not in legs])
     draft.add("action", f"stride: {{range: -1 .. 1, each: robot.{group}}}")
     draft.add("augment", "v: velocity(robot)")
@@ -120,11 +120,10 @@ def roam(survey: Survey, robot: Robot) -> Draft:
             robot.motor(f"spin_{name}", "velocity_motor", group, endless, f"spin_{name} * {figure(top)} {unit}/s")
             draft.add("action", f"spin_{name}: {{range: -1 .. 1, each: robot.{group}}}")
         if others:
-            group, at = robot.group(f"bending_{name}", others), f"rest_{name}"
+            group = robot.group(f"bending_{name}", others)
             swing = min(0.5, *(min(range_of(j)[1] - neutral(j), neutral(j) - range_of(j)[0]) or 0.1 for j in others))
-            robot.add("poses", *pose(at, {joint.name: neutral(joint) for joint in others}, others))
+            at = robot.begin(group, f"rest_{name}", {joint.name: neutral(joint) for joint in others}, others)
             robot.motor(f"bend_{name}", "position_motor", group, others, f"{at} + {figure(swing)} {unit} * bend_{name}")
-            robot.sets.append(f"robot.{group}: {at}")
             draft.add("action", f"bend_{name}: {{range: -1 .. 1, each: robot.{group}}}")
     robot.add("emit", "[gyro, down]")
     draft.add("augment", "v: velocity(robot)")
@@ -150,11 +149,10 @@ def posture(survey: Survey, robot: Robot) -> Draft:
         swing = min(0.5, *(min(range_of(j)[1] - neutral(j), neutral(j) - range_of(j)[0]) or 0.5 for j in joints))
         span = figure(swing)
         group = robot.group(f"moved_{name}", joints)
-        robot.add("poses", *pose(f"rest_{name}", {joint.name: neutral(joint) for joint in joints}, joints))
+        at = robot.begin(group, f"rest_{name}", {joint.name: neutral(joint) for joint in joints}, joints)
         robot.add("sensors", f"{name}: {{type: joint_position, joints: {group}}}")
-        robot.add("emit", f"{name}: {name} - rest_{name}")
+        robot.add("emit", f"{name}: {name} - {at}")
         robot.motor(f"move_{name}", "position_motor", group, joints, f"{name} + {figure(0.2 * swing)} {unit} * turn_{name}")
-        robot.sets.append(f"robot.{group}: rest_{name}")
         draft.add("action", f"turn_{name}: {{range: -1 .. 1, each: robot.{group}}}")
         draft.add("observation", f"robot.{name}: -{figure(1.5 * swing)} .. {figure(1.5 * swing)} {unit}")
         misses.append(f"mean(abs(robot.{name} / ({span} {unit}) - wanted))")
@@ -162,7 +160,6 @@ def posture(survey: Survey, robot: Robot) -> Draft:
     draft.add("reward", "near: exp(-miss)")
     draft.add("truncation", "max_steps: 100")
     robot.into(draft)
-    draft.sections["augment"] = ["[wanted]"]
     train(draft, "PPO", 200_000, 64)
     return draft
 
@@ -200,19 +197,16 @@ def _upright(survey: Survey) -> tuple[float, float]:
     return (0.0, 90.0 if x > 0 else -90.0) if abs(x) > 0.8 else (0.0, 0.0)
 
 
-def _way(survey: Survey, turn: tuple[float, float]) -> str:
+def _way(survey: Survey, tilt: Quaternion) -> str:
     """The axis of the world, x or y, along which its hips lie farther apart."""
-    roll, pitch = (angle / 57.29577951308232 for angle in turn)
-    tilted = quaternion(roll, pitch, 0.0)
-    hips = [frames.rotate(tilted, survey.frames[limb.moving[0].child][0]) for limb in survey.limbs]
+    hips = [frames.rotate(tilt, survey.frames[limb.moving[0].child][0]) for limb in survey.limbs]
     spread = [max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1)]
     return "x" if spread[0] >= spread[1] else "y"
 
 
-def _standing(survey: Survey, turn: tuple[float, float]) -> Positions:
+def _standing(survey: Survey, tilt: Quaternion) -> Positions:
     """Positions with the foot of each leg below its hip, the leg somewhat bent."""
-    roll, pitch = (angle / 57.29577951308232 for angle in turn)
-    down = frames.rotate(frames.inverse(quaternion(roll, pitch, 0.0)), (0.0, 0.0, -1.0))
+    down = frames.rotate_back(tilt, (0.0, 0.0, -1.0))
     found: Positions = {}
     for limb in survey.limbs:
         hip, foot = survey.frames[limb.moving[0].child][0], survey.frames[limb.end][0]
@@ -222,14 +216,6 @@ def _standing(survey: Survey, turn: tuple[float, float]) -> Positions:
         target = frames.add(hip, frames.add(kept, frames.scaled(down, _CROUCHED * limb.reach)))
         found |= bring(limb, survey.frames[limb.joints[0].parent], target)[0]
     return found
-
-
-def _lowest(survey: Survey, positions: Positions, turn: tuple[float, float]) -> float:
-    """The height of the lowest point, counted from the root, in this posture."""
-    roll, pitch = (angle / 57.29577951308232 for angle in turn)
-    tilted = (frames.HERE[0], quaternion(roll, pitch, 0.0))
-    where = link_frames(survey.model, positions)
-    return min((box[0][2] for name in where if (box := survey.extent(name, frames.inside(tilted, where[name])))), default=0.0)
 
 
 def _vector(values: Triple) -> str:

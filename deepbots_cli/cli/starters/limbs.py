@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from math import atan2, dist, pi
 
 from deepbots_cli import frames
+from deepbots_cli.footprint import behind
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.urdf.model import Joint, RobotModel
+from deepbots_cli.urdf.model import Joint
 
 ROUNDS = 80
 BENT = 0.4  # rad; where a search begins, since a straight limb does not know which way to bend
@@ -51,20 +52,6 @@ def neutral(joint: Joint) -> float:
     """0, or the middle of the range of a joint that may not be there."""
     low, high = range_of(joint)
     return 0.0 if low <= 0.0 <= high else (low + high) / 2
-
-
-def link_frames(model: RobotModel, positions: Mapping[str, float]) -> dict[str, Frame]:
-    """Every link in the frame of the root."""
-    below: dict[str, list[Joint]] = {}
-    for joint in model.joints:
-        below.setdefault(joint.parent, []).append(joint)
-    found, waiting = {model.root: frames.HERE}, [model.root]
-    while waiting:
-        parent = waiting.pop()
-        for joint in below.get(parent, ()):
-            found[joint.child] = _after(found[parent], joint, positions)
-            waiting.append(joint.child)
-    return found
 
 
 def bring(limb: Limb, start: Frame, target: Triple, using: Container[Joint] | None = None) -> tuple[Positions, float]:
@@ -111,16 +98,6 @@ def _trace(limb: Limb, start: Frame, positions: Mapping[str, float]) -> list[tup
     found: list[tuple[Frame, Frame]] = []
     here = start
     for joint in limb.joints:
-        before, here = frames.inside(here, frames.frame(joint.origin)), _after(here, joint, positions)
+        before, here = frames.inside(here, frames.frame(joint.origin)), behind(joint, here, positions.get(joint.name, 0.0))
         found.append((before, here))
     return found
-
-
-def _after(parent: Frame, joint: Joint, positions: Mapping[str, float]) -> Frame:
-    """The frame of a joint's child."""
-    frame, position = frames.inside(parent, frames.frame(joint.origin)), positions.get(joint.name, 0.0)
-    if not joint.moves or position == 0.0:
-        return frame
-    if joint.type == "prismatic":
-        return frames.inside(frame, (frames.scaled(joint.axis, position), frames.UPRIGHT))
-    return frames.inside(frame, (frames.HERE[0], frames.about(joint.axis, position)))

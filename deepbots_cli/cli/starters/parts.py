@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from deepbots_cli.cli.starters.draft import Draft, figure, fresh, listed, pose, word
-from deepbots_cli.cli.starters.limbs import neutral
+from deepbots_cli.cli.starters.draft import Draft, figure, fresh, listed, pose, settled, word
+from deepbots_cli.cli.starters.limbs import Positions, neutral
 from deepbots_cli.cli.starters.survey import Survey
-from deepbots_cli.footprint import resting
 from deepbots_cli.urdf.model import Joint
 
 GRAVITY = 9.81
@@ -23,13 +22,14 @@ _SAID = {
 
 @dataclass
 class Robot:
-    """The entry of a robot in the making, called `robot`; each of `PARTS` has its lines."""
+    """The entry of a robot in the making, called `robot`: the lines of each of `PARTS`, those of `reset.set`, how its joints start."""
 
     survey: Survey
     reference: str
     fixed: bool = False
     parts: dict[str, list[str]] = field(default_factory=dict)
     sets: list[str] = field(default_factory=list)
+    start: Positions = field(default_factory=dict)
 
     def add(self, part: str, *lines: str) -> None:
         self.parts.setdefault(part, []).extend(lines)
@@ -40,6 +40,15 @@ class Robot:
         name = fresh(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
         self.add("groups", *listed(name, [joint.name for joint in joints]))
         return name
+
+    def begin(self, group: str, at: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
+        """Name positions of a group's joints, in which an episode begins; the name that they got."""
+        at = fresh(at, [group])
+        rounded = {joint.name: settled(joint, positions[joint.name]) for joint in joints}
+        self.add("poses", *pose(at, rounded, joints))
+        self.sets.append(f"robot.{group}: {at}")
+        self.start |= rounded
+        return at
 
     def motor(self, name: str, kind: str, group: str, joints: Sequence[Joint], command: str) -> None:
         """A motor on a group of joints, as strong as the file says; where it is silent, enough for its weight."""
@@ -58,10 +67,8 @@ class Robot:
         """Motors that keep joints where they are at the start."""
         for name, kept in by_unit(joints):
             group = self.group(f"held_{name}", kept)
-            at = fresh(f"rest_{name}", [group])
-            self.add("poses", *pose(at, {joint.name: neutral(joint) for joint in kept}, kept))
+            at = self.begin(group, f"rest_{name}", {joint.name: neutral(joint) for joint in kept}, kept)
             self.motor(f"hold_{name}", "position_motor", group, kept, at)
-            self.sets.append(f"robot.{group}: {at}")
 
     def into(self, draft: Draft, place: Mapping[str, str] | None = None) -> None:
         """Write the robot, and where it starts."""
@@ -77,16 +84,22 @@ class Robot:
             elif part == "emit":
                 lines.append("  emit: []")
         draft.add("robots", *lines)
-        place = place or self._lifted()
+        place = {**self._raised(), **(place or {})}
         if place:
             draft.add("reset", "place:", f"  robot: {{{', '.join(f'{key}: {value}' for key, value in place.items())}}}")
         if self.sets:
             draft.add("reset", "set:", *(f"  {line}" for line in self.sets))
 
-    def _lifted(self) -> dict[str, str]:
-        """Out of the ground, for a robot that is bolted down and part of which would otherwise begin within it."""
-        height = resting(self.survey.model) if self.fixed else 0.0
-        return {"z": f"{figure(height)} m"} if height > _SUNK else {}
+    @property
+    def height(self) -> float:
+        """In m, of its root as it starts: of one that is bolted down no more than it takes to keep the rest out of the ground."""
+        standing = self.survey.height(self.start)
+        return max(standing, 0.0) if self.fixed else standing
+
+    def _raised(self) -> dict[str, str]:
+        """Its height, where it would begin within the ground: a free one is put on the ground as it is with all joints at 0."""
+        usual = 0.0 if self.fixed else self.survey.height({})
+        return {"z": f"{figure(self.height)} m"} if self.height > usual + _SUNK else {}
 
 
 def by_unit(joints: Sequence[Joint]) -> list[tuple[str, list[Joint]]]:

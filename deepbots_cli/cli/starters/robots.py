@@ -44,9 +44,12 @@ def scenario(model: RobotModel, reference: str, name: str) -> str:
     """The text of a scenario called `name`, which refers to the robot file by `reference`.
 
     Raises:
-        UsageError: Nothing of the robot can be driven.
+        UsageError: Nothing of the robot can be driven, or a joint moves nothing that has mass, with which no simulation begins.
     """
     survey = Survey(model)
+    if survey.weightless:
+        joint = survey.weightless[0]
+        raise UsageError(f"joint '{joint.name}' of {reference} moves nothing that has mass; give link '{joint.child}' an inertial with one")
     if not survey.driven and not survey.rotors:
         raise UsageError(f"{reference} has no joint with a motor and no rotor, so there is nothing that a policy could do with it")
     robot = Robot(survey, reference, fixed=is_fixed(survey))
@@ -64,13 +67,13 @@ def is_fixed(survey: Survey) -> bool:
     if len(survey.limbs) != 1:
         return False
     first = survey.limbs[0].moving
-    return len(first) == 1 or first[0].type == "prismatic" or survey.limbs[0].reach > _size(survey)
+    return len(first) == 1 or first[0].type == "prismatic" or survey.limbs[0].reach > _width(survey)
 
 
-def _size(survey: Survey) -> float:
-    """In m, the longest side of the foot: a limb that stays within is a weight in a ball, and no arm."""
+def _width(survey: Survey) -> float:
+    """In m, the longest level side of the foot: a limb that stays within is a weight in a ball, and no arm."""
     boxes = [survey.extents[name] for name in survey.trunk if name in survey.extents]
-    return max((b - a for low, high in boxes for a, b in zip(low, high, strict=True)), default=0.0)
+    return max((high[axis] - low[axis] for low, high in boxes for axis in (0, 1)), default=0.0)
 
 
 def _draft(survey: Survey, robot: Robot) -> Draft:

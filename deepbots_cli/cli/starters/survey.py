@@ -6,6 +6,7 @@ Read from the shapes and joints, with all joints at 0; names count only for roto
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot
@@ -13,7 +14,8 @@ from math import hypot
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.limbs import Limb
 from deepbots_cli.footprint import Bounds, bounds, link_frames
-from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.frames import UPRIGHT, Frame, Quaternion, Triple
+from deepbots_cli.urdf import inertia
 from deepbots_cli.urdf.model import Joint, Link, RobotModel
 
 _ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
@@ -47,13 +49,15 @@ class Survey:
         boxes = {link.name: _extent(link, self.frames[link.name]) for link in self.model.links}
         return {name: box for name, box in boxes.items() if box is not None}
 
-    def extent(self, link: str, frame: Frame) -> Bounds | None:
-        """The box around a link with a shape, when it is at `frame`."""
-        return _extent(self.model.link(link), frame)
-
     @property
     def lowest(self) -> float:
         return min((low[2] for low, _ in self.extents.values()), default=0.0)
+
+    def height(self, positions: Mapping[str, float], tilt: Quaternion = UPRIGHT) -> float:
+        """Of the root above the ground (m) when the lowest point of all touches it; joints that are not named are at 0."""
+        where = link_frames(self.model, positions)
+        tilted = [_extent(link, frames.inside((frames.HERE[0], tilt), where[link.name])) for link in self.model.links]
+        return 0.0 - min((box[0][2] for box in tilted if box), default=0.0)
 
     @property
     def size(self) -> float:
@@ -88,14 +92,21 @@ class Survey:
 
     @cached_property
     def driven(self) -> tuple[Joint, ...]:
-        """The joints that a motor may move: those with an effort, or all if the file gives none an effort."""
-        told = any(joint.limit.effort for joint in self.model.moving_joints)
-        return tuple(joint for joint in self.model.moving_joints if joint.limit.effort or (joint.limit.effort is None and not told))
+        """The joints that a motor may move: those with an effort, or all if the file gives none an effort; none that is locked."""
+        free = [joint for joint in self.model.moving_joints if not _is_locked(joint)]
+        told = any(joint.limit.effort for joint in free)
+        return tuple(joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not told))
+
+    @property
+    def weightless(self) -> tuple[Joint, ...]:
+        """The joints that move nothing that has mass."""
+        carried = inertia.carried(self.model)
+        return tuple(joint for joint in self.model.moving_joints if carried[joint.child] <= 0.0)
 
     @property
     def idle(self) -> tuple[Joint, ...]:
         """The joints that move without a motor."""
-        return tuple(joint for joint in self.model.moving_joints if joint not in self.driven)
+        return tuple(joint for joint in self.model.moving_joints if joint not in self.driven and not _is_locked(joint))
 
     @property
     def inverted(self) -> tuple[Joint, ...]:
@@ -178,6 +189,11 @@ class Survey:
         while path[0] is not first:
             path.insert(0, above[path[0].parent])
         return Limb(tuple(path), end)
+
+
+def _is_locked(joint: Joint) -> bool:
+    """Whether both of its limits are the same."""
+    return joint.type != "continuous" and joint.limit.lower is not None and joint.limit.lower == joint.limit.upper
 
 
 def _extent(link: Link, frame: Frame) -> Bounds | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from deepbots_cli.engines.lump import held_by
 from deepbots_cli.errors import EngineError
+from deepbots_cli.urdf import inertia
 from deepbots_cli.urdf.mesh import MAX_BYTES
 from deepbots_cli.urdf.mesh_format import fault
 from deepbots_cli.urdf.model import Inertial, Joint, Limit, Mesh, RobotModel
@@ -30,7 +31,7 @@ def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
     """
     if len(model.joints) > MOST_JOINTS:
         raise EngineError(f"'{name}' has {len(model.joints)} joints, and PyBullet holds {MOST_JOINTS} at most, fixed ones included")
-    carried = _carried(model)
+    carried = inertia.carried(model)
     for joint in model.joints:
         if joint.type in ("floating", "planar"):
             raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
@@ -53,20 +54,6 @@ def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
         raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
     trace = TRACE * mass
     return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
-
-
-def _carried(model: RobotModel) -> dict[str, float]:
-    """Of each link by name, the mass (kg) of it and of all that hangs on it."""
-    mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in model.links}
-    below: dict[str, list[str]] = {name: [] for name in mass}
-    for joint in model.joints:
-        below[joint.parent].append(joint.child)
-    order = [model.root]
-    for link in order:  # parents first; a chain of links may be longer than Python's stack
-        order += below[link]
-    for link in reversed(order):
-        mass[link] += sum(mass[child] for child in below[link])
-    return mass
 
 
 def dressed(model: RobotModel) -> RobotModel:

@@ -1,0 +1,154 @@
+"""`deepbots new --urdf` for robots that are unlike those that come with deepbots."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from math import cos, pi, sin
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cli.starters.limbs import bring
+from deepbots_cli.cli.starters.survey import Survey
+
+FREE = 'lower="-1" upper="1" effort="40" velocity="6"'
+
+
+def link(name: str, shape: str, mass: float = 1.0, middle: str = "0 0 0") -> str:
+    moments = " ".join(f'{key}="{0.01 * mass if key[1] == key[2] else 0}"' for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+    seen = f'<origin xyz="{middle}"/><geometry>{shape}</geometry>'
+    inertial = f'<inertial><origin xyz="{middle}"/><mass value="{mass}"/><inertia {moments}/></inertial>'
+    return f'<link name="{name}">{inertial}<visual>{seen}</visual><collision>{seen}</collision></link>'
+
+
+def box(size: str) -> str:
+    return f'<box size="{size}"/>'
+
+
+def joint(name: str, parent: str, child: str, xyz: str, axis: str = "0 1 0", limit: str = FREE, yaw: float = 0.0) -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    kind = "revolute" if limit else "fixed"
+    moves = f'<axis xyz="{axis}"/><limit {limit}/>' if limit else ""
+    return f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="0 0 {yaw}"/>{ends}{moves}</joint>'
+
+
+def tall_foot() -> str:
+    """An arm on a pillar of 1 m, whose root link has its origin in the middle of the pillar."""
+    wide = 'lower="-2.5" upper="2.5" effort="100" velocity="3"'
+    links = [link("pillar", '<cylinder radius="0.2" length="1.0"/>', 40.0), link("upper", box("0.05 0.05 0.4"), middle="0 0 0.2")]
+    links += [
+        link("lower", box("0.05 0.05 0.4"), middle="0 0 0.2"),
+        link("wrist", box("0.05 0.05 0.05")),
+        link("hand", box("0.05 0.05 0.05")),
+    ]
+    joints = [joint("turn", "pillar", "upper", "0 0 0.5", "0 0 1", wide), joint("shoulder", "upper", "lower", "0 0 0.1", limit=wide)]
+    joints += [joint("elbow", "lower", "wrist", "0 0 0.4", limit=wide), joint("mount", "wrist", "hand", "0 0 0.3", limit="")]
+    return "".join([*links, *joints])
+
+
+def snake() -> str:
+    """Twelve joints in a row along the ground."""
+    links = [link(f"l{number}", box("0.08 0.06 0.06"), 0.2) for number in range(13)]
+    axes = ("0 1 0", "0 0 1")
+    return "".join([*links, *(joint(f"j{n}", f"l{n}", f"l{n + 1}", "0.1 0 0", axes[n % 2]) for n in range(12))])
+
+
+def spider() -> str:
+    """A box on four legs whose joints cannot be at 0, where the legs would be level."""
+    corners = [(0.15 * x, 0.15 * y, (2 * y - x * y) * pi / 4) for x, y in product((1, -1), (1, -1))]
+    bent = 'lower="0.6" upper="1.4" effort="40" velocity="6"'
+    links = [link("trunk", box("0.3 0.3 0.1"), 5.0), *(link(f"leg{n}", box("0.4 0.03 0.03"), 0.3, "0.2 0 0") for n in range(4))]
+    return "".join(
+        [*links, *(joint(f"hip{n}", "trunk", f"leg{n}", f"{x} {y} 0", limit=bent, yaw=yaw) for n, (x, y, yaw) in enumerate(corners))]
+    )
+
+
+def hexacopter() -> str:
+    around = [(0.3 * cos(n * pi / 3), 0.3 * sin(n * pi / 3)) for n in range(6)]
+    links = [link("trunk", box("0.3 0.2 0.05"), 2.0), *(link(f"rotor{n}", box("0.1 0.1 0.01"), 0.05) for n in range(6))]
+    return "".join([*links, *(joint(f"m{n}", "trunk", f"rotor{n}", f"{x} {y} 0.05", limit="") for n, (x, y) in enumerate(around))])
+
+
+def locked() -> str:
+    """A hinge whose limits are the same, and one behind it that moves."""
+    links = [link("foot", box("0.3 0.3 0.1"), 20.0), link("a", box("0.05 0.05 0.3"), middle="0 0 0.15"), link("b", box("0.05 0.05 0.3"))]
+    stuck = 'lower="0" upper="0" effort="40" velocity="6"'
+    return "".join([*links, joint("stuck", "foot", "a", "0 0 0.05", limit=stuck), joint("free", "a", "b", "0 0 0.45")])
+
+
+def odd_names() -> str:
+    names = [
+        "on",
+        "null",
+        "1e3",
+        "~",
+        "-",
+        "a b",
+        "ü",
+        "x: y",
+        "[0]",
+        "*",
+        "&amp;",
+        "&quot;",
+        "-1",
+        ".inf",
+        "!t",
+        "# c",
+        "%",
+        "@",
+        "robot",
+        "pi",
+    ]
+    around = [(name, 0.3 * cos(n), 0.3 * sin(n)) for n, name in enumerate(names)]
+    links = [link("trunk", box("0.1 0.1 0.1"), 10.0), *(link(f"{name} link", box("0.05 0.05 0.05"), 0.1) for name in names)]
+    return "".join([*links, *(joint(name, "trunk", f"{name} link", f"{x} {y} 0.1") for name, x, y in around)])
+
+
+ROBOTS = {make.__name__: make for make in (tall_foot, snake, spider, hexacopter, locked, odd_names)}
+
+
+@pytest.fixture(params=ROBOTS)
+def robot(request, tmp_path):
+    (tmp_path / f"{request.param}.urdf").write_text(f'<robot name="r">{ROBOTS[request.param]()}</robot>', encoding="utf-8")
+    return request.param
+
+
+def test_what_is_written_is_silent_even_when_it_is_simulated(deepbots, robot):
+    made = deepbots("new", "first", "--urdf", f"{robot}.urdf")
+    assert made.code == 0, made.err
+    ran = deepbots("lint", "first.yaml", "--deep", "--preview")
+    assert (ran.code, ran.out) == (0, "first.yaml: no findings\n")
+
+
+@pytest.mark.parametrize("robot", ["tall_foot", "snake"], indirect=True)
+def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_lifted_with_it(deepbots, tmp_path, robot):
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
+    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    low, high = ([float(word) for word in end.split()] for end in re.findall(r"target: uniform\((.*) \.\. (.*) m\)", text)[0])
+    lift = float(re.findall(r"robot: \{z: (\S+) m", text)[0])
+    survey = Survey(api.compile("first.yaml").ir.world.robots[0].model)
+    limb = survey.limbs[0]
+    start = survey.frames[limb.joints[0].parent]
+    assert lift > 0.1
+    for x, y, z in product(*zip(low, high, strict=True)):
+        assert bring(limb, start, (x, y, z - lift))[1] < 0.03 * limb.reach
+
+
+@pytest.mark.parametrize("robot", ["locked"], indirect=True)
+def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
+    assert [motor.parts for motor in api.compile(tmp_path / "first.yaml").ir.robots[0].actuators] == [("free",)]
+
+
+def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):
+    massless = f'<link name="a"/>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
+    made = deepbots("new", "first", "--urdf", "light.urdf")
+    assert (made.code, made.out) == (2, "")
+    assert "joint 'j' of light.urdf moves nothing that has mass; give link 'a' an inertial" in made.err
+    assert not (tmp_path / "first.yaml").exists()
+
+
+def test_of_a_robot_file_that_is_not_there_the_nearest_shipped_one_is_suggested(deepbots):
+    assert "did you mean rover?" in deepbots("new", "first", "--urdf", "rovr").err
