@@ -130,6 +130,56 @@ def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):
     assert list(found) == [("policy", "order of what is observed, done and sent")]
 
 
+REORDERED = {
+    "  time:   -0.05\n  found:  10 when found\n": "  found:  10 when found\n  time:   -0.05\n",
+    "  path: path_distance(epuck, ball)            # around the box\n  here: position(epuck)\n": (
+        "  here: position(epuck)\n  path: path_distance(epuck, ball)\n"
+    ),
+    "    ball:  {x: 38 cm, y: 38 cm}\n": "    ball:  {y: 38 cm, x: 38 cm}\n",
+}
+
+
+@pytest.mark.parametrize("old", REORDERED, ids=["reward", "signals", "coordinates"])
+def test_the_order_of_keys_is_no_difference_in_the_task(deepbots, tmp_path, old):
+    deepbots("copy", "find_ball")
+    text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "other.yaml").write_text(text.replace(old, REORDERED[old]), encoding="utf-8")
+    code, found = differences(deepbots, "find_ball.yaml", "other.yaml")
+    assert (code, set(found)) in ((0, {("cosmetic", "order of keys")}), (0, set()))
+    assert "not written" not in deepbots("diff", "find_ball.yaml", "other.yaml").out
+
+
+def test_the_order_in_which_bodies_look_for_a_place_makes_other_starts(deepbots, tmp_path):
+    deepbots("copy", "find_ball")
+    text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
+    ball, box = "    ball:  {x: 38 cm, y: 38 cm}\n", "    box:   {yaw: 45 deg}\n"
+    (tmp_path / "other.yaml").write_text(text.replace(ball + box, box + ball), encoding="utf-8")
+    _, found = differences(deepbots, "find_ball.yaml", "other.yaml")
+    assert list(found) == [("world", "order of reset.place")]
+    assert found["world", "order of reset.place"]["other"] == "box, ball, epuck"
+
+
+def test_what_is_written_as_the_default_is_shown_on_both_sides(deepbots):
+    _, found = differences(deepbots, "pit_escape", "pit_escape", "--set", "agent.stack=1")
+    (row,) = found.values()
+    assert (row["kind"], row["one"], row["other"]) == ("changed", "2", "1")
+
+
+def test_a_colour_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
+    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.colour=choice(green | orange)")
+    (row,) = found.values()
+    assert (row["one"], row["other"]) == ("choice(yellow | orange)", "choice(green | orange)")
+    _, found = differences(deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={pole: {mass: uniform(0.1 .. 0.2 kg)}}")
+    assert found["world", "robots.cart.links.pole.mass"]["other"] == "uniform(0.1 .. 0.2 kg)"
+
+
+def test_a_figure_that_is_drawn_with_a_parameter_is_told_by_its_name(deepbots):
+    heavy = ("--set", "parameters.heavy=uniform(0.1 .. 0.2 kg)", "--set", "robots.cart.links={pole: {mass: heavy}}")
+    ran = deepbots("diff", "cartpole", "cartpole", *heavy)
+    assert "drawn mass of cart.pole\n    + heavy\n" in ran.out
+
+
 def test_colours_count_where_a_camera_sees_them(deepbots):
     _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.colour=green")
     assert {group for group, _ in found} == {"world"}

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Literal
 
 from deepbots_cli import canonical
-from deepbots_cli.cli.comparison.items import VALUE, Group, Item, items
+from deepbots_cli.cli.comparison.items import LOOK, VALUE, Group, Item, items
 from deepbots_cli.cli.comparison.sides import Side
 from deepbots_cli.cli.tables import cell
 from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
 _MISSING = object()
+
+Kind = Literal["changed", "added", "removed"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,7 @@ class Change:
 
     path: str
     group: Group
-    kind: Literal["changed", "added", "removed"]
+    kind: Kind
     one: str
     other: str
     through: tuple[str, ...] = ()
@@ -35,12 +39,24 @@ def changes(one: Side, other: Side) -> list[Change]:
     """All differences, the gravest group first; empty exactly if both compile to the same, but for the place of files."""
     found = [*_of_items(one, other, items(one.ir), items(other.ir)), *_of_settings(one, other)]
     if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
-        found.append(Change("order of entries, or last digits", Group.task, "changed", "", ""))
+        group = Group.cosmetic if _shuffled(one.ir) == _shuffled(other.ir) else Group.task
+        found.append(Change("order of keys" if group is Group.cosmetic else "last digits", group, "changed", "", ""))
     ranks = list(Group)
     gravest: dict[str, Change] = {}
     for change in sorted(found, key=lambda change: ranks.index(change.group)):
         gravest.setdefault(change.path, change)
     return list(gravest.values())
+
+
+def _shuffled(scenario: CompiledScenario) -> object:
+    """Everything of a scenario, without a regard for order: that which means something is compared before."""
+    return _bag(json.loads(canonical.to_json(canonical.with_files(scenario, lambda file: replace(file, path="")))))
+
+
+def _bag(data: object) -> object:
+    if isinstance(data, dict):
+        return {key: _bag(value) for key, value in data.items()}
+    return sorted(map(_bag, data), key=json.dumps) if isinstance(data, list) else data
 
 
 def _of_items(one: Side, other: Side, before: dict[str, Item], after: dict[str, Item]) -> Iterator[Change]:
@@ -54,12 +70,13 @@ def _of_items(one: Side, other: Side, before: dict[str, Item], after: dict[str, 
         known = new or old
         assert known is not None  # the path is of one of the two
         shown = _place(path, one, other)
-        texts = _texts(one, other, shown, old, new)
+        texts = _texts(one, other, shown)
+        kind: Kind = "changed" if (old and new) or all(texts) else "removed" if old else "added"
         used = set(_NAME.findall(texts[0])) if texts[0] == texts[1] else set()
         through = tuple(name for name in altered if name in used)
         if texts[0] == texts[1] and not through:
             texts = _figures(old, new)
-        yield Change(shown, known.group, "changed" if old and new else "removed" if old else "added", *texts, through)
+        yield Change(shown, known.group, kind, *texts, through)
 
 
 def _is_reordered(old: object, new: object) -> bool:
@@ -74,8 +91,10 @@ def _place(path: str, one: Side, other: Side) -> str:
     return path.removesuffix(VALUE)
 
 
-def _texts(one: Side, other: Side, path: str, old: Item | None, new: Item | None) -> tuple[str, str]:
-    return one.wording(path) if old else "", other.wording(path) if new else ""
+def _texts(one: Side, other: Side, path: str) -> tuple[str, str]:
+    """What both sides write there; of a look, its colour."""
+    written = f"{path.removeprefix(LOOK)}.colour" if path.startswith(LOOK) else path
+    return one.wording(written), other.wording(written)
 
 
 def _altered_parameters(one: Side, other: Side) -> dict[str, tuple[str, str]]:
@@ -96,9 +115,7 @@ def _of_settings(one: Side, other: Side) -> Iterator[Change]:
     ):
         for name in dict.fromkeys((*before, *after)):
             if before.get(name, _MISSING) != after.get(name, _MISSING):
-                kind: Literal["changed", "added", "removed"] = (
-                    "added" if name not in before else "removed" if name not in after else "changed"
-                )
+                kind: Kind = "added" if name not in before else "removed" if name not in after else "changed"
                 was, now = (side.stage(name) if section == "curriculum" else side.wording(f"{section}.{name}") for side in (one, other))
                 yield Change(f"{section}.{name}", Group.training, kind, was, now)
         if before.keys() == after.keys() and list(before) != list(after):
@@ -134,9 +151,11 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
         case Const(figure):
             yield path, cell(figure)
         case Name() | World() | Op() | State() | Draw():
-            yield path, str(value)
+            yield path, python(value, _read)
         case (str() as name, inner) if name and not isinstance(inner, str):
             yield from _leaves(inner, f"{path}.{name}".lstrip("."))
+        case (str(), *_) if all(isinstance(name, str) for name in value):
+            yield path, ", ".join(map(str, value))
         case tuple():
             for number, item in enumerate(value):
                 named = isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
@@ -146,3 +165,14 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
                 yield from _leaves(getattr(value, f.name), f"{path}.{f.name}".lstrip("."))
         case _:
             yield path, cell(value)
+
+
+def _read(leaf: Name | World | State | Draw) -> str:
+    """What an expression reads, as the language writes it; figures are in SI units."""
+    match leaf:
+        case Name(name, component):
+            return f"{name}.{component}" if component else name
+        case World(function, subjects, component):
+            return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
+        case State(name, args) | Draw(name, args):
+            return f"{name}({', '.join(python(arg, _read) for arg in args)})"

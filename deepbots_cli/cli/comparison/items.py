@@ -11,7 +11,8 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from deepbots_cli import canonical, interface
-from deepbots_cli.ir import CompiledScenario, MessageLayout, Robot, RobotBody
+from deepbots_cli.ir import CompiledScenario, MessageLayout, Robot, RobotBody, Variation, WorldModel
+from deepbots_cli.lang.scalar import Draw
 
 
 class Group(StrEnum):
@@ -34,6 +35,9 @@ class Item(NamedTuple):
 
 VALUE = " value"
 """Marks what an agreed item means, apart from what was agreed on: `robots.cart.emit.tilt value`."""
+
+LOOK = "look of "
+"""Begins the path of what only shows."""
 
 _LOOKS = frozenset({"colour", "visuals"})
 
@@ -137,11 +141,24 @@ def _world(scenario: CompiledScenario) -> Iterator[Item]:
     yield from (Item(f"parameters.{entry.name}", Group.world, entry) for entry in scenario.parameters)
     yield from (Item(f"disturbances.{entry.name}", Group.world, entry) for entry in scenario.disturbances)
     yield from (Item(f"reset.place.{place.body}", Group.world, place) for place in reset.places)
+    yield Item("order of reset.place", Group.world, tuple(place.body for place in reset.places))
     yield from (Item(f"reset.set.{joint.robot}.{joint.joint}", Group.world, joint) for joint in reset.joints)
-    yield from (Item(f"drawn {entry.what} of {'.'.join(entry.of)}", Group.world, entry.values) for entry in reset.variations)
+    yield from (Item(_drawn(entry, world), Group.world, entry.values) for entry in reset.variations)
     yield from (Item(f"objects.{group.name}.count", Group.world, group) for group in reset.groups)
     yield from (Item(f"reset.layouts.{layout.name}", Group.world, layout) for layout in reset.layouts)
     yield from (Item(f"reset.{name}", Group.world, getattr(reset, name)) for name in ("settle", "require", "attempts"))
+
+
+def _drawn(entry: Variation, world: WorldModel) -> str:
+    """The path of a figure that is drawn per episode: where the draw is written; a colour goes with the look of what has it."""
+    if entry.what == "colour":
+        body, link = entry.of
+        is_robot = any(robot.name == body for robot in world.robots)
+        return f"{LOOK}robots.{body}.links.{link}" if is_robot else f"{LOOK}objects.{body.partition('#')[0]}"
+    first = entry.values[0]
+    if isinstance(first, Draw):
+        return first.stream.partition("#")[0].partition(":")[0]
+    return f"drawn {entry.what} of {'.'.join(filter(None, entry.of))}"
 
 
 def _body(robot: RobotBody, *, seen: bool) -> Iterator[Item]:
@@ -161,7 +178,7 @@ def _looked_at(path: str, value: object, *, seen: bool) -> Iterator[Item]:
     yield Item(path, Group.world, _without_looks(value))
     looks = tuple(_looks(value))
     if any(look is not None and look != () for look in looks):
-        yield Item(f"look of {path}", Group.world if seen else Group.cosmetic, looks)
+        yield Item(f"{LOOK}{path}", Group.world if seen else Group.cosmetic, looks)
 
 
 def _without_looks(value: object) -> object:

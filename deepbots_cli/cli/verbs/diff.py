@@ -20,7 +20,7 @@ _HEADINGS = {
     Group.task: "what is sensed, done, paid for or ended",
     Group.world: "world and starts, and so how hard it is",
     Group.training: "training and judgement",
-    Group.cosmetic: "names and looks, which change nothing that happens",
+    Group.cosmetic: "names, looks and the order of keys, which change nothing that happens",
 }
 _Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A file, the name of a shipped scenario, or a run directory.")]
 
@@ -38,7 +38,8 @@ def command(
     Both are compiled, and what they come to is compared: layout, comments, units and the order of keys count for nothing. Of a run
     directory, the scenario is the one that it was trained on. --set is for the second scenario.
 
-    The exit code is 0 if there is no difference but in names and looks, 1 if there is one, and 2 if one of the two cannot be compiled.
+    The exit code is 0 if there is no difference but in names, looks and the order of keys, 1 if there is one, and 2 if one of the two
+    cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed
@@ -85,6 +86,8 @@ def _show_change(change: Change) -> None:
     terminal.say(f"  {change.path}")
     if change.through:
         terminal.say(f"      {change.one}\n      by another value of {', '.join(change.through)}")
+        return
+    if not (change.one or change.other):
         return
     for mark, text, absent in (("-", change.one, "added"), ("+", change.other, "removed")):
         if change.kind != absent:
