@@ -16,8 +16,8 @@ from itertools import islice
 from pathlib import Path
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.rewriting import Rewrite, difference, write
+from deepbots_cli.cli import rewriting, terminal
+from deepbots_cli.cli.rewriting import Rewrite
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import files, roots, shipped
@@ -272,9 +272,9 @@ def mend(mender: Mender, *, show: bool) -> tuple[list[Finding], bool]:
     rewrites = mender.mend()
     for rewrite in rewrites:
         if show:
-            terminal.say(difference(rewrite).rstrip("\n"))
+            rewriting.show(rewrite)
         else:
-            write(rewrite)
+            rewriting.write(rewrite)
     for finding in mender.fixed:
         edit = _edits(finding)[0]
         terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.where}: {finding.code}[{finding.name}] {_change(edit)}")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
+from deepbots_cli.cli.terminal import printable
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source.roots import display
 
@@ -20,12 +23,19 @@ class Rewrite:
     after: bytes
 
 
-def difference(rewrite: Rewrite) -> str:
-    """A unified diff, as `patch` and `git apply` read it."""
+def show(rewrite: Rewrite) -> None:
+    """Print what would change; to a file or a pipe byte for byte, so that `patch -p0` and `git apply -p0` can read it."""
+    text = _difference(rewrite)
+    print(printable(text) if sys.stdout.isatty() else text, end="")
+
+
+def _difference(rewrite: Rewrite) -> str:
+    """A unified diff."""
     from difflib import unified_diff
 
     name = display(rewrite.path)
-    before, after = (data.decode("utf-8", "replace").splitlines(keepends=True) for data in (rewrite.before, rewrite.after))
+    name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
+    before, after = (list(StringIO(data.decode("utf-8", "replace"))) for data in (rewrite.before, rewrite.after))  # parted by \n alone
     lines = unified_diff(before, after, name, name)
     return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
 

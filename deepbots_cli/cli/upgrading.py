@@ -54,12 +54,13 @@ def upgrade(path: Path) -> Upgrade:
 
 
 def _name_the_version(text: str, root: Tree) -> str:
-    """From 0 to 1: the line that says which version a file is written in, above its first key."""
+    """From 0 to 1: the line that says which version a file is written in, above its first key and as far indented."""
     start = root.span.start + text.startswith(_BOM)  # places count from behind the mark
     end = "\r\n" if "\r\n" in text else "\n"
     if text[start : start + 1] == "{":
         return f"{text[: start + 1]}deepbots: 1, {text[start + 1 :]}"
-    return f"{text[:start]}deepbots: 1{end}{text[start:]}"
+    indentation = text[text.rfind("\n", 0, start) + 1 : start].removeprefix(_BOM)
+    return f"{text[:start]}deepbots: 1{end}{indentation}{text[start:]}"
 
 
 STEPS: Mapping[int, Step] = {0: _name_the_version}

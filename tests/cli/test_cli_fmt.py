@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+
+import pytest
+
 UNTIDY = "deepbots:   1\nworld:\n    timestep: 32 ms   # a tick\n"
 TIDY = "deepbots: 1\nworld:\n  timestep: 32 ms   # a tick\n"
 
@@ -20,6 +24,23 @@ def test_check_and_diff_write_nothing(deepbots, tmp_path):
     assert ran.code == 1
     assert "+deepbots: 1\n" in ran.out
     assert (tmp_path / "a.yaml").read_text() == UNTIDY
+
+
+@pytest.mark.parametrize("verb", [("fmt", "--diff"), ("lint", "--diff", "--unsafe-fixes"), ("upgrade", "--diff")], ids=" ".join)
+@pytest.mark.parametrize("name", ["a.yaml", "my \u00e4 file.yaml"])
+@pytest.mark.parametrize("tail", ["\r\n", ""], ids=["ended", "open"])
+def test_a_difference_in_a_pipe_is_a_patch_whatever_the_line_ends(deepbots, tmp_path, verb, name, tail):
+    version = "" if verb[0] == "upgrade" else "deepbots: 1\r\n"
+    before = f"\ufeff{version}reward:  {{}}\r\nworld: {{timestop: 32 ms}}{tail}".encode()
+    (tmp_path / name).write_bytes(before)
+    shown = deepbots(*verb, name)
+    assert shown.code == 1
+    (tmp_path / "change.patch").write_text(shown.out, encoding="utf-8", newline="")
+    assert deepbots(*(word if word != "--diff" else "--fix" for word in verb if verb[0] == "lint" or word != "--diff"), name).err
+    after = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(before)
+    subprocess.run(["git", "apply", "-p0", "change.patch"], cwd=tmp_path, check=True)
+    assert (tmp_path / name).read_bytes() == after != before
 
 
 def test_in_a_folder_only_scenarios_are_touched(deepbots, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from textwrap import indent
 
 import pytest
 
@@ -28,8 +29,17 @@ def test_there_is_a_step_from_every_version_to_the_next():
         ("\ufeff" + UNNAMED, "\ufeff" + WHOLE),
         (UNNAMED.replace("\n", "\r\n"), WHOLE.replace("\n", "\r\n")),
         ("{extends: cartpole.yaml}\n", "{deepbots: 1, extends: cartpole.yaml}\n"),
+        (indent(UNNAMED, "  "), indent(WHOLE, "  ")),
     ],
-    ids=["plain", "below a comment", "below a document mark", "with a byte order mark", "with line ends of Windows", "in braces"],
+    ids=[
+        "plain",
+        "below a comment",
+        "below a document mark",
+        "with a byte order mark",
+        "with line ends of Windows",
+        "in braces",
+        "indented",
+    ],
 )
 def test_a_file_without_a_version_gets_the_line_and_keeps_everything_else(deepbots, tmp_path, text, after):
     file = tmp_path / "old.yaml"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -11,7 +12,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.folders import scenarios_in
-from deepbots_cli.cli.rewriting import Rewrite, difference, write
+from deepbots_cli.cli.rewriting import Rewrite, show, write
 from deepbots_cli.cli.settings import settings
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.errors import UsageError
@@ -44,7 +45,7 @@ def command(
         if rewrite is not None and rewrite.after != rewrite.before:
             rewrites.append(rewrite)
             if diff:
-                terminal.say(difference(rewrite).rstrip("\n"))
+                show(rewrite)
             elif not check:
                 write(rewrite)
             terminal.note(f"{'would change' if check or diff else 'changed'} {path}")
@@ -73,7 +74,7 @@ def _tidied(path: Path) -> Rewrite | None:
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
-        terminal.complain(f"{path} cannot be read as it stands, and is left alone; see: deepbots lint {path}")
+        terminal.complain(f"{path} cannot be read as it stands, and is left alone; see: deepbots lint {quote(str(path))}")
         return None
     done = tidy(source.text)
     if done is None:

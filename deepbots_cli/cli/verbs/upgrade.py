@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.rewriting import difference, write
+from deepbots_cli.cli.rewriting import show, write
 from deepbots_cli.cli.upgrading import upgrade
 from deepbots_cli.schema.scenario import VERSION
 
@@ -32,7 +32,7 @@ def command(
     if found.rewrite is None:
         terminal.say(f"{file} is written in version {VERSION} of the language, the current one: nothing to do")
     elif diff:
-        terminal.say(difference(found.rewrite).removesuffix("\n"))
+        show(found.rewrite)
         raise typer.Exit(FAILED)
     else:
         write(found.rewrite)
