@@ -1,4 +1,4 @@
-"""Which files of a folder are scenarios."""
+"""Which files are scenarios."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from deepbots_cli.errors import UsageError
 
-_VERSION = re.compile(rb"^(?:\xef\xbb\xbf)?deepbots[ \t]*:", re.MULTILINE)
+_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A\s*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _LOOKED_AT = 65_536
 
 
@@ -23,6 +23,11 @@ def scenarios_in(folder: Path) -> list[Path]:
     return found
 
 
+def is_scenario(data: bytes) -> bool:
+    """Whether a text has a `deepbots:` key at its top level, and is no piece that others include."""
+    return _VERSION.search(data, 0, _LOOKED_AT) is not None
+
+
 def _is_scenario(path: Path) -> bool:
     with path.open("rb") as file:
-        return _VERSION.search(file.read(_LOOKED_AT)) is not None
+        return is_scenario(file.read(_LOOKED_AT))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 from lsprotocol import types
 
@@ -23,6 +24,17 @@ Complain = Callable[[str], None]
 Analyse = Callable[[Document, Drafts], Analysis]
 
 
+class _Shown(NamedTuple):
+    """What the last analysis of a document has found, by address."""
+
+    analysis: Analysis
+    found: dict[str, list[types.Diagnostic]]
+
+    def is_about(self, document: Document | None) -> bool:
+        """Whether the analysis has seen a document as it is now; None is a file that is not open."""
+        return document is None or self.analysis.drafts.get(document.path) == document.bytes
+
+
 class Checker:
     """Keeps what the desk knows up to date, by what `analyse` makes of a document, and publishes what is found.
 
@@ -37,19 +49,19 @@ class Checker:
         self._waiting: dict[str, None] = {}
         self._task: asyncio.Task[None] | None = None
         self._thread = ThreadPoolExecutor(1, "analysis")
-        self._shown: dict[str, dict[str, list[types.Diagnostic]]] = {}
-        self._said: set[str] = set()
+        self._shown: dict[str, _Shown] = {}
 
     def want(self, *uris: str) -> None:
-        """Have documents looked at, soon."""
-        self._waiting.update(dict.fromkeys(uris))
+        """Have documents looked at soon, before those that wait already."""
+        self._waiting = {**dict.fromkeys(uris), **self._waiting}
         if self._task is None or self._task.done():
             self._task = asyncio.get_running_loop().create_task(self._work())
 
     def forget(self, uri: str) -> None:
         """Take back what was published because of a document."""
         self._waiting.pop(uri, None)
-        self._tell(self._shown.pop(uri, {}))
+        if uri in self._shown:
+            self._tell(self._shown.pop(uri).found)
 
     def stop(self) -> None:
         self._waiting.clear()
@@ -69,12 +81,11 @@ class Checker:
         loop = asyncio.get_running_loop()
         try:
             analysis = await loop.run_in_executor(self._thread, self._analysed, document, self._desk.drafts)
+            self._desk.learn(analysis)
+            if self._desk.documents.get(document.uri) is document:  # else it is stale, and the next one is under way
+                self._show(analysis)
         except Exception as error:  # noqa: BLE001  # a fault of ours, which must not end the service
-            self._say(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
-            return
-        self._desk.learn(analysis)
-        if self._desk.documents.get(document.uri) is document:  # else it is stale, and the next one is under way
-            self._show(analysis)
+            self._complain(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
 
     def _analysed(self, document: Document, drafts: Drafts) -> Analysis:
         """An analysis, in its thread, and what is left of the one before collected."""
@@ -86,25 +97,16 @@ class Checker:
     def _show(self, analysis: Analysis) -> None:
         uri = analysis.document.uri
         if analysis.complaint:
-            self._say(analysis.complaint)
-        before = self._shown.get(uri, {})
-        found = diagnostics(analysis, self._desk.open_uris)
-        for other in {*found, *before}:
-            document = self._desk.documents.get(other)
-            if document is not None and analysis.drafts.get(document.path) != document.bytes:  # changed meanwhile: what was said stays
-                found[other] = before.get(other, [])
-        self._shown[uri] = found
-        self._tell({*before, *found})
+            self._complain(analysis.complaint)
+        before = self._shown[uri].found if uri in self._shown else {}
+        now = self._shown[uri] = _Shown(analysis, diagnostics(analysis, self._desk.open_uris))
+        # Of a file that has changed meanwhile nothing new is said: what reads it waits to be looked at again.
+        self._tell(other for other in {*before, *now.found} if now.is_about(self._desk.documents.get(other)))
 
-    def _tell(self, uris: dict[str, list[types.Diagnostic]] | set[str]) -> None:
-        """Publish all that is known of some addresses; what several documents have found there is told once."""
+    def _tell(self, uris: Iterable[str]) -> None:
+        """Publish all that is known of some addresses as they are; what several documents have found there is told once."""
         for uri in sorted(uris):
-            all_found = [found for shown in self._shown.values() for found in shown.get(uri, [])]
-            unique = {(str(found.range), found.code, found.message): found for found in all_found}
             document = self._desk.documents.get(uri)
+            told = [found for shown in self._shown.values() if shown.is_about(document) for found in shown.found.get(uri, ())]
+            unique = {(str(found.range), found.code, found.message): found for found in told}
             self._publish(uri, document.version if document else None, list(unique.values()))
-
-    def _say(self, sentence: str) -> None:
-        if sentence not in self._said:
-            self._said.add(sentence)
-            self._complain(sentence)

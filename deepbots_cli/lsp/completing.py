@@ -1,6 +1,7 @@
 """Completion: what may be written at a place, though the document may be broken there at the moment.
 
-What the language takes there is asked by the path of the place, and names come from the last analysis that was sound.
+What the language takes there is asked by the path of the place, and names come from the last analysis that was sound,
+and from what was written since.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from deepbots_cli.lang.functions import Family
 from deepbots_cli.lsp.asking import at, key_of, specs
 from deepbots_cli.lsp.describing import brief, of_key, of_kind
 from deepbots_cli.lsp.desk import View
-from deepbots_cli.lsp.expressing import Choice, awaits_unit, begun, choices, functions, is_expression, scope_of, units
+from deepbots_cli.lsp.expressing import BODY, Choice, awaited, awaits_unit, begun, choices, functions, is_expression, scope_of, units
 from deepbots_cli.lsp.files import files
-from deepbots_cli.lsp.written import written
+from deepbots_cli.lsp.written import defines, written
 from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Quantity, Reference
 from deepbots_cli.schema.fields import Range as RangeLeaf
@@ -47,7 +48,10 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 
 
 def completion(view: View) -> CompletionList:
-    """Everything that may be written at the place; the client filters by what is there already."""
+    """Everything that may be written at the place; the client filters by what is there already.
+
+    While the newest text has not been looked at, the list is incomplete: the client asks again at the next letter.
+    """
     place = view.place
     if view.document.is_blank:
         items = [] if place.role == "aside" else [_item(view, _FIRST, place.start, f"{_FIRST.text}\n")]
@@ -59,7 +63,7 @@ def completion(view: View) -> CompletionList:
         items = list(_values(view))
     for index, item in enumerate(items):  # clients sort by the alphabet otherwise
         item.sort_text = f"{index:04}"
-    return CompletionList(is_incomplete=False, items=items)
+    return CompletionList(is_incomplete=not view.is_settled, items=items)
 
 
 # Keys
@@ -127,10 +131,14 @@ def _in_expression(view: View, leaf: Leaf, data: Any) -> Iterator[Choice]:
         return
     scope = scope_of(view.analysis, leaf, path) if view.analysis else None
     if scope is not None and view.analysis is not None and view.analysis.checked is not None:
-        yield from choices(text, scope, view.analysis.checked)
-        return
-    yield from (Choice(name, CompletionItemKind.Variable, "") for name in written("value", path, data))
-    yield from functions(frozenset(Family))
+        known = choices(text, scope, view.analysis.checked)
+        yield from (choice for choice in known if not defines(path, choice.text))
+    kind = awaited(text, leaf)
+    for name in written(kind, path, data):
+        if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
+            yield Choice(name, CompletionItemKind.Variable, "")
+    if scope is None and kind != BODY:
+        yield from functions(frozenset(Family))
 
 
 def _example(view: View, data: Any) -> Iterator[Choice]:

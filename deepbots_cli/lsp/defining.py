@@ -45,16 +45,16 @@ def _anchor(view: View) -> types.Location | None:
     begin = text.rfind("\n", 0, view.offset) + 1
     for alias in _ALIAS.finditer(text, begin, view.offset + 100):
         if alias.start() <= view.offset <= alias.end():
-            found = re.search(rf"&{re.escape(alias[1])}(?![\w-])", text[: alias.start()])
-            return types.Location(view.document.uri, view.document.lines.range(*found.span())) if found else None
+            anchors = list(re.finditer(rf"&{re.escape(alias[1])}(?![\w-])", text[: alias.start()]))
+            return types.Location(view.document.uri, view.document.lines.range(*anchors[-1].span())) if anchors else None
     return None
 
 
 def _file(view: View, found: Pointed, open_uris: dict[str, str]) -> types.Location | None:
-    is_path = any(isinstance(leaf, FilePath) for leaf in leaves(found.path, view.data))
-    if found.is_key or not (is_path or found.path[-1:] in (("include",), ("extends",))):
+    kinds = [leaf.kind for leaf in leaves(found.path, view.data) if isinstance(leaf, FilePath)]
+    if found.is_key or not (kinds or found.path[-1:] in (("include",), ("extends",))):
         return None
-    path = located(view, found.text)
+    path = located(view, found.text, robots="robot file" in kinds)
     return types.Location(open_uris.get(str(path)) or uri_of(path), _START) if path is not None else None
 
 

@@ -25,6 +25,7 @@ class View:
     """A place in a document as it is now, and the last analysis in which names had a meaning, if there is one.
 
     `source` is the document as it was then, and `then` where the place stood in it; None for what was written since.
+    `is_settled` says that an analysis of just this text is known, so that an answer would be the same a moment later.
     """
 
     document: Document
@@ -32,6 +33,7 @@ class View:
     analysis: Analysis | None
     source: Source | None
     then: int | None
+    is_settled: bool
 
     @cached_property
     def place(self) -> Place:
@@ -136,7 +138,7 @@ class Desk:
         analysis = self._sound.get(uri) or next((known for known in self._sound.values() if known.source(document.path)), None)
         source = analysis.source(document.path) if analysis else None
         then = None if source is None else _moved(offset, document.plain, source.text)
-        return View(document, offset, analysis, source, then)
+        return View(document, offset, analysis, source, then, any(True for _ in self.current(document)))
 
 
 def _moved(offset: int, now: str, then: str) -> int | None:

@@ -57,9 +57,10 @@ def diagnostic(finding: Finding, places: Places) -> types.Diagnostic:
 
 
 def diagnostics(analysis: Analysis, open_uris: dict[str, str]) -> dict[str, list[types.Diagnostic]]:
-    """All findings by the address of the file that they are in; the document itself is always among them."""
+    """All findings by the address of the file that they are in; the document and all open files that it reads are always there."""
     places = Places(analysis, open_uris)
-    found: dict[str, list[types.Diagnostic]] = {analysis.document.uri: []}
+    read = (open_uris[str(path)] for path in analysis.paths.values() if str(path) in open_uris)
+    found: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read)}
     for finding in analysis.findings:
         found.setdefault(places.uri(finding.span.source), []).append(diagnostic(finding, places))
     return found

@@ -6,18 +6,19 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from zlib import crc32
 
 from pygls import uris
 
+from deepbots_cli.cli.folders import is_scenario
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.lsp.positions import Encoding, Lines
 from deepbots_cli.source import files
 from deepbots_cli.source.nodes import Node
 from deepbots_cli.source.parse import parse
 
-_SCENARIO = re.compile(r"^\ufeff?deepbots[ \t]*:", re.MULTILINE)
 _BLANK = re.compile(r"\ufeff?(?:[ \t\r]*(?:#[^\n]*)?\n)*+[a-z]*\s*")
-_NAMELESS = "<untitled>"
+_NAMELESS = "<untitled {:08x}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +40,10 @@ class Document:
         """The text without a byte order mark, in which offsets count."""
         return self.text.removeprefix("\ufeff")
 
-    @property
+    @cached_property
     def is_scenario(self) -> bool:
         """Whether this is a scenario, and no piece that others include."""
-        return _SCENARIO.search(self.text) is not None
+        return is_scenario(self.bytes)
 
     @property
     def is_blank(self) -> bool:
@@ -61,12 +62,13 @@ class Document:
 
 
 def path_of(uri: str) -> Path:
-    """The file of an address; what lies in no file is taken to lie in the working directory."""
+    """The file of an address; what lies in no file is taken to lie in the working directory, each under a name of its own."""
+    nameless = _NAMELESS.format(crc32(uri.encode("utf-8", "surrogatepass")))
     named = uris.to_fs_path(uri) if uri.startswith("file:") else None
     try:
-        return Path(named or _NAMELESS).resolve()
+        return Path(named or nameless).resolve()
     except (OSError, ValueError, RuntimeError):  # no name that a file can have
-        return Path(_NAMELESS).absolute()
+        return Path(nameless).absolute()
 
 
 def uri_of(path: Path) -> str:

@@ -34,6 +34,8 @@ _GRAMMAR = {
 }
 _REPEATS = {"every": "draws anew each so often: `uniform(0 .. 1) every 5 s`", "each step": "draws anew in every step"}
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
+_ON_BOARD = ("emit", "apply")
+BODY = "body or link"
 _MOST = 1000
 
 
@@ -61,7 +63,7 @@ def scope_of(analysis: Analysis, leaf: Leaf, path: Path) -> Scope | None:
     if leaf.context in _CONTEXTS:
         return ParameterScope(checked.namespace, _CONTEXTS[leaf.context])
     context = Context[leaf.context.upper()]
-    if leaf.context not in ("emit", "apply"):
+    if leaf.context not in _ON_BOARD:
         return SupervisorScope(checked.namespace, context)
     robot = str(path[1]) if len(path) > 1 else ""
     known = [reading.scope for reading in analysis.readings if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot]
@@ -79,6 +81,16 @@ def awaits_unit(text: str) -> bool:
     """Whether a number ends there, or a unit that a `*` or `/` goes on."""
     word = begun(text)
     return "." not in word and _BEHIND_NUMBER.search(text[: len(text) - len(word)]) is not None
+
+
+def awaited(text: str, leaf: Leaf) -> str:
+    """What kind of name may come at the end of `text`, in the words of `written`."""
+    word = begun(text)
+    if _subjects(text[: len(text) - len(word)]) is not None:
+        return BODY
+    if not isinstance(leaf, Expression) or leaf.context in _CONTEXTS:
+        return "setting"
+    return "value on board" if leaf.context in _ON_BOARD else "value"
 
 
 def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:

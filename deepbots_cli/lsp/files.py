@@ -28,12 +28,14 @@ def files(view: View, suffixes: tuple[str, ...], *, robots: bool = False) -> Ite
             yield Choice(f"{name}/", CompletionItemKind.Folder, "a folder")
 
 
-def located(view: View, reference: str) -> Path | None:
+def located(view: View, reference: str, *, robots: bool = False) -> Path | None:
     """The file that a reference in the document stands for; None where there is none, or it may not be read."""
     if reference.startswith("package://"):
         return mesh.in_package(reference)
     found = roots.resolve(reference, view.document.path.parent, _roots(view))
-    return found if isinstance(found, Path) else shipped.robot_path(reference)
+    if isinstance(found, Path):
+        return found
+    return shipped.robot_path(reference) if robots else None
 
 
 def _listed(view: View, folder: str) -> list[Path]:

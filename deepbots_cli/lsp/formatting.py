@@ -13,11 +13,19 @@ def formatting(document: Document) -> list[types.TextEdit]:
     _, root, findings = document.read()
     before = document.plain
     after = tidy(before) if root is not None and not findings.errors else None
-    if after is None or after == before:
+    return rewritten(document, after) if after is not None else []
+
+
+def rewritten(document: Document, after: str) -> list[types.TextEdit]:
+    """The edit that makes `after` of a document; what is the same at both ends stays, with the cursor and the marks in it."""
+    before = document.plain
+    if after == before:
         return []
     start = _same(before, after)
-    most = min(len(before), len(after)) - start
-    end = min(most, _same(before[::-1], after[::-1]))
+    end = min(_same(before[::-1], after[::-1]), len(before) - start, len(after) - start)
+    # Between the two characters of a line end there is no place.
+    start -= before[max(0, start - 1) : start + 1] == "\r\n"
+    end -= before[len(before) - end - 1 : len(before) - end + 1] == "\r\n"
     return [types.TextEdit(document.lines.range(start, len(before) - end), after[start : len(after) - end])]
 
 

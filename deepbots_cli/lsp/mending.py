@@ -14,6 +14,7 @@ from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.diagnosing import Places, diagnostic
 from deepbots_cli.lsp.documents import Document
+from deepbots_cli.lsp.formatting import rewritten
 from deepbots_cli.source.nodes import to_data
 
 FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
@@ -59,7 +60,7 @@ class Actions:
             return None
         open_paths = {document.path: document for document in self._desk.documents.values()}
         changes = {
-            open_paths[rewrite.path]: [types.TextEdit(open_paths[rewrite.path].lines.whole, rewrite.after.decode("utf-8"))]
+            open_paths[rewrite.path]: rewritten(open_paths[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff"))
             for rewrite in rewrites
             if rewrite.path in open_paths
         }

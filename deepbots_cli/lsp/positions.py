@@ -46,10 +46,6 @@ class Lines:
         start, end = self._starts[line], self._ends[line]
         return max(0, start + self._count(self._text[start:end], max(0, position.character)) - self._mark)
 
-    @property
-    def whole(self) -> types.Range:
-        return types.Range(types.Position(0, 0), self.position(len(self._text)))
-
     def _width(self, piece: str) -> int:
         """How many units the piece takes."""
         if self._encoding == "utf-32" or piece.isascii():

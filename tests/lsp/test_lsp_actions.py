@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.lsp.documents import Document
+from deepbots_cli.lsp.formatting import rewritten
+from deepbots_cli.source.layout import tidy
 from tests.lsp.client import Client, edited
 
 FIX_ALL = ["source.fixAll.deepbots"]
@@ -90,7 +93,19 @@ def test_all_safe_fixes_are_one_action_and_guesses_are_left(client, pit, changed
     changed(("timestep: 32", "timestop: 32"), ("{type: gyro,", "{type: gyros,"), ("delta(metric)", "delta(metrik)"))
     (action,) = client.actions(pit, "time¦stop", only=FIX_ALL)
     assert made(client, pit, action) == original.replace("delta(metric)", "delta(metrik)")
+    (edit,) = action["edit"]["changes"][pit]
+    first, last = (client.texts[pit].count("\n", 0, client.texts[pit].index(word)) for word in ("timestop", "gyros"))
+    assert (edit["range"]["start"]["line"], edit["range"]["end"]["line"]) == (first, last)  # the cursor elsewhere stays where it is
     assert client.actions(pit, "time¦stop", only=["refactor"]) == []
+
+
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_all_safe_fixes_leave_line_ends_and_a_byte_order_mark_as_they_are(client, pit, mark):
+    original = mark + client.texts[pit].replace("\n", "\r\n")
+    client.change(pit, original.replace("timestep: 32", "timestop: 32"))
+    client.findings(pit)
+    (action,) = client.actions(pit, "time¦stop", only=FIX_ALL)
+    assert made(client, pit, action) == original
 
 
 def test_a_client_that_can_ask_later_gets_the_edit_when_it_asks_and_versions_with_it(project):
@@ -133,6 +148,17 @@ def test_formatting_makes_what_fmt_makes_and_leaves_broken_text_alone(client, pi
     assert edited(client.texts[pit], client.request("textDocument/formatting", options)) == original
     client.change(pit, original.replace("messages: {", "messages: {{"))
     assert client.request("textDocument/formatting", options) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["name:  a\r\nsummary: b\n", "name: a  \nsummary: b   \n\n\n\r\n", "name: a\r\n\r\n\r\n\r\nsummary: b", "a: 1\nb: 2\r\n"]
+)
+def test_an_edit_never_begins_or_ends_within_a_line_end(text):
+    document = Document("untitled:a", 1, f"deepbots: 1\r\n{text}", Path("a.yaml"))
+    for after in (tidy(document.text), document.text.replace("\r\n", "\n"), document.text.replace("\r\n", "\r\n\r\n")):
+        for edit in rewritten(document, after):
+            start, end = document.lines.offset(edit.range.start), document.lines.offset(edit.range.end)
+            assert document.text[:start] + edit.new_text + document.text[end:] == after
 
 
 def test_the_outline_shows_sections_and_the_names_in_them(client, pit):

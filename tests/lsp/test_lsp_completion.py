@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from deepbots_cli.lsp.analysing import analyse
+from deepbots_cli.lsp.completing import completion
+from deepbots_cli.lsp.desk import Desk
+from deepbots_cli.lsp.documents import Document, uri_of
 from tests.lsp.client import edited
 
 
@@ -218,10 +222,67 @@ def test_while_a_robot_has_a_mistake_its_joints_are_still_offered(client, pit):
     assert {"pitch", "yaw"} <= set(client.labels(pit, "joint: p¦itch"))
 
 
+WHOLE = f"""\
+{BEGUN}    emit: [pole_angle]
+    apply: {{wheels: go}}
+action: {{go: {{range: -5 .. 5 rad/s, each: cart.wheels}}}}
+observation: {{cart.pole_angle: -1 .. 1 rad}}
+signals: {{old: 1 m}}
+reward: {{time: 1}}
+truncation: {{max_steps: 100}}
+scripts:
+  still: {{go: 0 rad/s}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "offered", "not_offered"),
+    [
+        ([("{old: 1 m}", "{far: 1 m, old: 1 m}"), ("reward: {time: 1", "reward: {time: f¦")], {"far", "old", "delta("}, {"wheels"}),
+        ([("{old: 1 m}", "{old: 1 m, far: f¦}")], {"old"}, {"far"}),
+        ([("name: Begun\n", "name: Begun\nparameters: {wide: 1 s}\nsignals: {far: 1 s}\n"), ("20 ms", "w¦")], {"wide"}, {"far", "old"}),
+        (
+            [("pole_hinge}}", "pole_hinge}, tilt: {type: joint_velocity, joint: pole_hinge}}"), ("{wheels: go}", "{wheels: t¦}")],
+            {"tilt", "pole_angle", "go"},
+            {"old"},
+        ),
+        (
+            [("action:", "objects: {crate: {shape: box, size: 1 1 1 m}}\naction:"), ("{time: 1", "{time: gap(cr¦")],
+            {"crate", "cart"},
+            {"old", "time"},
+        ),
+    ],
+)
+def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_value(tmp_path, changes, offered, not_offered):
+    path = tmp_path / "a.yaml"
+    desk = Desk()
+    known = Document(uri_of(path), 1, WHOLE, path)
+    desk.put(known)
+    desk.learn(analyse(known, desk.drafts))
+    text = WHOLE
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    written = Document(known.uri, 2, text.replace("¦", ""), path)
+    position = written.lines.position(text.index("¦"))
+    desk.put(written)
+    before = completion(desk.view(known.uri, position))
+    assert before.is_incomplete  # so that an editor asks again at the next letter
+    assert offered <= labels(before)
+    assert not labels(before) & not_offered
+    desk.learn(analyse(written, desk.drafts))
+    after = completion(desk.view(known.uri, position))
+    assert not after.is_incomplete
+    assert offered <= labels(after)
+    assert not labels(after) & not_offered
+
+
+def labels(found):
+    return {item.label for item in found.items}
+
+
 def test_a_script_is_offered_the_components_that_it_has_to_decide(client, project):
-    text = BEGUN + "    emit: [pole_angle]\n    apply: {wheels: go}\n"
-    text += "action: {go: {range: -5 .. 5 rad/s, each: cart.wheels}}\nobservation: {cart.pole_angle: -1 .. 1 rad}\nreward: {time: 1}\n"
-    text += "truncation: {max_steps: 100}\nscripts:\n  still: {go: 0 rad/s}\n"
+    text = WHOLE
     uri = client.open(project / "scenarios" / "begun.yaml", text)
     assert [found["code"] for found in client.findings(uri) if found["severity"] == 1] == []
     client.change(uri, text.replace("{go: 0 rad/s}", "{go: {"))

@@ -113,9 +113,10 @@ def test_an_included_file_that_is_being_written_counts_as_it_stands_in_the_edito
     piece = client.open(path.parents[1] / "robots" / "epuck.yaml")
     assert client.findings(piece) == []
     client.change(piece, client.texts[piece].replace("infrared", "infrarot"))
-    while not (found := client.published(piece)):
-        pass
-    assert (codes(found), marked(client, piece, found[0])) == (["DB104"], "infrarot")
+    for _ in range(3):  # whatever is published of a text is of that text
+        (only,) = client.findings(piece)
+        assert (only["code"], marked(client, piece, only)) == ("DB104", "infrarot")
+        client.change(piece, "# one line more\n" + client.texts[piece])
     client.close(piece)
     client.close(uri)
 
@@ -193,6 +194,26 @@ def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
     client.versions[uri] = 1
     assert "DB102" in codes(client.findings(uri))
     client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
+
+
+def test_two_documents_that_are_no_files_yet_have_findings_of_their_own(client):
+    texts = {"untitled:One": "deepbots: 1\nwrold: {}\n", "untitled:Two": "deepbots: 1\nrobot: {}\n"}
+    for uri, text in texts.items():
+        client.notify("textDocument/didOpen", {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": text}})
+        client.texts[uri], client.versions[uri] = text, 1
+    for uri, key in zip(texts, ("wrold", "robot"), strict=True):
+        assert [marked(client, uri, found) for found in client.findings(uri) if found["code"] == "DB101"] == [key]
+    for uri in texts:
+        client.close(uri)
+
+
+@pytest.mark.parametrize(
+    "text", ['"deepbots": 1\nwrold: {}\n', "{deepbots: 1, wrold: {}}\n", "# JSON\n{\n  'deepbots': 1,\n  wrold: {}}\n"]
+)
+def test_a_scenario_whose_first_key_is_quoted_or_in_brackets_has_findings_too(client, project, text):
+    uri = client.open(project / "scenarios" / "odd.yaml", text)
+    assert "DB101" in codes(client.findings(uri))
+    client.close(uri)
 
 
 def test_findings_of_a_closed_document_are_taken_back(client, world):

@@ -132,6 +132,19 @@ def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client
     client.close(piece)
 
 
+def test_a_shipped_name_leads_to_a_robot_file_where_a_robot_is_due_and_nowhere_else(client, project):
+    uri = client.open(project / "scenarios" / "mine.yaml", "deepbots: 1\nextends: cartpole\nrobots: {cart: {urdf: cartpole}}\n")
+    assert client.definition(uri, "extends: cart¦pole") == []
+    assert client.definition(uri, "urdf: cart¦pole") == [("cartpole.urdf", 0, 0)]
+    client.close(uri)
+
+
+def test_an_alias_leads_to_the_last_anchor_of_its_name_before_it(client, project):
+    uri = client.open(project / "scenarios" / "mine.yaml", "deepbots: 1\na: &x 1\nb: &x 2\nc: *x\nd: &x 3\n")
+    assert client.definition(uri, "c: *¦x") == [("mine.yaml", 2, 3)]
+    client.close(uri)
+
+
 def test_a_pattern_leads_to_all_that_it_fits(client, project):
     uri = client.open(project / "scenarios" / "cartpole_wireless.yaml")
     assert client.findings(uri) == []

@@ -29,4 +29,4 @@ def command(
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve
 
-    serve(port, allow_paths=allow_paths or (), allow_code=allow_code)
+    raise typer.Exit(serve(port, allow_paths=allow_paths or (), allow_code=allow_code))
