@@ -146,10 +146,13 @@ def differing(first: Components, second: Components, start: int, end: int, repor
 
 
 def warn_of_degrees(value: Typed, report: Report) -> None:
-    """DB504: nobody writes 30 rad for an angle that is compared or given to a sine."""
+    """DB504: nobody writes 30 rad for an angle that is compared or given to a sine, nor degrees beyond a full turn.
+
+    Wheels that turn on come to hundreds of radians, which are left alone.
+    """
     if isinstance(value, Constant) and value.unit is not None and value.unit.text == "rad":
         largest = max(abs(number) for number in value.values)
-        if largest > 2 * math.pi:
+        if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
             report(
                 "DB504",
                 value.start,

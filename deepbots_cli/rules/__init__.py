@@ -16,6 +16,7 @@ reach.py        how far values reach in an episode; start.py right after a reset
 doubts.py       figures that are probably mistaken, and what follows from them
 payments.py     what a step and an ending are worth
 pages.py        the page of each finding, from docstrings and pages.yaml
+precedence.py   which ending always comes before another
 thresholds.py   beyond which value of a quantity a condition holds
 wording.py      figures in findings
 """

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.intervals import INF, Interval, hull
-from deepbots_cli.lang.scalar import Name, Scalar, World, children
+from deepbots_cli.lang.scalar import Name, Op, Scalar, World, children
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
+from deepbots_cli.rules.precedence import forestalled
 from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, Supposing, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import between
@@ -55,11 +56,20 @@ def _unlimited(book: Book, ending: TaskEnding) -> Interval:
 
 
 def _reasons(book: Book, ending: TaskEnding) -> Iterator[str]:
-    """Comparisons that never hold, and where their sides lie."""
+    """Comparisons that never hold, and where their sides lie; or why they never hold together."""
     reach = reach_of(book, _ENDLESS)
-    for entry in book.comparisons(ending.value):
-        if all(reach.of(part) == NEVER for part in book.lowered(entry.node, entry.value.owner)):
-            yield from _where(book, reach, entry)
+    (node,) = book.scalars(ending.value)
+    never = [
+        entry
+        for entry in book.comparisons(ending.value)
+        if all(reach.of(part) == NEVER for part in book.lowered(entry.node, entry.value.owner))
+    ]
+    for entry in never:
+        yield from _where(book, reach, entry)
+    marks = list(_touched(book, node))
+    yield from (f"nothing touches `{mark}`, which is not solid" for mark in marks)
+    if not never and not marks and isinstance(meaning := book.meaning(node), Op) and meaning.op == "and":
+        yield "its parts exclude each other"
 
 
 def _where(book: Book, reach: Reach, entry: Comparison) -> Iterator[str]:
@@ -68,6 +78,15 @@ def _where(book: Book, reach: Reach, entry: Comparison) -> Iterator[str]:
         text = entry.value.text[arg.start : arg.end]
         if (known.low > -INF or known.high < INF) and not known.single:
             yield f"`{text}` is {between(known, arg.type.dimension)}"
+
+
+def _touched(book: Book, node: Scalar) -> Iterator[str]:
+    """Marks that it asks to be touched."""
+    node = book.meaning(node)
+    if isinstance(node, World) and node.function in ("contact", "collided"):
+        yield from sorted(book.marks.intersection(node.subjects))
+    for part in children(node):
+        yield from _touched(book, part)
 
 
 def always_true(checked: Checked) -> Iterator[Finding]:
@@ -93,9 +112,9 @@ def always_true(checked: Checked) -> Iterator[Finding]:
 def shadowed_limit(checked: Checked) -> Iterator[Finding]:
     """DB804: of two limits one always comes first, so the other has no effect.
 
-    `max_time` after `max_steps`, an ending that could hold only after the episode is cut short, or one that is sure to hold before
-    it is. The CartPole of the original collection ends an episode once its score exceeds 195, so that the best one lasts 197 steps of
-    the 200 that are allowed.
+    `max_time` after `max_steps`, an ending that could hold only after the episode is cut short or after another one has ended it, or
+    one that is sure to hold before it is. The CartPole of the original collection ends an episode once its score exceeds 195, so that
+    the best one lasts 197 steps of the 200 that are allowed.
 
     Example::
 
@@ -109,6 +128,7 @@ def shadowed_limit(checked: Checked) -> Iterator[Finding]:
     if checked.task is None or checked.namespace is None:
         return
     yield from _two_limits(checked)
+    yield from _one_behind_another(checked)
     book = book_of(checked.task)
     payments = payments_of(checked.task)
     for ending in checked.task.endings:
@@ -156,6 +176,17 @@ def _two_limits(checked: Checked) -> Iterator[Finding]:
         headline = f"`{name}` comes after `{other}`, which always ends an episode before"
         also = (Label(values.span(("truncation", other)), "comes first"),)
         yield Finding("DB804", values.span(("truncation", name)), headline, help="keep the one that is meant", also=also)
+
+
+def _one_behind_another(checked: Checked) -> Iterator[Finding]:
+    """Endings that come too late in every case and every stage."""
+    assert checked.task is not None  # as the caller found
+    later = [{late.value.name for late in forestalled(task)} for task in versions(checked)]
+    for late, first in forestalled(checked.task).items():
+        if all(late.value.name in names for names in later):
+            headline = f"`{late.value.name}` comes after `{first.value.name}`, which always ends an episode before"
+            help = "give it a limit that is met first" if late.outcome != first.outcome else "keep the one that is meant"
+            yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "comes first"),))
 
 
 def _later(task: Task) -> str:

@@ -11,13 +11,12 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.dimensions import LENGTH
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Op, World
+from deepbots_cli.lang.scalar import World
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.start import AtStart
-from deepbots_cli.rules.thresholds import Threshold, thresholds
+from deepbots_cli.rules.thresholds import Threshold, has_choice, thresholds
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.task import TaskEnding
 from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Shape, Sphere
 
 _SURE = 0.98
@@ -71,7 +70,7 @@ def unreachable_goal(checked: Checked) -> Iterator[Finding]:
     book = book_of(checked.task)
     reach = reach_of(book)
     for ending in checked.task.endings:
-        if ending.outcome == "success" and ending.value.foreign is None and not _has_choice(book, ending):
+        if ending.outcome == "success" and ending.value.foreign is None and not has_choice(book, ending.value):
             for entry in book.comparisons(ending.value):
                 found = (_out_of_reach(book, asked) for asked in thresholds(entry, book, reach) if not asked.above)
                 reason = next((reason for reason in found if reason is not None), None)
@@ -79,18 +78,6 @@ def unreachable_goal(checked: Checked) -> Iterator[Finding]:
                     also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` is made of it"),)
                     yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {reason.words}", help=reason.help, also=also)
                     break
-
-
-def _has_choice(book: Book, ending: TaskEnding) -> bool:
-    """Whether one part of the condition may hold without the others."""
-    waiting = [book.meaning(book.scalars(ending.value)[0])]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, Op) and node.op == "or":
-            return True
-        if isinstance(node, Op) and node.op == "and":
-            waiting += [book.meaning(arg) for arg in node.args]
-    return False
 
 
 class Reason(NamedTuple):

@@ -62,6 +62,8 @@ class Book:
         """The intervals of names that nothing defines, such as action variables and readings."""
         self._ideal = ideal
         self._robots: Mapping[str, TaskRobot] = {robot.name: robot for robot in task.robots}
+        self.marks = frozenset(thing.name for thing in task.world.objects if not thing.solid)
+        """Objects that nothing touches."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in task.world.robots}
         self._defined: dict[str, tuple[Valued, str]] = {value.name: (value, "") for value in (*task.parameters, *task.order)}
         self._defined |= {ending.value.name: (ending.value, "") for ending in task.endings}

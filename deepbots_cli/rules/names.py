@@ -17,7 +17,7 @@ _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origi
 
 
 def unused_definition(checked: Checked) -> Iterator[Finding]:
-    """DB205: something is defined and never used: a parameter, action variable, field, signal, sensor or actuator.
+    """DB205: something is defined and never used: a parameter, action variable, field, signal, sensor or actuator, or sent in vain.
 
     Most often it is a misspelling elsewhere, or what remains of an earlier version. A sensor is of use if it is sent or used on
     board. An actuator without a command is left alone: the joint swings as if there were no motor. What an included robot file
@@ -55,7 +55,7 @@ def _unused_names(checked: Checked, namespace: Namespace) -> Iterator[Finding]:
 
 
 def _unused_parts(checked: Checked, task: Task) -> Iterator[Finding]:
-    """Sensors and actuators of a robot."""
+    """Sensors and actuators of a robot, and what it is sent."""
     looking = {part for value in _judged(task) for part in _sensors(value.typed)}
     for robot in task.robots:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
@@ -64,6 +64,10 @@ def _unused_parts(checked: Checked, task: Task) -> Iterator[Finding]:
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in looking:
                 what, help = "a sensor that nothing reads", "send it under `emit`, or take it out"
                 yield from _idle(checked, ("robots", robot.name, "sensors", sensor.name), what, help)
+        for value in robot.receive:
+            if value.name not in used:
+                what, help = "sent to a robot that does not use it", "use it under `apply`, or take it out"
+                yield from _idle(checked, ("robots", robot.name, "receive", value.name), what, help)
         for actuator in robot.actuators:
             if actuator.name not in driven:
                 what, help = "an actuator that nothing drives", "give it a command under `apply`, or take it out"

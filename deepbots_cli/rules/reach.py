@@ -8,7 +8,7 @@ are 0 and 1, so that [0, 0] is never true and [1, 1] always. What is infinite is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -61,8 +61,17 @@ class Reach:
             return self.given[node.name]
         if node not in self._known:
             meaning = self.book.meaning(node)
-            self._known[node] = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
+            self._known[node] = self._clipped(node, self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning))
         return self._known[node]
+
+    def _clipped(self, node: Name, known: Interval) -> Interval:
+        """Of a goal, what is left of it within its range."""
+        goal = self.book.task.goal
+        if goal is None or node.name not in ("achieved", "desired"):
+            return known
+        names = goal.achieved.components or (None,)
+        at = names.index(node.component) if node.component in names else 0
+        return iv.clamped(known, exact(goal.low[at]), exact(goal.high[at]))
 
     def _leaf(self, node: Name) -> Interval:
         if node.name in self.given:
@@ -74,6 +83,8 @@ class Reach:
         """What is so of a fact wherever and whenever it is asked for."""
         if node.function == "joint_position":
             return self._travel(node.subjects[0])
+        if node.function in ("contact", "collided") and not self.book.marks.isdisjoint(node.subjects):
+            return NEVER
         function = FUNCTIONS.get(node.function)
         if function is None or function.boolean:
             return TRUTH
@@ -105,9 +116,38 @@ class Reach:
             return hull([self.of(arg) for arg in chosen])
         if op == "mul" and args[0] == args[1]:
             return iv.power(self.of(args[0]), exact(2.0))
+        if op == "sub" and self.book.identity(args[0]) == self.book.identity(args[1]):
+            return NEVER
+        if op == "and" and self._is_contradictory(args):
+            return NEVER
         values = [self.of(arg) for arg in args]
         rule = _OPERATORS.get(op)
         return rule(*values) if rule else FUNCTIONS[op].interval(values, 1)
+
+    def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
+        """Whether one quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
+        within: dict[int, Interval] = {}
+        for quantity, asked in self._asked(conditions):
+            known = within.get(quantity, EVERYTHING)
+            low, high = max(known.low, asked.low), min(known.high, asked.high)
+            if low > high:
+                return True
+            within[quantity] = Interval(low, high)
+        return False
+
+    def _asked(self, conditions: Sequence[Scalar]) -> Iterator[tuple[int, Interval]]:
+        """Within what each quantity must lie for all these conditions to hold."""
+        for condition in map(self.book.meaning, conditions):
+            match condition:
+                case Op("and", parts):
+                    yield from self._asked(parts)
+                case Op("less" | "less_equal", (small, large)) | Op("greater" | "greater_equal", (large, small)):
+                    most = self.of(large).high
+                    most = math.nextafter(most, -INF) if condition.op in ("less", "greater") else most
+                    yield self.book.identity(small), Interval(-INF, most)
+                    if isinstance(inner := self.book.meaning(small), Op) and inner.op == "abs":
+                        yield self.book.identity(inner.args[0]), Interval(-most, most)
+                    yield self.book.identity(large), Interval(self.of(small).low, INF)
 
 
 class Kept(Reach):

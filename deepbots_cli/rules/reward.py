@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.lang.intervals import INF, Interval, absolute
+from deepbots_cli.lang.intervals import INF, TRUTH, Interval, absolute
 from deepbots_cli.lang.scalar import Scalar, State, walk
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
+from deepbots_cli.rules.precedence import forestalled
 from deepbots_cli.rules.reach import NEVER, Kept, Reach, Supposing, reach_of
 from deepbots_cli.rules.thresholds import Threshold, is_clock, thresholds
 from deepbots_cli.task import TaskEnding, Valued
@@ -200,14 +201,22 @@ def inactive_term(checked: Checked) -> Iterator[Finding]:
 
 
 def is_turned_down(node: Typed, book: Book) -> bool:
-    """Whether it is a 0, or a parameter of that value is in it."""
-    if isinstance(node, Constant):
-        return not any(node.values)
-    if isinstance(node, Reference):
-        meant = book.named(node.symbol.name)
-        return (node.symbol.value is not None and not any(node.symbol.value)) or (meant is not None and is_turned_down(meant.typed, book))
-    parts = node.args[1:2] if isinstance(node, Invocation) and node.function == "where" else children(node)
-    return any(is_turned_down(part, book) for part in parts)
+    """Whether it is a 0, or has a factor that is one: written so, or a parameter of that value."""
+    match node:
+        case Constant(values=values):
+            return not any(values)
+        case Reference(symbol=symbol):
+            meant = book.named(symbol.name)
+            return (symbol.value is not None and not any(symbol.value)) or (meant is not None and is_turned_down(meant.typed, book))
+        case Invocation(function="where", args=(_, paid, *_)):
+            return is_turned_down(paid, book)
+        case Operation(operator="div", args=(above, _)):
+            return is_turned_down(above, book)
+        case Operation(operator="add" | "sub", args=args):
+            return all(is_turned_down(part, book) for part in args)
+        case Invocation(args=args) if len(args) > 1:  # the 0 in `min(x, 0)` is no factor
+            return any(is_turned_down(part, book) for part in args if not isinstance(part, Constant))
+    return any(is_turned_down(part, book) for part in children(node))
 
 
 # What pays
@@ -298,6 +307,9 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
     if not payments.is_whole or len(successes) != 1 or not ordinary:
         return
     success, running = successes[0], payments.running()
+    endless = reach_of(payments.book, (0.0, INF)).of(payments.book.scalars(success.value)[0]) if success.value.foreign is None else TRUTH
+    if endless == NEVER or success in forestalled(checked.task):
+        return  # DB801, DB804
     for entry in payments.book.comparisons(success.value):
         for asked in thresholds(entry, payments.book, running):
             quantity, kept = payments.book.identity(asked.quantity), _just_outside(asked)

@@ -12,9 +12,10 @@ from deepbots_cli.compiler.joints import held
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.dimensions import ACCELERATION
 from deepbots_cli.lang.intervals import Interval, exact
-from deepbots_cli.lang.scalar import Name, Scalar, World, children
+from deepbots_cli.lang.scalar import Draw, Name, Scalar, World, children
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.observation import Seen, another_range, numbers_seen, once, range_span
+from deepbots_cli.rules.precedence import forestalled
 from deepbots_cli.rules.reach import Kept, Reach, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.thresholds import Threshold, thresholds
@@ -54,7 +55,8 @@ def saturates_before_termination(checked: Checked) -> Iterator[Finding]:
     shown = [(seen, _made_of(book, seen.node)) for seen in numbers_seen(book)]
     met = set()
     for ending in checked.task.endings:
-        for comparison in book.comparisons(ending.value) if ending.outcome == "failure" else ():
+        is_meant = ending.outcome == "failure" and ending not in forestalled(checked.task)
+        for comparison in book.comparisons(ending.value) if is_meant else ():
             asked = [threshold for threshold in thresholds(comparison, book, reach) if _can_be_met(threshold, reach)]
             for sight in _blind(shown, asked, reach):
                 if (id(sight.seen.entry), ending.value.name) not in met:
@@ -198,7 +200,25 @@ def observation_saturates(checked: Checked) -> Iterator[Finding]:
         if is_beyond:
             headline = f"`{seen.entry.value.name}` begins beyond its range: it is {between(first, seen.dimension)}"
             yield Finding("DB611", range_span(checked, seen.entry), headline, help="widen its range, or let the episode begin within it")
+    yield from _goal(checked, book, start)
     yield from _gravity(checked, book)
+
+
+def _goal(checked: Checked, book: Book, start: AtStart) -> Iterator[Finding]:
+    """Goals that are drawn from more than their range: the policy, reward and endings know what is left of them within."""
+    goal = book.task.goal
+    if goal is None:
+        return
+    for node, low, high in zip(book.scalars(goal.desired), goal.low, goal.high, strict=True):
+        meant = book.meaning(node)
+        drawn = start.of(meant) if isinstance(meant, Draw) else start.standing(meant) if isinstance(meant, World) else None
+        slack = _ROUNDING * (high - low)
+        if drawn is not None and drawn.finite and (drawn.low < low - slack or drawn.high > high + slack):
+            assert checked.namespace is not None  # there is a task
+            dimension = goal.desired.typed.type.dimension
+            headline = f"`desired` begins beyond its range: it is {between(drawn, dimension)}"
+            yield Finding("DB611", checked.namespace.values.span(("goal", "range")), headline, help="widen it, or draw from less")
+            return
 
 
 def _gravity(checked: Checked, book: Book) -> Iterator[Finding]:

@@ -44,6 +44,10 @@ class AtStart(Reach):
             case "position":
                 places = list(self._places(self._bodies.get(subject, "")))
                 return hull([self._coordinate(place, node.component or "") for place in places]) if places else None
+            case "joint_velocity":
+                return self._joint_speed(subject)
+            case "velocity" | "angular_velocity" as way:
+                return self._speed(subject, way, "xyz".index(node.component or "x"))
             case "orientation":
                 places = list(self._places(self._bodies.get(subject, "")))
                 return hull([self._attitude(place)["xyzw".index(node.component or "")] for place in places]) if places else None
@@ -58,6 +62,28 @@ class AtStart(Reach):
                 parts = lower(start.position.typed, start.position.owner)
                 return self.of(parts[start.joints.index(name)] if len(parts) > 1 else parts[0])
         return None
+
+    def _joint_speed(self, joint: str) -> Interval:
+        robot, _, name = joint.partition(".")
+        for start in self.book.task.joint_starts:
+            if start.robot == robot and name in start.joints and start.velocity is not None:
+                parts = lower(start.velocity.typed, start.velocity.owner)
+                return self.of(parts[start.joints.index(name)] if len(parts) > 1 else parts[0])
+        return NEVER
+
+    def _speed(self, subject: str, way: str, axis: int) -> Interval | None:
+        """At rest unless the scenario says otherwise; None for what turns or is moved by joints, since its origin may then move too."""
+        body = self._bodies.get(subject)
+        places = list(self._places(body or subject.partition(".")[0].partition("#")[0]))
+        moved = [valued for place in places for valued in (place.velocity, place.angular_velocity) if valued is not None]
+        swinging = any(start.robot == subject.partition(".")[0] and start.velocity is not None for start in self.book.task.joint_starts)
+        if not moved and (body is not None or not swinging):
+            return NEVER
+        if body is None or (way == "velocity" and any(place.angular_velocity is not None for place in places)):
+            return None
+        given = [place.velocity if way == "velocity" else place.angular_velocity for place in places]
+        trees = [() if valued is None else lower(valued.typed, valued.owner) for valued in given]
+        return hull([self.of(parts[axis if len(parts) > 1 else 0]) if parts else NEVER for parts in trees])
 
     def _places(self, body: str) -> Iterator[Placement]:
         begins = self.book.task.beginnings

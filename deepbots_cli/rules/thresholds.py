@@ -9,8 +9,10 @@ from deepbots_cli.lang import intervals as iv
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.scalar import Name, Op, Scalar, State
+from deepbots_cli.lang.types import Stage
 from deepbots_cli.rules.meaning import Book, Comparison
 from deepbots_cli.rules.reach import Reach
+from deepbots_cli.task import Valued
 
 FOLLOWING = frozenset({"running_max", "running_min", "smooth", "hold"})
 """Functions with a memory that rise where their argument does."""
@@ -20,12 +22,17 @@ _CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
 
 
 class Threshold(NamedTuple):
-    """The condition needs `quantity` above (or below) some value in `bound`; `dimension` None where that is not known."""
+    """The condition needs `quantity` above (or below) some value in `bound`; `dimension` None where that is not known.
+
+    `now` is false where it may hold without: after `running_max(x) > 1 m` did once, x may be anything, and `abs(x) > 1 m` asks for
+    one of two things.
+    """
 
     quantity: Scalar
     above: bool
     bound: Interval
     dimension: Dimension | None = None
+    now: bool = True
 
     @property
     def limit(self) -> float:
@@ -47,10 +54,22 @@ def thresholds(comparison: Comparison, book: Book, reach: Reach) -> Iterator[Thr
     rising = node.operator.startswith("greater")
     dimension = node.args[0].type.dimension
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
-        for side, other, above in ((a, b, rising), (b, a, not rising)):
+        for side, other, typed, above in ((a, b, node.args[0], rising), (b, a, node.args[1], not rising)):
             bound = reach.of(other)
-            if bound.finite:
+            if bound.finite and typed.type.stage is Stage.STEP:
                 yield from _asked(Threshold(side, above, bound, dimension), book, reach)
+
+
+def has_choice(book: Book, condition: Valued) -> bool:
+    """Whether one part of the condition may hold without the others."""
+    waiting = [book.meaning(book.scalars(condition)[0])]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Op) and node.op == "or":
+            return True
+        if isinstance(node, Op) and node.op == "and":
+            waiting += [book.meaning(arg) for arg in node.args]
+    return False
 
 
 def _asked(asked: Threshold, book: Book, reach: Reach) -> Iterator[Threshold]:
@@ -59,15 +78,16 @@ def _asked(asked: Threshold, book: Book, reach: Reach) -> Iterator[Threshold]:
     meaning = book.meaning(asked.quantity)
     match meaning:
         case Op("abs", (inner,)) if asked.above or reach.of(inner).low >= 0.0:
-            yield from _asked(asked._replace(quantity=inner), book, reach)
+            surely = asked.now and reach.of(inner).low >= 0.0
+            yield from _asked(asked._replace(quantity=inner, now=surely), book, reach)
             if asked.above:
-                yield from _asked(asked._replace(quantity=inner, above=False, bound=iv.negate(asked.bound)), book, reach)
+                yield from _asked(Threshold(inner, False, iv.negate(asked.bound), asked.dimension, False), book, reach)
         case Op("neg", (inner,)):
             yield from _asked(asked._replace(quantity=inner, above=not asked.above, bound=iv.negate(asked.bound)), book, reach)
         case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
             yield from _balanced(op, a, b, asked, book, reach)
         case State(function, (inner, *_)) if function in FOLLOWING:
-            yield from _asked(asked._replace(quantity=inner), book, reach)
+            yield from _asked(asked._replace(quantity=inner, now=False), book, reach)
         case Name() if meaning != asked.quantity:
             yield asked._replace(quantity=meaning)
         case _:
@@ -94,4 +114,4 @@ def _balanced(op: str, a: Scalar, b: Scalar, asked: Threshold, book: Book, reach
         case _:
             bound, above = iv.multiply(asked.bound, known), above == (known.low > 0.0)
     dimension = asked.dimension if op in ("add", "sub") else None
-    yield from _asked(Threshold(unknown, above, bound, dimension), book, reach)
+    yield from _asked(Threshold(unknown, above, bound, dimension, asked.now), book, reach)
