@@ -119,17 +119,17 @@ def _pair(node: syntax.Call, function: Function, report: Report) -> list[tuple[P
 def _values(param: Param, arg: syntax.Node, function: Function, visit: Visit, report: Report) -> list[Typed] | None:
     """The values in one argument: one, both ends of a range, or all options."""
     match param.form, arg:
-        case Form.RANGE, syntax.Range(low=low, high=high):
-            parts: Sequence[syntax.Node] = (low, high)
-        case Form.SPREAD, syntax.Spread(mean=mean, deviation=deviation):
-            parts = (mean, deviation)
-        case Form.OPTIONS, syntax.Options(items=items):
-            parts = items
         case Form.VALUE, syntax.Range() | syntax.Spread() | syntax.Options():
             report("DB401", arg.start, arg.end, "a range or draw where a single value is needed", f"`{function.signature}`: {function.doc}")
             return None
         case Form.VALUE, _:
-            parts = (arg,)
+            parts: Sequence[syntax.Node] = (arg,)
+        case Form.RANGE, syntax.Range(low=low, high=high):
+            parts = (low, high)
+        case Form.SPREAD, syntax.Spread(mean=mean, deviation=deviation):
+            parts = (mean, deviation)
+        case Form.OPTIONS, syntax.Options(items=items):
+            parts = items
         case _:
             report("DB401", arg.start, arg.end, f"`{function.name}` needs `{param}` here", f"`{function.signature}`: {function.doc}")
             return None

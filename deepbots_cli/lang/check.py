@@ -120,28 +120,28 @@ class _Checker:
         self.draws = 0
 
     def visit(self, node: syntax.Node) -> Typed | None:
-        match node:
-            case syntax.Number():
-                return self._quantity((node,), node, None)
-            case syntax.Truth():
-                return Constant(Type(boolean=True, interval=TRUTH), node.start, node.end, (node.value,))
-            case syntax.Vector():
-                return self._vector(node)
+        match node:  # what there is most of comes first
             case syntax.Name():
                 return reference(node, self._scope, self._report)
+            case syntax.Number():
+                return self._quantity((node,), node, None)
+            case syntax.Binary():
+                left, right = self.visit(node.left), self.visit(node.right)
+                return operators.binary(node, left, right, self._report) if left and right else None
+            case syntax.Call():
+                return self._call(node)
             case syntax.Member():
                 value = self.visit(node.value)
                 return pick(value, node.member, node.start, node.end, self._report) if value else None
             case syntax.Unary():
                 operand = self.visit(node.operand)
                 return operators.unary(node, operand, self._report) if operand else None
-            case syntax.Binary():
-                left, right = self.visit(node.left), self.visit(node.right)
-                return operators.binary(node, left, right, self._report) if left and right else None
-            case syntax.Call():
-                return self._call(node)
             case syntax.When():
                 return self._when(node)
+            case syntax.Vector():
+                return self._vector(node)
+            case syntax.Truth():
+                return Constant(Type(boolean=True, interval=TRUTH), node.start, node.end, (node.value,))
             case _:
                 self._report("DB401", node.start, node.end, "a range or draw where a single value is needed")
                 return None

@@ -45,7 +45,7 @@ TURN = Interval(-math.pi, math.pi)
 
 def _of(low: float, high: float) -> Interval:
     """Inf minus inf is not a number; nothing is known then."""
-    return Interval(-INF if math.isnan(low) else low, INF if math.isnan(high) else high)
+    return Interval(low if low == low else -INF, high if high == high else INF)
 
 
 def _times(a: float, b: float) -> float:
@@ -81,7 +81,10 @@ def subtract(a: Interval, b: Interval) -> Interval:
 
 
 def multiply(a: Interval, b: Interval) -> Interval:
-    corners = (_times(a.low, b.low), _times(a.low, b.high), _times(a.high, b.low), _times(a.high, b.high))
+    (p, q), (r, s) = a, b
+    corners = (p * r, p * s, q * r, q * s)
+    if math.isnan(sum(corners)):  # of 0 times infinity, which is 0 here; or the sum alone is, of infinities of both signs
+        corners = (_times(p, r), _times(p, s), _times(q, r), _times(q, s))
     return Interval(min(corners), max(corners))
 
 

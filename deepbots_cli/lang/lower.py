@@ -53,15 +53,15 @@ class Lowering:
                 return tuple(Const(number) for number in values)
             case Reference():
                 return _reference(value)
+            case Operation(operator=operator, args=args):
+                return tuple(op(operator, *column) for column in self._columns(value, args))
+            case Invocation():
+                return self._invocation(value)
             case Pick(value=whole, indices=indices):
                 parts = self.scalars(whole)
                 return tuple(parts[index] for index in indices)
             case Vector(items=items):
                 return tuple(self.scalars(item)[0] for item in items)
-            case Operation(operator=operator, args=args):
-                return tuple(op(operator, *column) for column in self._columns(value, args))
-            case Invocation():
-                return self._invocation(value)
 
     def _columns(self, value: Typed, args: tuple[Typed, ...]) -> list[Scalars]:
         """The arguments of each component; a single value stands in every column."""

@@ -14,7 +14,7 @@ from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
 from deepbots_cli.ir import Sensor
 from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.lower import Lowering, Scalars, lower
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World, walk
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.lang.scalar import children as parts
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.lang.types import Stage, Symbol, Type
@@ -23,6 +23,8 @@ from deepbots_cli.urdf.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")
+_NO_NAMES: frozenset[str] = frozenset()
+_TIME = frozenset(("time",))
 
 
 class Comparison(NamedTuple):
@@ -72,7 +74,8 @@ class Book:
             self._defined |= {"achieved": (task.goal.achieved, ""), "desired": (task.goal.desired, "")}
             self._defined["goal_reached"] = (_reached(task.goal), "")
         self._scalars: dict[str, dict[str | None, Scalar]] = {}
-        self._behind: dict[Name, frozenset[str]] = {}
+        self._behind: dict[int, tuple[Scalar, frozenset[str]]] = {}
+        self._behind_names: dict[Name, frozenset[str]] = {}
         self._lowered: dict[str, _Lowered] = {}
         self._learnt: dict[tuple[int, str], Typed] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
@@ -127,15 +130,27 @@ class Book:
         self._learn(value.typed, robot)
         return tuple(self._on_board(part, robot) for part in lower(value.typed, value.owner))
 
-    def names_behind(self, node: Name) -> frozenset[str]:
+    def names_behind(self, node: Scalar) -> frozenset[str]:
         """The names that a value depends on, its own among them, and `time` where it depends on how long something lasts."""
-        found = self._behind.get(node)
-        if found is None:
-            meant = self.definition(node)
-            inside = list(walk(meant)) if meant is not None else []
-            further = [self.names_behind(part) for part in inside if isinstance(part, Name)]
-            lasting = any(isinstance(part, State) and part.function in _LASTING for part in inside)
-            found = self._behind[node] = frozenset((node.name, "time") if lasting else (node.name,)).union(*further)
+        known = self._behind.get(id(node))
+        if known is None:
+            known = self._behind[id(node)] = (node, self._names_behind(node))
+        return known[1]
+
+    def _names_behind(self, node: Scalar) -> frozenset[str]:
+        if isinstance(node, Name):
+            known = self._behind_names.get(node)
+            if known is None:
+                meant = self.definition(node)
+                own = frozenset((node.name,))
+                known = self._behind_names[node] = own if meant is None else own | self.names_behind(meant)
+            return known
+        if isinstance(node, State) and node.function in _LASTING:
+            return _TIME.union(*map(self.names_behind, node.args))
+        found = _NO_NAMES
+        for part in parts(node):
+            behind = self.names_behind(part)
+            found = found | behind if found else behind
         return found
 
     def _learn(self, typed: Typed, robot: str) -> None:

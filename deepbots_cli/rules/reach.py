@@ -42,13 +42,13 @@ class Reach:
         return seen[1]
 
     def _of(self, node: Scalar) -> Interval:
+        if isinstance(node, Op):
+            return self._op(node.op, node.args)
+        if isinstance(node, Const):
+            return exact(float(node.value))
         match node:
-            case Op(op, args):
-                return self._op(op, args)
             case Name():
                 return self._name(node)
-            case Const(value):
-                return exact(float(value))
             case World():
                 return self._world(node)
             case State():
@@ -179,10 +179,8 @@ class Supposing(Reach):
         super().__init__(book, given, steps)
         self._anyhow = reach_of(book)
 
-    def _name(self, node: Name) -> Interval:
-        if node not in self._known and self.book.names_behind(node).isdisjoint(self.given):
-            self._known[node] = self._anyhow.of(node)
-        return super()._name(node)
+    def _of(self, node: Scalar) -> Interval:
+        return self._anyhow.of(node) if self.book.names_behind(node).isdisjoint(self.given) else super()._of(node)
 
 
 def _sum(*terms: Interval) -> Interval:
