@@ -1,6 +1,6 @@
 """The compiled scenario as canonical JSON, and its digest.
 
-Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every dataclass is an
+Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an
 object whose key `is` holds the class name, so that reading needs no look at the field types' order;
 reading checks names and types and never constructs a class outside the table below.
 """
@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import PurePath
 from types import UnionType
@@ -19,12 +19,11 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from deepbots_cli import ir
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.ir.records import is_record_class, members, with_members
 from deepbots_cli.lang import scalar
 from deepbots_cli.urdf import model
 
-_CLASSES: dict[str, type] = {
-    cls.__name__: cls for module in (model, scalar, ir) for cls in vars(module).values() if isinstance(cls, type) and is_dataclass(cls)
-}
+_CLASSES: dict[str, type] = {cls.__name__: cls for module in (model, scalar, ir) for cls in vars(module).values() if is_record_class(cls)}
 
 
 class CanonicalError(DeepbotsError):
@@ -60,11 +59,10 @@ def with_files(scenario: ir.CompiledScenario, change: Callable[[Filed], Filed]) 
 def _with_files(value: object, change: Callable[[Filed], Filed]) -> object:
     if isinstance(value, Filed):
         return change(value)
-    if isinstance(value, tuple):
-        return tuple(_with_files(item, change) for item in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{f.name: _with_files(getattr(value, f.name), change) for f in fields(value)})
-    return value
+    inside = members(value)
+    if inside is not None:
+        return with_members(value, {name: _with_files(member, change) for name, member in inside.items()})
+    return tuple(_with_files(item, change) for item in value) if isinstance(value, tuple) else value
 
 
 def from_json(text: str) -> ir.CompiledScenario:
@@ -92,8 +90,9 @@ def _refuse(word: str) -> float:
 
 
 def _plain(value: object) -> object:
-    if is_dataclass(value) and not isinstance(value, type):
-        return {"is": type(value).__name__, **{f.name: _plain(getattr(value, f.name)) for f in fields(value)}}
+    inside = members(value)
+    if inside is not None:
+        return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
@@ -116,7 +115,7 @@ def _build(data: object, kind: Any, where: str) -> object:
     if origin is Literal:
         if data in get_args(kind):
             return data
-    elif is_dataclass(kind):
+    elif is_record_class(kind):
         return _build_object(data, kind, where)
     elif kind is float:
         if isinstance(data, dict) and data.get("is") == "float" and data.get("value") in ("inf", "-inf"):
@@ -150,11 +149,11 @@ def _build_tuple(data: object, items: tuple[Any, ...], where: str) -> object:
 def _build_union(data: object, kinds: tuple[Any, ...], where: str) -> object:
     if isinstance(data, dict) and data.get("is") != "float":
         for kind in kinds:
-            if is_dataclass(kind) and kind is _CLASSES.get(str(data.get("is"))):
+            if is_record_class(kind) and kind is _CLASSES.get(str(data.get("is"))):
                 return _build(data, kind, where)
         raise CanonicalError(f"{where}: {str(data.get('is'))[:40]!r} is no kind that belongs here")
     for kind in kinds:  # exact types first, so that an int stays an int where both are allowed
-        if not is_dataclass(kind) and type(data) is kind:
+        if not is_record_class(kind) and type(data) is kind:
             return data
     for kind in kinds:
         if kind in (float, type(None)) or get_origin(kind):

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from dataclasses import MISSING, fields, replace
 from functools import cache
 from pathlib import PurePath
 from typing import Any
 
 from deepbots_cli import api, canonical
 from deepbots_cli.ir import CompiledScenario, Evaluation
+from deepbots_cli.ir.records import members
+from deepbots_cli.lang.scalar import Scalar
 from tests.results.experiment import Baseline, Training
 from tests.results.experiment import Evaluation as HeldOut
 from tests.results.places import ROOT
@@ -61,11 +63,15 @@ def digest(ir: CompiledScenario) -> str:
 
 
 def _told(value: object) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        told = {field.name: _told(getattr(value, field.name)) for field in fields(value) if getattr(value, field.name) != _default(field)}
-        return {"is": type(value).__name__, **told}
+    inside = members(value)
+    if inside is not None:
+        defaults = _defaults(type(value))
+        return {"is": type(value).__name__} | {name: _told(given) for name, given in inside.items() if given != defaults.get(name, MISSING)}
     return [_told(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _default(field: Field[Any]) -> object:
-    return field.default_factory() if field.default_factory is not MISSING else field.default
+@cache
+def _defaults(kind: type) -> dict[str, Any]:
+    if issubclass(kind, Scalar):
+        return kind._field_defaults
+    return {field.name: field.default if field.default_factory is MISSING else field.default_factory() for field in fields(kind)}

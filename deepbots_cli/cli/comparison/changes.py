@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from deepbots_cli import canonical
@@ -13,6 +13,7 @@ from deepbots_cli.cli.comparison.items import LOOK, VALUE, Group, Item, items
 from deepbots_cli.cli.comparison.sides import Side
 from deepbots_cli.cli.tables import cell
 from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.ir.records import members
 from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 
@@ -160,9 +161,9 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
             for number, item in enumerate(value):
                 named = isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
                 yield from _leaves(item, path if named or len(value) == 1 else f"{path}.{number}".lstrip("."))
-        case _ if is_dataclass(value) and not isinstance(value, type):
-            for f in fields(value):
-                yield from _leaves(getattr(value, f.name), f"{path}.{f.name}".lstrip("."))
+        case _ if (inside := members(value)) is not None:
+            for name, member in inside.items():
+                yield from _leaves(member, f"{path}.{name}".lstrip("."))
         case _:
             yield path, cell(value)
 

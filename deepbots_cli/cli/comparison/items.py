@@ -6,12 +6,13 @@ Items are compared by value. What only shows (colours, shapes that nothing touch
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
 
 from deepbots_cli import canonical, interface
 from deepbots_cli.ir import CompiledScenario, MessageLayout, Robot, RobotBody, Variation, WorldModel
+from deepbots_cli.ir.records import members
 from deepbots_cli.lang.scalar import Draw
 
 
@@ -182,20 +183,20 @@ def _looked_at(path: str, value: object, *, seen: bool) -> Iterator[Item]:
 
 
 def _without_looks(value: object) -> object:
-    if isinstance(value, tuple):
-        return tuple(map(_without_looks, value))
-    if is_dataclass(value) and not isinstance(value, type):
-        return (type(value).__name__, *((f.name, _without_looks(getattr(value, f.name))) for f in fields(value) if f.name not in _LOOKS))
-    return value
+    inside = members(value)
+    if inside is not None:
+        return (type(value).__name__, *((name, _without_looks(member)) for name, member in inside.items() if name not in _LOOKS))
+    return tuple(map(_without_looks, value)) if isinstance(value, tuple) else value
 
 
 def _looks(value: object) -> Iterator[object]:
-    if isinstance(value, tuple):
+    inside = members(value)
+    if inside is not None:
+        for name, member in inside.items():
+            yield from (member,) if name in _LOOKS else _looks(member)
+    elif isinstance(value, tuple):
         for item in value:
             yield from _looks(item)
-    elif is_dataclass(value) and not isinstance(value, type):
-        for f in fields(value):
-            yield from (getattr(value, f.name),) if f.name in _LOOKS else _looks(getattr(value, f.name))
 
 
 def _training(scenario: CompiledScenario) -> Iterator[Item]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 
 from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.ir.records import members
 from deepbots_cli.lang.emit import PYTHON
 from deepbots_cli.lang.scalar import Draw, Name, Op, State, World
 from deepbots_cli.lang.state import RULES
@@ -70,7 +70,5 @@ def nodes(value: object) -> Iterator[Op | State | Draw | World | Name]:
         here = waiting.pop()
         if isinstance(here, (Op, State, Draw, World, Name)):
             yield here
-        if isinstance(here, tuple):
-            waiting.extend(here)
-        elif is_dataclass(here) and not isinstance(here, type):
-            waiting.extend(getattr(here, field.name) for field in fields(here))
+        inside = members(here)
+        waiting.extend(here if inside is None and isinstance(here, tuple) else (inside or {}).values())

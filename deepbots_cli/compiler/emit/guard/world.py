@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.ir import MOST_POINTS, CompiledScenario, Formula, Picture, Pit
+from deepbots_cli.ir.records import members
 from deepbots_cli.urdf.model import Mesh
 
 _SMALLEST, _LARGEST = 1e-4, 1e5  # m
@@ -45,13 +45,13 @@ def _sizes(scenario: CompiledScenario) -> Iterator[tuple[str, float]]:
 
 def _colours(value: object) -> Iterator[tuple[float, ...]]:
     """Every colour that something in the world has."""
-    if isinstance(value, tuple):
+    inside = members(value)
+    if inside is not None:
+        for name, member in inside.items():
+            if name == "colour" and member is not None:
+                yield member
+            else:
+                yield from _colours(member)
+    elif isinstance(value, tuple):
         for item in value:
             yield from _colours(item)
-    elif is_dataclass(value) and not isinstance(value, type):
-        for entry in fields(value):
-            item = getattr(value, entry.name)
-            if entry.name == "colour" and item is not None:
-                yield item
-            else:
-                yield from _colours(item)
