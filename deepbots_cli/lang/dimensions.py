@@ -6,22 +6,24 @@ radian is divided out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 Exponent = int | Fraction
 
 
-@dataclass(frozen=True)
-class Dimension:
-    """Exponents of the base units; whole numbers, or fractions after a root."""
+class Dimension(NamedTuple):
+    """Exponents of the base units; whole numbers, or fractions after a root.
+
+    A tuple, since checking expressions is comparing dimensions; `*` is not that of tuples, though, which would repeat it.
+    """
 
     m: Exponent = 0
     kg: Exponent = 0
     s: Exponent = 0
     rad: Exponent = 0
 
-    def __mul__(self, other: Dimension) -> Dimension:
+    def __mul__(self, other: Dimension) -> Dimension:  # type: ignore[override]
         return Dimension(self.m + other.m, self.kg + other.kg, self.s + other.s, self.rad + other.rad)
 
     def __truediv__(self, other: Dimension) -> Dimension:

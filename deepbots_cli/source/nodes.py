@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import abc
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
@@ -18,8 +18,7 @@ Style = Literal["plain", "single", "double", "literal", "folded"]
 Value = None | bool | int | float | str
 
 
-@dataclass(frozen=True)
-class Scalar:
+class Scalar(NamedTuple):
     """A single value: its text after unquoting and folding, and what YAML 1.2 makes of it.
 
     `offsets()[i]` is the offset in the source of character `i` of `text` (with one more for the end),
@@ -31,7 +30,7 @@ class Scalar:
     text: str
     value: Value
     style: Style = "plain"
-    offsets: Callable[[], abc.Sequence[int]] | None = field(default=None, repr=False, compare=False)
+    offsets: Callable[[], abc.Sequence[int]] | None = None
 
     def part(self, start: int, end: int) -> Span:
         """The span of `text[start:end]` in the source."""
