@@ -159,7 +159,7 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
             yield path, ", ".join(map(str, value))
         case tuple():
             for number, item in enumerate(value):
-                named = isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
+                named = members(item) is None and isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
                 yield from _leaves(item, path if named or len(value) == 1 else f"{path}.{number}".lstrip("."))
         case _ if (inside := members(value)) is not None:
             for name, member in inside.items():
