@@ -131,6 +131,7 @@ _CATALOGUE = (
     Rule("DB806", "ends-at-reset", "error", "an ending that already holds when an episode begins", deep="too"),
     Rule("DB807", "unreachable-goal", "warning", "a success that asks for more nearness than there can be"),
     Rule("DB808", "breaks-off", "error", "an episode that cannot begin or go on", deep="only"),
+    Rule("DB809", "identical-episodes", "warning", "a scenario in which nothing differs between episodes", preview=True),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
     Rule(
         "DB902",

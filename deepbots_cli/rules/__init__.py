@@ -7,7 +7,7 @@ the reference: after the code what is found and why it matters, an example, and 
 names.py        definitions that nothing uses
 observation.py  what the policy sees; saturation.py values at the end of their range
 reward.py       the size of a reward and its terms; progress.py its direction
-endings.py      when episodes end; goals.py whether goals can be reached
+endings.py      when episodes end; goals.py whether goals can be reached; variety.py whether they differ
 
 What rules ask:
 
@@ -41,6 +41,8 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
         return
     doubts = Doubts(checked)
     for module, concerns in _MODULES.items():
+        if module in _IN_PREVIEW and not preview:
+            continue
         for rule in rules_of(module) if concerns(checked.task) else ():
             code = code_of(rule)
             if preview or not CATALOGUE[code].preview:
@@ -96,4 +98,7 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "progress": _may_cost,
     "endings": _ends,
     "goals": _succeeds,
+    "variety": _always,
 }
+_IN_PREVIEW = frozenset({"variety"})
+"""All rules of these modules are."""
