@@ -8,12 +8,11 @@ The way of the data, and the packages along it:
 ir/           the compiled scenario       canonical.py  its JSON and its digest
 task.py       the checked task, before    port.py       what the runtime asks of an engine
 interface.py  what policy and world agree on
-arrays.py     expressions over arrays
 frames.py     rotations and frames        footprint.py  what bodies cover of the ground
 arrays.py     expressions over arrays    terrain/      heights of the ground
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
-errors.py     the exceptions, as a tree
+errors.py     the exceptions, as a tree   reading.py    bytes of files
 
 The documented Python API is `load`, `compile`, `make`, `train` and `evaluate`; each is imported when
 it is first asked for, so that importing this package costs nothing.

@@ -9,6 +9,7 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.types import SPACE, Context
+from deepbots_cli.reading import read_at_most
 from deepbots_cli.source import roots
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.terrain import png
@@ -64,8 +65,7 @@ def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str]
     found = _located(namespace, path, reference)
     if found is None:
         return None
-    with found.open("rb") as file:
-        data = file.read(png.MAX_BYTES + 1)
+    data = read_at_most(found, png.MAX_BYTES + 1)
     wrong = png.fault(data)
     if wrong is not None:
         help = "save it as a grey PNG of 8 or 16 bits, without interlacing"

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.reading import read_at_most
 
 MAX_BYTES = 1 << 20
 
@@ -22,8 +23,7 @@ def read(path: Path) -> bytes:
     Raises:
         OSError: If it cannot be read.
     """
-    with path.open("rb") as file:
-        return file.read(MAX_BYTES + 1)
+    return read_at_most(path, MAX_BYTES + 1)
 
 
 def decode(data: bytes, name: str, findings: Findings, included_from: Span | None = None) -> tuple[Source, bool]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from deepbots_cli.reading import read_at_most
 from deepbots_cli.urdf.mesh_format import Measure, fault, measure
 from deepbots_cli.urdf.model import Mesh, Vector
 
@@ -151,8 +152,7 @@ class Meshes:
             return Refusal("the mesh does not exist", f"looked for {path}")
         if not path.is_file():
             return Refusal("the mesh is not a regular file")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        data = read_at_most(path, MAX_BYTES + 1)
         if len(data) > MAX_BYTES:
             return Refusal(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
         self._total += len(data)

@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from deepbots_cli.diagnostics import Finding, Findings, Label, Source, Span
+from deepbots_cli.reading import read_at_most
 from deepbots_cli.urdf import checks, parts, vocabulary, xml
 from deepbots_cli.urdf.mesh import Meshes, Refusal, ResolveMesh, beside
 from deepbots_cli.urdf.model import Joint, Mesh, RobotModel
@@ -119,8 +120,7 @@ def _load(path: Path) -> bytes | str:
     if not path.is_file():
         return "the robot file is not a regular file" if path.exists() else "the robot file does not exist"
     try:
-        with path.open("rb") as file:
-            return file.read(MAX_BYTES + 1)
+        return read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         return f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
 

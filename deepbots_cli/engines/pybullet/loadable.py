@@ -8,6 +8,7 @@ from pathlib import Path
 
 from deepbots_cli.engines.lump import held_by
 from deepbots_cli.errors import EngineError
+from deepbots_cli.reading import read_at_most
 from deepbots_cli.urdf import inertia
 from deepbots_cli.urdf.mesh import MAX_BYTES
 from deepbots_cli.urdf.mesh_format import fault
@@ -98,8 +99,7 @@ def require_unchanged(mesh: Mesh) -> None:
     if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
         raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        data = read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
     digest = sha256(data).hexdigest()
