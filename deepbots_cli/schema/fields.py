@@ -122,7 +122,7 @@ class Quantity(Leaf):
 
     `dimension` is a key of `MEASURES`; `components` is the length of a vector. Bounds are in SI units; with `exclusive` the
     minimum itself is refused. `urdf` may stand for the figure of the robot file, `words` are accepted as they
-    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction.
+    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction; `like` is an example.
     """
 
     dimension: str
@@ -135,6 +135,7 @@ class Quantity(Leaf):
     words: tuple[str, ...] = ()
     relative: bool = False
     whole: bool = False
+    like: str = ""
 
     @property
     def noun(self) -> str:
@@ -149,7 +150,7 @@ class Quantity(Leaf):
     @property
     def example(self) -> str:
         number, _, unit = ("3", "", "") if self.whole else MEASURES[self.dimension][1].partition(" ")
-        return " ".join([number] * (self.components or 1) + [unit]).strip()
+        return self.like or " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def holds(self, value: object) -> bool:
         return isinstance(value, Scalar) and not isinstance(value, bool)

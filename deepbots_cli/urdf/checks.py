@@ -79,10 +79,11 @@ def _cycles(above: Mapping[str, str]) -> list[list[str]]:
 def inertia(model: RobotModel, elements: Elements, report: Report) -> None:
     """DB305 and DB306: links whose inertia is missing or impossible.
 
-    A link that a fixed joint holds, or the root, is often a mere frame: those share one warning.
+    A link that a fixed joint holds, or the root, may be a mere frame. It is one for certain without any shape, as `world` and `tool0`
+    are; the others share one warning.
     """
     moving = {joint.child for joint in model.joints if joint.type != "fixed"}
-    missing = [link for link in model.links if link.inertial is None]
+    missing = [link for link in model.links if link.inertial is None and (link.name in moving or link.visuals or link.collisions)]
     _warn(
         report,
         "DB305",

@@ -83,10 +83,10 @@ def test_an_unknown_word_is_wrong_usage_and_the_nearest_is_suggested(deepbots, w
     assert ran.err.count("\n") == 1
 
 
-def test_a_word_like_no_other_is_told_where_all_are_listed(deepbots):
+def test_a_word_like_no_other_is_told_where_findings_are_listed(deepbots):
     ran = deepbots("explain", "zzzz")
     assert ran.code == 2
-    assert "deepbots explain lists them" in ran.err
+    assert "deepbots explain without a word lists the findings" in ran.err
 
 
 def test_explaining_needs_no_extra():
@@ -117,3 +117,31 @@ def test_a_word_that_is_key_and_function_is_explained_as_both(deepbots):
 def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
     said = " ".join(deepbots("explain", "type").out.split())
     assert "type: a key of `robots.<name>.actuators.<name>` Its kind, one of velocity_motor, position_motor" in said
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("gyro", "gyro: a type of `robots.<name>.sensors.<name>` How it turns, about its own axes, x y z. It needs link."),
+        ("thrust", "It needs range."),
+        ("PPO", "PPO: an algorithm of `train`"),
+        ("cylinder", "cylinder: a shape of `objects.<name>`"),
+        ("deg", "deg: a unit 1 deg is 0.0174532925 rad."),
+        ("m", "m: a unit Figures are kept in it."),
+    ],
+)
+def test_a_kind_and_a_unit_are_explained(deepbots, word, said):
+    assert said in " ".join(deepbots("explain", word).out.split())
+
+
+@pytest.mark.parametrize(("word", "meant"), [("gyroscope", "gyro"), ("throuhg", "through"), ("degrees", "deg"), ("ppo", "PPO")])
+def test_the_nearest_word_of_the_language_is_suggested_too(deepbots, word, meant):
+    ran = deepbots("explain", word)
+    assert ran.code == 2
+    assert ran.err == f"error: there is no finding, key, kind, function or unit '{word}'; did you mean {meant}?\n"
+
+
+def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots):
+    ran = deepbots("explain", "through", "--json")
+    assert (ran.code, ran.out) == (2, "")
+    assert "leave it out" in ran.err

@@ -216,9 +216,24 @@ def test_a_moving_link_without_inertia_is_warned_about_by_itself(read_text):
     assert (finding.code, finding.headline) == ("DB305", "link 'hand' moves and has no inertial")
 
 
-def test_frames_without_inertia_share_one_warning(read_text):
+FRAMES = {
+    "a tool": '<link name="tool0"/><joint name="tool" type="fixed"><parent link="hand"/><child link="tool0"/></joint>',
+    "the world": '<link name="world"/><joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>',
+}
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_frame_without_any_shape_needs_no_inertia(read_text, frame):
+    robot, findings = read_text(broken("</robot>", f"{FRAMES[frame]}</robot>"))
+    assert robot is not None
+    assert findings == []
+
+
+def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
+    shape = "<visual><geometry><sphere radius='0.1'/></geometry></visual>"
     frames = "".join(
-        f'<link name="f{i}"/><joint name="to_f{i}" type="fixed"><parent link="hand"/><child link="f{i}"/></joint>' for i in range(3)
+        f'<link name="f{i}">{shape}</link><joint name="to_f{i}" type="fixed"><parent link="hand"/><child link="f{i}"/></joint>'
+        for i in range(3)
     )
     finding = warning(read_text, broken("</robot>", frames + "</robot>"))
     assert finding.code == "DB305"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from textwrap import fill
 from typing import Annotated
@@ -11,35 +12,43 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.cli.words import explained
+from deepbots_cli.cli.words import explained, unknown
 from deepbots_cli.diagnostics import Rule
-from deepbots_cli.diagnostics.registry import Retired, unknown, with_prefix
+from deepbots_cli.diagnostics.registry import Retired, with_prefix
+from deepbots_cli.diagnostics.registry import unknown as unknown_finding
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rules.pages import pages_of
+
+_FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
+"""Begins a code, or has what only names of findings have."""
 
 
 def command(
     finding: Annotated[
-        str, typer.Argument(metavar="[CODE|NAME]", help="A code, the beginning of codes such as DB6, a name, a key or a function.")
+        str, typer.Argument(metavar="[CODE|NAME|WORD]", help="A code, the beginning of codes such as DB6, or a word of the language.")
     ] = "",
     as_json: Json = False,
 ) -> None:
     """Say what a finding means, why it matters and what to write instead.
 
-    Without a code, all findings are listed. A key of the language or one of its functions is explained as well.
+    Without a code, all findings are listed. Words of the language are explained as well: keys, functions, units, kinds of sensors,
+    actuators, objects and algorithms.
 
     \b
       deepbots explain DB603
       deepbots explain saturates-before-termination
       deepbots explain DB7
       deepbots explain through
+      deepbots explain gyro
       deepbots explain
     """
     found = with_prefix(finding)
     if not found:
-        lines = [] if as_json else explained(finding)
+        lines = explained(finding)
         if not lines:
-            raise UsageError(unknown(finding))
+            raise UsageError(unknown_finding(finding) if _FINDING.match(finding) else unknown(finding))
+        if as_json:
+            raise UsageError(f"--json tells of findings, and '{finding}' is none; leave it out")
         terminal.say("\n".join(map(_wrapped, lines)))
     elif as_json:
         terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
