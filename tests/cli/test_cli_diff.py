@@ -174,6 +174,39 @@ def test_a_colour_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
     assert found["world", "robots.cart.links.pole.mass"]["other"] == "uniform(0.1 .. 0.2 kg)"
 
 
+def test_what_stands_on_several_lines_is_told_without_its_comments(deepbots):
+    _, found = differences(deepbots, "cartpole", "pit_escape")
+    metric = found["task", "signals.metric"]["other"]
+    assert metric.startswith("hold(where(reach < radius, 0.5 * reach / radius, 0.5 + 0.5 *")
+    assert "#" not in metric
+
+
+def test_what_only_one_has_by_default_is_told_by_its_figures(deepbots):
+    _, found = differences(deepbots, "cartpole", "pit_escape")
+    assert found["world", "world.ground"]["one"] == "kind ground, friction 1, restitution 0"
+    assert found["world", "world.ground"]["other"] == ""
+
+
+def test_a_link_that_only_one_has_is_named_without_its_inside(deepbots):
+    shown = deepbots("diff", "cartpole", "pit_escape").out
+    assert "  robots.cart.links.pole\n    - (not written)\n" in shown
+    assert "  robots.roller.links.ball\n    + " in shown
+    assert "inertial" not in shown
+
+
+def test_a_figure_of_a_link_that_both_have_is_told(deepbots, tmp_path):
+    deepbots("copy", "quadrotor")
+    (tmp_path / "other").mkdir()
+    deepbots("copy", "quadrotor", "other")
+    robot = tmp_path / "other" / "robots" / "urdf" / "quadrotor.urdf"
+    robot.write_text(robot.read_text(encoding="utf-8").replace('mass value="', 'mass value="1', 1), encoding="utf-8")
+    _, found = differences(deepbots, "quadrotor.yaml", "other/quadrotor.yaml")
+    ((key, row),) = found.items()
+    assert key == ("world", "robots.drone.links.base_link")
+    assert row["one"].startswith("inertial.mass 0.0")
+    assert row["other"].startswith("inertial.mass 10.0")
+
+
 def test_a_figure_that_is_drawn_with_a_parameter_is_told_by_its_name(deepbots):
     heavy = ("--set", "parameters.heavy=uniform(0.1 .. 0.2 kg)", "--set", "robots.cart.links={pole: {mass: heavy}}")
     ran = deepbots("diff", "cartpole", "cartpole", *heavy)

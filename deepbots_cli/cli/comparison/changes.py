@@ -136,14 +136,19 @@ def _settings(scenario: CompiledScenario, section: Literal["cases", "curriculum"
 
 
 def _figures(old: Item | None, new: Item | None) -> tuple[str, str]:
-    """Both values by what differs in them, where the scenario's text says nothing of it: a default, or another file."""
+    """Both values by what differs in them, where the scenario's text says nothing of it: a default, or another file.
+
+    What only one of them has is not told in more than a few figures, since a link has dozens.
+    """
     here = dict(_leaves(old.value)) if old else {}
     there = dict(_leaves(new.value)) if new else {}
     differing = [name for name in dict.fromkeys((*here, *there)) if here.get(name) != there.get(name)]
+    if len(differing) > _LISTED and not (old and new):
+        return "", ""
     shown = differing[:_LISTED]
     rest = f", ... {len(differing)} in all" if len(differing) > len(shown) else ""
     one, other = (", ".join(f"{name} {leaves[name]}".strip() for name in shown if name in leaves) for leaves in (here, there))
-    return (one + rest if old else "", other + rest if new else "")
+    return (one + rest if one else "", other + rest if other else "")
 
 
 def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
@@ -153,19 +158,28 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
             yield path, cell(figure)
         case Name() | World() | Op() | State() | Draw():
             yield path, python(value, _read)
+        case None:
+            return
         case (str() as name, inner) if name and not isinstance(inner, str):
             yield from _leaves(inner, f"{path}.{name}".lstrip("."))
+        case (str() as kind, *pairs) if pairs and all(map(_is_pair, pairs)):
+            yield f"{path}.kind".lstrip("."), kind.lower()
+            for pair in pairs:
+                yield from _leaves(pair, path)
         case (str(), *_) if all(isinstance(name, str) for name in value):
             yield path, ", ".join(map(str, value))
         case tuple():
             for number, item in enumerate(value):
-                named = members(item) is None and isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
-                yield from _leaves(item, path if named or len(value) == 1 else f"{path}.{number}".lstrip("."))
+                yield from _leaves(item, path if _is_pair(item) or len(value) == 1 else f"{path}.{number}".lstrip("."))
         case _ if (inside := members(value)) is not None:
             for name, member in inside.items():
                 yield from _leaves(member, f"{path}.{name}".lstrip("."))
         case _:
             yield path, cell(value)
+
+
+def _is_pair(value: object) -> bool:
+    return isinstance(value, tuple) and members(value) is None and len(value) == 2 and isinstance(value[0], str)
 
 
 def _read(leaf: Name | World | State | Draw) -> str:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from deepbots_cli import canonical, interface
 from deepbots_cli.ir import CompiledScenario, MessageLayout, Robot, RobotBody, Variation, WorldModel
 from deepbots_cli.ir.records import members
-from deepbots_cli.lang.scalar import Draw
+from deepbots_cli.lang.scalar import Draw, Scalar
 
 
 class Group(StrEnum):
@@ -183,10 +183,11 @@ def _looked_at(path: str, value: object, *, seen: bool) -> Iterator[Item]:
 
 
 def _without_looks(value: object) -> object:
-    inside = members(value)
+    """A record as its class and pairs of what acts; an expression as it is."""
+    inside = None if isinstance(value, Scalar) else members(value)
     if inside is not None:
         return (type(value).__name__, *((name, _without_looks(member)) for name, member in inside.items() if name not in _LOOKS))
-    return tuple(map(_without_looks, value)) if isinstance(value, tuple) else value
+    return tuple(map(_without_looks, value)) if isinstance(value, tuple) and not isinstance(value, Scalar) else value
 
 
 def _looks(value: object) -> Iterator[object]:

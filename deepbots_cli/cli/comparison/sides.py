@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from deepbots_cli.source import Mapping, Node, Scalar, descend, shipped
 from deepbots_cli.source.parse import parse
 
 _MOST_TEXT = 4_000_000
+_COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -33,18 +35,23 @@ class Side:
             keys = (*words[: first - 1], ".".join(words[first - 1 :]))
             node, _, reached = descend(self.root, keys) if self.root else (None, None, 0)
             if node is not None and reached == len(keys):
-                return " ".join((node.text if isinstance(node, Scalar) else node.span.text).split())
+                return _on_one_line(node.text if isinstance(node, Scalar) else node.span.text)
         return ""
 
     def stage(self, name: str) -> str:
         """What is written of a stage of the curriculum."""
         listed = [stage.name for stage in self.ir.curriculum]
         node = descend(self.root, ("curriculum", listed.index(name)))[0] if self.root and name in listed else None
-        return " ".join(node.span.text.split()) if isinstance(node, Mapping) else ""
+        return _on_one_line(node.span.text) if isinstance(node, Mapping) else ""
 
     def names(self, section: str) -> list[str]:
         node, _, reached = descend(self.root, (section,)) if self.root else (None, None, 0)
         return list(node.entries) if reached == 1 and isinstance(node, Mapping) else []
+
+
+def _on_one_line(text: str) -> str:
+    """Without the comments, which would seem to hide what follows."""
+    return " ".join((_COMMENT.sub("", text) if "\n" in text else text).split())
 
 
 def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool) -> Side:

@@ -87,7 +87,7 @@ def _show_change(change: Change) -> None:
     if change.through:
         terminal.say(f"      {change.one}\n      by another value of {', '.join(change.through)}")
         return
-    if not (change.one or change.other):
+    if change.kind == "changed" and not (change.one or change.other):
         return
     for mark, text, absent in (("-", change.one, "added"), ("+", change.other, "removed")):
         if change.kind != absent:
