@@ -12,7 +12,11 @@ from deepbots_cli.probing.probed import Probed
 from deepbots_cli.probing.report import Overlap
 
 _DEEP = 0.005
-"""m; engines let what rests sink in by less than a millimetre, and what is placed by hand is often a little off."""
+"""m; engines let what rests sink in by less than a millimetre, and what is placed by hand is often a little off.
+
+A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at up to 0.22 m/s from 5 mm and up to 0.5 m/s from
+10 mm (physics steps of 8 and of 1 ms); who falls for 1 mm has 0.14 m/s.
+"""
 
 _CALMER = "shorten the physics step (`world.substeps`), weaken motors and springs, and look at masses and inertias"
 _KINDS = {

@@ -18,6 +18,7 @@ HERE = Path(__file__).parent
 FOLDER = HERE / "deep"
 BAD = sorted(path.stem for path in (FOLDER / "err").glob("*.yaml"))
 GOOD = sorted(path.stem for path in (FOLDER / "ok").glob("*.yaml"))
+UNUSUAL = sorted(path.stem for path in (HERE / "lint" / "ok").glob("*.yaml"))
 
 
 @pytest.fixture(autouse=True)
@@ -47,6 +48,15 @@ def test_a_mistake_is_measured_and_told_in_these_words(case: str) -> None:
 @pytest.mark.parametrize("case", GOOD)
 def test_an_unusual_scenario_without_mistake_is_silent(case: str) -> None:
     assert found_in(f"deep/ok/{case}.yaml") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", UNUSUAL)
+def test_what_lint_has_nothing_to_say_of_can_be_simulated_and_is_silent(case: str) -> None:
+    """About 1.2 s of CPU each. Without preview: some goldens clip or repeat on purpose."""
+    probed = probe(api.load(f"lint/ok/{case}.yaml"))
+    assert probed.left is None
+    assert probed.findings == []
 
 
 def test_everything_that_a_simulation_finds_has_a_case() -> None:
