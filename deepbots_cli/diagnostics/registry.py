@@ -88,6 +88,7 @@ _CATALOGUE = (
     Rule("DB309", "unstable-simulation", "error", "a world that the engine cannot simulate", deep="only"),
     Rule("DB310", "spawn-overlap", "error", "bodies that begin within each other", deep="only"),
     Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),
+    Rule("DB312", "command-cut-off", "warning", "an actuator that cuts off most of what it is asked for", preview=True),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),
@@ -132,6 +133,7 @@ _CATALOGUE = (
     Rule("DB807", "unreachable-goal", "warning", "a success that asks for more nearness than there can be"),
     Rule("DB808", "breaks-off", "error", "an episode that cannot begin or go on", deep="only"),
     Rule("DB809", "identical-episodes", "warning", "a scenario in which nothing differs between episodes", preview=True),
+    Rule("DB810", "return-out-of-reach", "warning", "a mean return that no policy comes to, or that every policy does"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
     Rule(
         "DB902",

@@ -5,9 +5,11 @@ rule. What the compiler needs to know anyway, it reports itself. The docstring o
 the reference: after the code what is found and why it matters, an example, and what to write instead.
 
 names.py        definitions that nothing uses
+commands.py     what robots are told to do
 observation.py  what the policy sees; saturation.py values at the end of their range
 reward.py       the size of a reward and its terms; progress.py its direction
-endings.py      when episodes end; goals.py whether goals can be reached; variety.py whether they differ
+endings.py      when episodes end; variety.py whether they differ
+goals.py        whether goals can be reached; returns.py whether returns can
 
 What rules ask:
 
@@ -90,8 +92,16 @@ def _may_cost(task: Task) -> bool:
     return _succeeds(task) or not all(interval.low > 0.0 and interval.finite for interval in known)
 
 
+def _asks_for_a_return(task: Task) -> bool:
+    stages = (stage.until for stage in task.curriculum)
+    return (task.solved is not None and task.solved.mean_return is not None) or any(
+        until is not None and until.metric == "mean_return" for until in stages
+    )
+
+
 _MODULES: dict[str, Callable[[Task], bool]] = {
     "names": _always,
+    "commands": _always,
     "observation": _always,
     "saturation": _always,
     "reward": _may_cost,
@@ -99,6 +109,7 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "endings": _ends,
     "goals": _succeeds,
     "variety": _always,
+    "returns": _asks_for_a_return,
 }
-_IN_PREVIEW = frozenset({"variety"})
+_IN_PREVIEW = frozenset({"commands", "variety"})
 """All rules of these modules are."""

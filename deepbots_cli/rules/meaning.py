@@ -119,13 +119,13 @@ class Book:
             return None
         if node.name not in self._scalars:
             value, robot = self._defined[node.name]
-            parts = self._of_robot(value, robot) if robot else self.scalars(value)
+            parts = self.on_board(value, robot) if robot else self.scalars(value)
             names = value.components if len(parts) > 1 else (None,)
             self._scalars[node.name] = dict(zip(names, parts, strict=False))
         known = self._scalars[node.name]
         return known[node.component] if node.component in known else next(iter(known.values()))
 
-    def _of_robot(self, value: Valued, robot: str) -> Scalars:
+    def on_board(self, value: Valued, robot: str) -> Scalars:
         """What a value on board of a robot computes, per component."""
         self._learn(value.typed, robot)
         return tuple(self._on_board(part, robot) for part in lower(value.typed, value.owner))

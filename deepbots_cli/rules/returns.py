@@ -1,0 +1,73 @@
+"""DB810: returns that no policy comes to, or that every policy does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.lang.intervals import INF, Interval
+from deepbots_cli.rules.payments import payments_of
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Task
+
+_ROUNDING = 1e-9
+
+
+def return_out_of_reach(checked: Checked) -> Iterator[Finding]:
+    """DB810: a mean return is asked for that no episode can be worth, or that every episode is.
+
+    Training then never stops before its last step and nothing counts as solved, or all of it does at once; a stage of a curriculum
+    goes on for ever, or is over as it begins. An episode is worth what its steps pay, by intervals, and what its end does: 200 steps
+    of `alive: 1` come to 200.
+
+    Example::
+
+        solved: {mean_return: 500, episodes: 100}
+
+    Instead::
+
+        solved: {mean_return: 195, episodes: 100}
+    """
+    if checked.task is None:
+        return
+    for task, wanted, path in _wanted(checked.task):
+        known = _worth(task)
+        if wanted > known.high + _ROUNDING * abs(known.high):
+            headline, help = f"no episode is worth {wanted:g}: it comes to {known.high:.4g} at most", "ask for less"
+            yield Finding("DB810", _span(checked, path), headline, help=help)
+        elif wanted <= known.low:
+            headline, help = f"every episode is worth {wanted:g}: it comes to {known.low:.4g} at least", "ask for more"
+            yield Finding("DB810", _span(checked, path), headline, help=help)
+
+
+def _span(checked: Checked, path: Path) -> Span:
+    assert checked.namespace is not None  # there is a task
+    return checked.namespace.values.span(path)
+
+
+def _wanted(task: Task) -> Iterator[tuple[Task, float, Path]]:
+    """The mean returns that are asked for, each with the task that it is asked of and its place."""
+    if task.solved is not None and task.solved.mean_return is not None:
+        yield task, task.solved.mean_return, ("solved", "mean_return")
+    for place, stage in enumerate(task.curriculum):
+        if stage.until is not None and stage.until.metric == "mean_return":
+            yield stage.task, stage.until.threshold, ("curriculum", place, "until")
+
+
+def _worth(task: Task) -> Interval:
+    """Of an episode, by the least and the most that a step and an end can pay; infinite where that is not known."""
+    payments = payments_of(task)
+    terms = list(payments.terms)
+    if not payments.is_whole:
+        return Interval(-INF, INF)
+    step = payments.total(terms, payments.running())
+    ends = [payments.total(terms, payments.at(ending)) for ending in (*task.endings, None)]
+    ticks = payments.book.last * task.agent.repeat - 1
+    fewest = 0 if task.endings else ticks
+    best = step.high * (ticks if step.high > 0.0 else fewest) + max(end.high for end in ends) if step.high < INF else INF
+    least = step.low * (ticks if step.low < 0.0 else fewest) + min(end.low for end in ends) if step.low > -INF else -INF
+    return Interval(least, best)
+
+
+RULES = (return_out_of_reach,)
