@@ -2,25 +2,47 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
+from deepbots_cli.cli.settings import Settings
 from deepbots_cli.errors import UsageError
 
 _VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A\s*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _LOOKED_AT = 65_536
+_NOT_OURS = ("run.json", "pyvenv.cfg")
+"""What the folder of a training and a virtual environment hold: copies of scenarios that nobody edits there."""
 
 
-def scenarios_in(folder: Path) -> list[Path]:
-    """Every `.yaml` file with a `deepbots:` key, whether the rest of it can be read or not; not those of folders inside.
+def scenarios_in(folder: Path, project: Settings) -> list[Path]:
+    """Every `.yaml` file with a `deepbots:` key, whether the rest of it can be read or not, in the folder and all inside of it.
+
+    What the project excludes is left out, as are hidden folders, `node_modules`, virtual environments and the folders of trainings.
+    Links to folders are not followed.
 
     Raises:
-        UsageError: There is none.
+        UsageError: There is none, and none was excluded.
     """
-    found = [path for path in sorted(folder.glob("*.yaml")) if path.is_file() and _is_scenario(path)]
-    if not found:
+    excluded: set[Path] = set()
+    found = sorted(path for path in _yaml_files(folder, project, excluded) if _is_scenario(path))
+    if not found and not excluded:
         raise UsageError(f"there is no scenario in {folder}: no .yaml file there has a `deepbots:` key")
     return found
+
+
+def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
+    for place, folders, names in os.walk(folder):
+        here = Path(place)
+        if here != folder and not {*_NOT_OURS}.isdisjoint(names):
+            folders.clear()
+            continue
+        inside = [here / name for name in folders if not name.startswith(".") and name != "node_modules"]
+        files = [here / name for name in names if name.endswith(".yaml") and (here / name).is_file()]
+        excluded.update(path for path in (*inside, *files) if project.excludes(path))
+        folders[:] = [path.name for path in inside if path not in excluded]
+        yield from (path for path in files if path not in excluded)
 
 
 def is_scenario(data: bytes) -> bool:

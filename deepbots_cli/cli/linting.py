@@ -95,7 +95,7 @@ def _expanded(given: str, project: Settings) -> Iterator[str]:
     if given == STDIN or not folder.is_dir():
         yield given
         return
-    yield from (str(path) for path in scenarios_in(folder) if not project.excludes(path))
+    yield from map(str, scenarios_in(folder, project))
 
 
 def findings_of(names: Sequence[str], look: Look, jobs: int = 1) -> list[Finding]:

@@ -19,6 +19,7 @@ values.py    named values, and how often they are drawn   actuation.py what they
 task.py      action to endings                   resets.py    how an episode begins, what it varies
 scripts.py   hand-written policies
 training.py  how the policy is trained and judged
+records.py   all of these seen from outside: members by name
 
 Expressions are scalar trees (`lang.scalar`). `deepbots_cli.canonical` writes all of it as canonical JSON, whose
 digest identifies the scenario.

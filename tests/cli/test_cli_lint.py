@@ -103,6 +103,21 @@ def test_a_robot_file_is_no_scenario_to_be_linted(deepbots):
     assert "deepbots inspect package://pybullet_data/r2d2.urdf" in ran.err
 
 
+def test_the_root_of_a_project_stands_for_the_scenarios_of_all_its_folders(deepbots, tmp_path):
+    places = ("top", "worlds/one", "worlds/deep/two", ".hidden/three", "runs/cartpole-0/scenario", "env/lib/four", "node_modules/p/five")
+    for place in (*places, "old/six", "worlds/deep/old/seven"):
+        path = tmp_path / f"{place}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("deepbots: 1\n")
+    (tmp_path / "runs" / "cartpole-0" / "run.json").touch()
+    (tmp_path / "env" / "pyvenv.cfg").touch()
+    (tmp_path / "worlds" / "again").symlink_to(tmp_path / "worlds", target_is_directory=True)
+    (tmp_path / "deepbots.toml").write_text('[lint]\nexclude = ["old"]\n')
+    ran = deepbots("lint", ".", "--format", "concise")
+    told = list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines()))
+    assert told == ["top.yaml", "worlds/deep/old/seven.yaml", "worlds/deep/two.yaml", "worlds/one.yaml"]
+
+
 def test_a_folder_without_scenarios_is_wrong_usage(deepbots, tmp_path):
     ran = deepbots("lint", tmp_path)
     assert ran.code == 2

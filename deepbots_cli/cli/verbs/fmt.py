@@ -32,7 +32,8 @@ def command(
 
     What they say stays, and so do comments and aligned columns.
 
-    In a folder, every .yaml file with a `deepbots:` key is meant but for those that the project excludes from linting.
+    Of a folder, every .yaml file with a `deepbots:` key is meant, down through the folders inside, but for those that the
+    project excludes from linting.
 
     \b
       deepbots fmt cartpole.yaml
@@ -61,7 +62,7 @@ def _meant(paths: Sequence[Path]) -> Iterator[Path]:
     project = settings() if any(given.is_dir() for given in paths) else None
     for given in paths:
         if project is not None and given.is_dir():
-            yield from (path for path in scenarios_in(given) if not project.excludes(path))
+            yield from scenarios_in(given, project)
         else:
             yield given
 

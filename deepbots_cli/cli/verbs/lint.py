@@ -66,8 +66,8 @@ def command(
 
     Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed,
     but for --deep, which simulates what has no errors in a process of its own and tells what it measures.
-    In a folder, every .yaml file with a `deepbots:` key is read. What a project always wants stands in its deepbots.toml,
-    under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
+    Of a folder, every .yaml file with a `deepbots:` key is read, down through the folders inside. What a project always
+    wants stands in its deepbots.toml, under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
 
     \b
       deepbots lint cartpole.yaml
