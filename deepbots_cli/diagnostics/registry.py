@@ -124,6 +124,7 @@ _CATALOGUE = (
     Rule("DB707", "non-finite-reward", "error", "a reward that is not finite", deep="only"),
     Rule("DB708", "hovering-pays", "warning", "staying just short of the goal pays more than reaching it", deep="too", deep_preview=True),
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
+    Rule("DB710", "pays-towards-failure", "warning", "a reward that grows towards a failure", preview=True),
     Rule("DB801", "never-true", "warning", "an ending that can never hold"),
     Rule("DB802", "always-true", "error", "an ending that holds in every step"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),

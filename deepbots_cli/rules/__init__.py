@@ -7,7 +7,7 @@ the reference: after the code what is found and why it matters, an example, and 
 names.py        definitions that nothing uses
 commands.py     what robots are told to do
 observation.py  what the policy sees; saturation.py values at the end of their range
-reward.py       the size of a reward and its terms; progress.py its direction
+reward.py       the size of a reward and its terms; progress.py its direction; peril.py where it leads into failures
 endings.py      when episodes end; variety.py whether they differ
 goals.py        whether goals can be reached; returns.py whether returns can
 
@@ -86,6 +86,10 @@ def _succeeds(task: Task) -> bool:
     return any(ending.outcome == "success" for ending in task.endings)
 
 
+def _fails(task: Task) -> bool:
+    return any(ending.outcome == "failure" for ending in task.endings)
+
+
 def _may_cost(task: Task) -> bool:
     """Whether the reward is more than a sum of what is always paid, and never more than so much."""
     known = (term.typed.type.interval for term in task.reward)
@@ -110,6 +114,7 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "goals": _succeeds,
     "variety": _always,
     "returns": _asks_for_a_return,
+    "peril": _fails,
 }
-_IN_PREVIEW = frozenset({"commands", "variety"})
+_IN_PREVIEW = frozenset({"commands", "peril", "variety"})
 """All rules of these modules are."""
