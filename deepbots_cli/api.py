@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import rules
 from deepbots_cli.compiler import Checked, check
-from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics import MOST_FINDINGS, Finding
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
@@ -128,7 +128,17 @@ def review(checked: Checked, *, preview: bool = False, measured: Iterable[Findin
     kept, unused = suppress(found, sources, preview=preview, deep=measured is not None)
     packaged = {id(robot.file.source) for robot in robots if robot.spec.urdf.startswith("package://")}
     ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
-    return sorted([*ours, *unused], key=lambda finding: finding.sort_key)
+    return _told([*ours, *unused])
+
+
+def _told(found: list[Finding]) -> list[Finding]:
+    """The findings in their order; of too many, errors before warnings and limits before both, with a note of how many more there are."""
+    most = MOST_FINDINGS + 1  # the last may be that there are too many
+    if len(found) > most:
+        by_weight = sorted(found, key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key))
+        *kept, last = by_weight[:most]
+        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - most:_} more findings are not told"))]
+    return sorted(found, key=lambda finding: finding.sort_key)
 
 
 def compile(

@@ -23,6 +23,9 @@ FailOn = Literal["error", "warning", "never"]
 _TABLES = (("deepbots.toml", ("lint",)), ("pyproject.toml", ("tool", "deepbots", "lint")))
 # How `tool.deepbots` can be written: most projects say nothing of it, and are spared a parser.
 _TOOL = re.compile(rb"\btool\W{0,9}deepbots|^\s*\[\W*tool\W*\]", re.MULTILINE)
+_MOST_BYTES = 256 << 10
+_MOST_WORDS = 1000
+"""In a list of settings; each of its patterns is held against each file of a folder."""
 _WORDS: dict[str, tuple[str, ...]] = {"format": get_args(Format), "fail-on": get_args(FailOn)}
 
 
@@ -59,11 +62,22 @@ def settings(folder: Path | None = None) -> Settings:
     root = roots.project_root(folder or Path.cwd())
     for name, keys in _TABLES:
         path = root / name
-        if path.is_file() and (data := path.read_bytes()) and (name == "deepbots.toml" or _TOOL.search(data)):
+        if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or _TOOL.search(data)):
             table = _table(data, roots.display(path), keys)
             if table is not None:
                 return _settings(root, table, Source(roots.display(path), data.decode()))
     return Settings(root)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise UsageError(f"{roots.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
+    if len(data) > _MOST_BYTES:
+        raise UsageError(f"{roots.display(path)} is larger than {_MOST_BYTES >> 10} KiB, and is not read")
+    return data
 
 
 def _table(data: bytes, name: str, keys: Sequence[str]) -> dict[str, object] | None:
@@ -73,6 +87,8 @@ def _table(data: bytes, name: str, keys: Sequence[str]) -> dict[str, object] | N
         table: object = tomllib.loads(data.decode())
     except ValueError as error:  # TOML or UTF-8
         raise UsageError(f"{name} cannot be read: {error}") from None
+    except RecursionError:
+        raise UsageError(f"{name} cannot be read: its values are nested too deep") from None
     for depth, key in enumerate(keys):
         if not isinstance(table, dict):
             return None
@@ -115,6 +131,8 @@ def _word(value: object, key: str, name: str) -> str:
 
 
 def _list(value: object, key: str, name: str) -> tuple[str, ...]:
+    if isinstance(value, list) and len(value) > _MOST_WORDS:
+        raise UsageError(f"{name}: '{key}' has {len(value):_} entries, more than {_MOST_WORDS:_}")
     if isinstance(value, list) and all(isinstance(item, str) for item in value):
         return tuple(value)
     raise UsageError(f"{name}: '{key}' is a list of {'patterns' if key == 'exclude' else 'codes'} in quotes")

@@ -56,7 +56,7 @@ from deepbots_cli.compiler.strokes import lines
 from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
-from deepbots_cli.diagnostics import Finding, Findings, Fix
+from deepbots_cli.diagnostics import Finding, Findings, Fix, TooManyFindings
 from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
 from deepbots_cli.lang import agree
 from deepbots_cli.lang.dimensions import TIME
@@ -106,7 +106,15 @@ class Checked:
 
 
 def check(document: Document) -> Checked:
-    """Run all passes that can run; every problem ends up in `findings`."""
+    """Run all passes that can run; every problem ends up in `findings`, unless they are too many."""
+    try:
+        return _with_cases(document)
+    except TooManyFindings as too_many:
+        document.findings.give_up(too_many)
+        return Checked(document, document.findings)
+
+
+def _with_cases(document: Document) -> Checked:
     checked = _check(document)
     if checked.task is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked

@@ -17,7 +17,7 @@ from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.schema.plain import read_until
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source import Document, Entry, Mapping, Path, descend
-from deepbots_cli.source.merge import follow, without
+from deepbots_cli.source.merge import follow, measure, without
 from deepbots_cli.source.overrides import place
 from deepbots_cli.task import Task, TaskCase, TaskStage
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 MOST = 64
 """Cases and stages of one scenario; each is compiled."""
+MOST_VALUES = 40_000
+"""Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
 
 _FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
 _OTHERS: tuple[Path, ...] = (("curriculum",), ("evaluation", "cases"))
@@ -39,8 +41,10 @@ def with_cases(document: Document, spec: Scenario, task: Task, findings: Finding
     if document.root is None:
         return (), task
     maker = _Maker(document, document.root, task, findings, check)
-    if len(spec.evaluation.cases) + len(spec.curriculum) > MOST:
-        maker.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), f"more than {MOST} cases and stages")
+    count, size = len(spec.evaluation.cases) + len(spec.curriculum), measure(document.root)[0]
+    if count > MOST or count * size > MOST_VALUES:
+        many = f"more than {MOST} cases and stages" if count > MOST else f"{count} cases and stages of a scenario with {size:_} values"
+        maker.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
         return (), task
     maker.check_order(spec)
     cases = [
@@ -104,7 +108,7 @@ class _Maker:
         entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], Mapping) else ()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
-        findings = Findings()
+        findings = Findings(self._document.findings.most)
         root = without(self._root, _OTHERS)
         assert isinstance(root, Mapping)  # as it was
         for entry in entries:

@@ -20,6 +20,8 @@ from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskEnding, Valued
 
 _SHOWN = 60
+MOST_ENDINGS = 200
+"""Whatever is paid is held against every one of them."""
 NO_SUCCESS = "a success rate, where nothing counts as success"
 
 
@@ -42,6 +44,12 @@ class Signals:
             ("success", spec.termination.success),
             ("failure", spec.termination.failure),
         )
+        if len(spec.termination.success) + len(spec.termination.failure) > MOST_ENDINGS:
+            help = "join conditions with `or`"
+            self._values.findings.add("DB005", self._values.key_span(("termination",)), f"more than {MOST_ENDINGS} endings", help=help)
+            for name in (*spec.termination.success, *spec.termination.failure):
+                self._values.lose(name)
+            outcomes = ()
         for outcome, conditions in outcomes:
             for name, condition in conditions.items():
                 self._outcomes[name] = outcome
@@ -49,10 +57,11 @@ class Signals:
 
     def _check_granted(self, granted: Sequence[str]) -> None:
         """A list under `augment` names values that exist, which the policy may see."""
-        known = self._namespace.named(Origin.PARAMETER, Origin.SIGNAL)
+        kinds = (Origin.PARAMETER, Origin.SIGNAL)
         for index, name in enumerate(granted):
             self._namespace.touch(name)
-            if name not in known:
+            if self._namespace.origin(name) not in kinds:
+                known = self._namespace.named(*kinds)
                 self._values.unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
 
     def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:

@@ -12,7 +12,35 @@ escape.py    what of a file may reach a terminal
 outside.py   paths and words for other programs
 """
 
-from deepbots_cli.diagnostics.finding import Edit, Finding, Findings, Fix, Label, Position, Severity, Source, Span
+from deepbots_cli.diagnostics.finding import (
+    MOST_FINDINGS,
+    Edit,
+    Finding,
+    Findings,
+    Fix,
+    Label,
+    Position,
+    Severity,
+    Source,
+    Span,
+    TooManyFindings,
+)
 from deepbots_cli.diagnostics.registry import RETIRED, RULES, Rule, rule
 
-__all__ = ["RETIRED", "RULES", "Edit", "Finding", "Findings", "Fix", "Label", "Position", "Rule", "Severity", "Source", "Span", "rule"]
+__all__ = [
+    "MOST_FINDINGS",
+    "RETIRED",
+    "RULES",
+    "Edit",
+    "Finding",
+    "Findings",
+    "Fix",
+    "Label",
+    "Position",
+    "Rule",
+    "Severity",
+    "Source",
+    "Span",
+    "TooManyFindings",
+    "rule",
+]

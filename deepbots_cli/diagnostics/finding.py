@@ -153,10 +153,26 @@ class Finding:
         return (self.span.source.name, self.span.start, self.span.end, self.code, self.headline)
 
 
-class Findings:
-    """A list that passes add to; sorted and free of repeats when it is read."""
+MOST_FINDINGS = 500
+"""Of one scenario. Nobody reads more, and a file of a megabyte may be wrong in 30 000 places, which took half a minute to word."""
 
-    def __init__(self) -> None:
+
+class TooManyFindings(Exception):  # noqa: N818  # nothing failed: who asked for no more than some has them
+    """Leaves whatever was looking for findings; `one` was one too many."""
+
+    def __init__(self, one: Finding) -> None:
+        super().__init__()
+        self.one = one
+
+
+class Findings:
+    """A list that passes add to; sorted and free of repeats when it is read.
+
+    Where it holds `most` already, another one raises `TooManyFindings`.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
+        self.most = most
         self._found: dict[tuple[str, int, int, str, str], Finding] = {}
 
     def add(
@@ -173,7 +189,15 @@ class Findings:
         self.append(Finding(code, span, headline, help, also, notes, fix))
 
     def append(self, finding: Finding) -> None:
+        if self.most is not None and len(self._found) >= self.most and finding.sort_key not in self._found:
+            raise TooManyFindings(finding)
         self._found.setdefault(finding.sort_key, finding)
+
+    def give_up(self, too_many: TooManyFindings) -> None:
+        """Say that there are more, and that nothing else was looked for."""
+        help = "mend some of these first; nothing more was looked for"
+        last = Finding("DB005", too_many.one.span, f"more than {self.most} findings", help)
+        self._found.setdefault(last.sort_key, last)
 
     def advise(self, finding: Finding, help: str) -> None:
         """Give a finding that was added a better help."""

@@ -19,6 +19,9 @@ from deepbots_cli.diagnostics.registry import RETIRED, RULES
 _COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE)
 
 
+_NOTHING_MORE = re.compile(r"[^\S\n]*+(?=\n|\Z)")
+"""Up to the end of the line. To look for that end first would take a second, where a line of a megabyte holds thousands of comments."""
+
 _MOST_CODES = 50
 """In one comment."""
 _MOST_COMPARED = 100
@@ -69,9 +72,11 @@ def suppress(
 def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
     if "ignore" not in source.text:  # a hundred times faster than to look for comments, and true of most files
         return
+    before = 0
     for comment in _COMMENT.finditer(source.text):
-        line = source.position(comment.start()).line
-        alone = not source.line(line)[: source.position(comment.start()).column - 1].strip()
+        line, column = source.position(comment.start())
+        alone = line != before and not source.text[comment.start() - column + 1 : comment.start()].strip()
+        before = line
         if comment[1] is None or not comment[1].strip():
             span = Span(source, *comment.span())
             yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB603]")
@@ -114,14 +119,13 @@ def _removal(source: Source, comment: re.Match[str], code: str) -> Edit:
     others = [other for other in re.findall(r"[^\s,]+", comment[1]) if other != code]
     if others:
         return Edit(Span(source, *comment.span(1)), ", ".join(others))
-    line_end = source.text.find("\n", comment.end())
-    line_end = len(source.text) if line_end < 0 else line_end
-    if comment[0].startswith("<") or source.text[comment.end() : line_end].strip():
+    rest = _NOTHING_MORE.match(source.text, comment.end())
+    if comment[0].startswith("<") or rest is None:
         return Edit(Span(source, *comment.span()), comment[0][: comment[0].index("deepbots")].rstrip())
     line_start = source.text.rfind("\n", 0, comment.start()) + 1
     start = line_start + len(source.text[line_start : comment.start()].rstrip(" \t"))
     if start == line_start:
-        return Edit(Span(source, start, min(line_end + 1, len(source.text))), "")
+        return Edit(Span(source, start, min(rest.end() + 1, len(source.text))), "")
     return Edit(Span(source, start, comment.end()), "")
 
 

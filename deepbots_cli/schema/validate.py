@@ -9,9 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
-from deepbots_cli.diagnostics import Finding, Findings, Fix, Span
+from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.schema.check import check
 from deepbots_cli.schema.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place, wanted
@@ -58,6 +59,9 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
 
     With findings, the scenario lacks what they are about (`Scenario.pruned` has the paths) and stand-ins
     fill required sections. None if the file is written for another version of the language.
+
+    Raises:
+        TooManyFindings: There are more than `findings` takes.
     """
     if not _is_readable(root, findings):
         return None
@@ -71,15 +75,17 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
     _advise(root, data, findings)
 
     earlier = tuple(findings)
-    troubles = list(_key_troubles(data))
+    troubles = list(islice(_key_troubles(data), findings.most))
     for round_number in range(_ROUNDS):
         scenario, refusals = check(Scenario, data, lenient=round_number > 0)
-        troubles += [_trouble(root, data, refusal) for refusal in refusals]
+        troubles += [_trouble(root, data, refusal) for refusal in refusals[: findings.most]]
         if round_number == 0:
             news = [new for new in troubles if not (_is_follow_up(root, new, earlier) or _is_misspelt(new, troubles))]
-            for trouble in _together(news):
-                help, fix = trouble.help or about(data, trouble.path), _fix(root, trouble)
-                findings.add(trouble.code, _span(root, trouble), trouble.headline, help=help, fix=fix)
+            found = [_finding(root, data, trouble) for trouble in _together(news)]
+            for one in found:
+                findings.append(one)
+            if findings.most is not None and len(troubles) >= findings.most:  # what was left aside would be in the way of later passes
+                raise TooManyFindings(found[-1])
         for trouble in troubles:
             _prune(data, trouble.path, pruned, trouble.missing)
         if scenario is not None and not troubles:
@@ -188,8 +194,15 @@ def _is_about(span: Span, key: str) -> bool:
 
 def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:
     """Whether the missing key stands there in a spelling that is reported anyway."""
+    if not trouble.missing:
+        return False
     misspelt = (other for other in troubles if other.at_key and other.meant is not None and other.path[:-1] == trouble.path)
     return any(other.meant is not None and other.meant.text in trouble.missing for other in misspelt)
+
+
+def _finding(root: Mapping, data: Any, trouble: _Trouble) -> Finding:
+    help = trouble.help or about(data, trouble.path)
+    return Finding(trouble.code, _span(root, trouble), trouble.headline, help, fix=_fix(root, trouble))
 
 
 def _span(root: Mapping, trouble: _Trouble) -> Span:

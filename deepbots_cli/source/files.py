@@ -12,6 +12,8 @@ from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.reading import read_at_most
 
 MAX_BYTES = 1 << 20
+MAX_TOTAL_BYTES = 8 << 20
+"""Of all files of a scenario."""
 
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")

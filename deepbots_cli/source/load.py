@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from operator import is_
 from pathlib import Path
 
-from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics import MOST_FINDINGS, Findings, Label, Source, Span, TooManyFindings
 from deepbots_cli.errors import UsageError
 from deepbots_cli.source import files, merge, overrides, roots, shipped
 from deepbots_cli.source.nodes import Entry, Mapping, Node, Scalar, Sequence, descend
@@ -94,8 +94,7 @@ def load(
     reader = _Reader(_roots(file.parent, sets, allow_paths), drafts)
     source, readable = files.decode(data, name, reader.findings)
     reader.files[file] = source
-    root = reader.scenario(source, file.parent, (file,)) if readable else None
-    return reader.document(root, source, Path.cwd(), sets)
+    return reader.document(source, Path.cwd(), sets, file.parent, (file,), readable=readable)
 
 
 def loads(
@@ -110,8 +109,7 @@ def loads(
     base = (base or Path.cwd()).resolve()
     reader = _Reader(_roots(base, sets, allow_paths))
     source, readable = files.decode(text.encode("utf-8", "surrogatepass"), name, reader.findings)
-    root = reader.scenario(source, base, ()) if readable else None
-    return reader.document(root, source, base, sets)
+    return reader.document(source, base, sets, base, (), readable=readable)
 
 
 def _roots(folder: Path, sets: Texts[str], allowed: Iterable[Path]) -> tuple[Path, ...]:
@@ -130,15 +128,23 @@ class _Reader:
     def __init__(self, roots: tuple[Path, ...], drafts: Drafts = NO_DRAFTS) -> None:
         self.roots = roots
         self.drafts = drafts
-        self.findings = Findings()
+        self.findings = Findings(MOST_FINDINGS)
         self.budget = Budget()
         self.files: dict[Path, Source] = {}
         self.read: dict[Path, Mapping | None] = {}
+        self.size = 0  # bytes that were included so far
 
-    def document(self, root: Mapping | None, source: Source, base: Path, sets: Texts[str]) -> Document:
-        for assignment in sets:
-            if root is not None:
-                root = overrides.apply(root, assignment, self.findings, self.budget)
+    def document(self, source: Source, base: Path, sets: Texts[str], folder: Path, chain: tuple[Path, ...], *, readable: bool) -> Document:
+        """The whole of the scenario in `source`, which lies in `folder`."""
+        root = None
+        try:
+            root = self.scenario(source, folder, chain) if readable else None
+            for assignment in sets:
+                if root is not None:
+                    root = overrides.apply(root, assignment, self.findings, self.budget)
+        except TooManyFindings as too_many:
+            root = None
+            self.findings.give_up(too_many)
         return Document(root, source, self.files, self.findings, self.roots, base)
 
     def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> Mapping | None:
@@ -228,6 +234,11 @@ class _Reader:
             self.findings.add(
                 "DB204", by, f"`{path.name}` cannot be read", help=f"the system says: {(error.strerror or 'no reason').lower()}"
             )
+            return None
+        self.size += len(data)
+        if self.size > files.MAX_TOTAL_BYTES:
+            headline = f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together"
+            self.findings.add("DB005", by, headline, help="check that all of them are parts of a scenario")
             return None
         source, readable = files.decode(data, roots.display(path), self.findings, included_from=by)
         self.files[path] = source

@@ -13,7 +13,7 @@ from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.source import files
 from deepbots_cli.source.merge import follow, replace
 from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar
-from deepbots_cli.source.parse import Budget, parse
+from deepbots_cli.source.parse import MAX_DEPTH, Budget, parse
 
 _NOTHING = re.compile(r"\s*(?:#.*)?")
 
@@ -64,6 +64,10 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[Path, Scal
     dotted = path.text.strip()
     start = path.text.index(dotted)
     end = start + len(dotted)
+    if dotted.count(".") >= MAX_DEPTH:
+        help = "name a value of the scenario, such as `world.timestep`"
+        findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", help=help)
+        return None
     parameters = root.get("parameters")
     if isinstance(parameters, Mapping) and "." not in dotted:
         if dotted in parameters.entries:

@@ -25,19 +25,22 @@ from yaml.events import (
     StreamEndEvent,
 )
 
-from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span, TooManyFindings
 from deepbots_cli.source import places, scalars, syntax, traps
 from deepbots_cli.source.nodes import Entry, Mapping, Node, Scalar, Sequence, Style
 from deepbots_cli.source.parsers import EventParser, begin, fast_parser, finish
 
 MAX_DEPTH = 64
-MAX_NODES = 50_000
-MAX_EXPANDED = 20_000
+# The largest scenario that comes with deepbots has 500.
+MAX_NODES = 8_000
+MAX_EXPANDED = 8_000
 
 _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal", ">": "folded"}
 _ANCHOR = re.compile(r"&[\w-]+(?:\s+|#[^\n]*\n)*")
 _PATTERN = re.compile(r"\*_\w+")  # `*_joint`; without the underscore an anchor may have been forgotten
 _TAG = re.compile(r"!\S*")
+# There are no tags; the parser takes quadratic time over these lines, and 40 000 go into a megabyte.
+_TAG_DIRECTIVE = re.compile(r"^%TAG\b", re.MULTILINE)
 _BELOW_SIGN = re.compile(r"[^\n]*\n\s*")
 _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None): "empty"}
 
@@ -61,9 +64,17 @@ def parse(
     """The one document in `source`, or None where a finding says that there is none to use.
 
     `text` is what is parsed if that is not the whole source; its offsets are those of the source.
+
+    Raises:
+        TooManyFindings: There are more than `findings` takes.
     """
     text = source.text if text is None else text
-    noticed = Findings()
+    if "%TAG" in text and (directive := _TAG_DIRECTIVE.search(text)):
+        help = "remove it, or put it in quotes if it belongs to a text"
+        findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help=help)
+        return None
+    noticed = Findings(findings.most)
+    too_many: TooManyFindings | None = None
     composer = _Composer(source, text, noticed, budget or Budget(), parser)
     root, broken = None, None
     try:
@@ -73,10 +84,14 @@ def parse(
         findings.append(broken)
     except _OverLimitError:
         pass
+    except TooManyFindings as error:
+        too_many = error
     for finding in noticed:
         # What else was said about a broken line is a consequence.
         if broken is None or finding.span.begin.line != broken.span.begin.line:
             findings.append(finding)
+    if too_many is not None:
+        raise too_many
     return root
 
 

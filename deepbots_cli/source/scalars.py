@@ -33,7 +33,8 @@ _COMMA = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,(?![0-9]{3}$)[0-9]+")
 _THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(?:,[0-9]{3}){2,}")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
-_GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
+# Possessive, as a million digits behind each other would be tried in half a million ways otherwise.
+_GROUPS = re.compile(r"(?=[^_]*+_)[-+]?[0-9][0-9_]*+(?:\.[0-9_]*+)?")
 
 # The largest integer that a double still tells from its neighbours would be 2**53; seeds may use all of 64 bits.
 _LARGEST = 2**64

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.diagnostics import MOST_FINDINGS, Finding
 from deepbots_cli.ir import MOST_SUBSTEPS
 
 
@@ -33,6 +34,54 @@ def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> 
     env.close()
 
 
-def test_tens_of_thousands_of_findings_end_and_are_all_told(workshop) -> None:
-    # Whatever is quadratic in the findings takes minutes here.
-    assert len(workshop.lint("<<: *a\n" * 40_000)) > 40_000
+def wrong_in_many_places(workshop, text: str) -> list[Finding]:
+    found = workshop.lint(text)
+    assert MOST_FINDINGS <= len(found) <= MOST_FINDINGS + 1
+    return found
+
+
+def test_of_tens_of_thousands_of_mistakes_in_the_text_the_first_are_told_and_that_there_are_more(workshop) -> None:
+    found = wrong_in_many_places(workshop, "<<: *a\n" * 40_000)
+    assert {finding.code for finding in found} == {"DB001", "DB005", "DB101"}
+    assert [finding.headline for finding in found if finding.code == "DB005"] == ["more than 500 findings"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("action:", "".join(f"trainn{index}: {index}\n" for index in range(3000)) + "action:"),
+        ("reward: {alive: 1}", "reward:\n" + "".join(f"  r{index}: alvie{index}\n" for index in range(3000))),
+    ],
+    ids=["unknown keys", "unknown names"],
+)
+def test_of_thousands_of_mistakes_in_a_scenario_the_first_are_told_and_that_there_are_more(workshop, rail, old: str, new: str) -> None:
+    found = wrong_in_many_places(workshop, rail((old, new)))
+    assert "more than 500 findings" in {finding.headline for finding in found}
+
+
+def test_of_thousands_of_warnings_the_first_are_told_with_the_number_of_the_others(workshop, rail) -> None:
+    unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
+    found = wrong_in_many_places(workshop, rail(("world:", f"signals:\n{unused}world:")))
+    assert {finding.severity for finding in found} == {"warning"}
+    assert [note for finding in found for note in finding.notes if "not told" in note] == ["2_499 more findings are not told"]
+
+
+def test_errors_are_told_before_warnings_where_there_are_too_many_findings(workshop, rail) -> None:
+    unused = "".join(f"  p{index}: {index}\n" for index in range(1000))
+    found = wrong_in_many_places(workshop, rail(("world:", f"signals:\n{unused}world:")) + "# deepbots: ignore\n" * 1000 + "odd: 1\n")
+    assert [finding.headline for finding in found if finding.severity == "error"] == ["unknown key `odd` at the top level"]
+
+
+def test_hundreds_of_endings_are_refused_before_what_is_paid_is_held_against_each(workshop, rail) -> None:
+    endings = "".join(f"    f{index}: time > {index + 1} s\n" for index in range(300))
+    terms = "".join(f"  r{index}: 1 when f{index}\n" for index in range(300))
+    text = rail(("  failure:\n", f"  failure:\n{endings}"), ("reward: {alive: 1}", f"reward:\n{terms}"))
+    assert [(found.code, found.headline) for found in workshop.lint(text)] == [("DB005", "more than 200 endings")]
+
+
+def test_many_cases_of_a_large_scenario_are_refused(workshop, rail) -> None:
+    unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
+    cases = "".join(f"    c{index}: {{set: {{cart_speed: {index} m/s}}}}\n" for index in range(1, 40))
+    text = rail(("world:", f"signals:\n{unused}evaluation:\n  cases:\n{cases}world:"))
+    (found,) = [found for found in workshop.lint(text) if found.severity == "error"]
+    assert (found.code, found.span.text) == ("DB005", "cases")

@@ -110,6 +110,13 @@ def _of_yaml() -> Iterator[Hostile]:
         "suppressions without number", ("DB101",), added("".join(f"# deepbots: ignore[XB{i}]\n" for i in range(30_000)) + "x: 1\n")
     )
     yield Hostile("suppression of everything", ("DB101",), added(f"x: 1 # deepbots: ignore[{' '.join(f'DB{i}' for i in range(90_000))}]\n"))
+    yield Hostile("suppressions on one line", ("DB101",), added("x: 1 " + "# deepbots: ignore[DB604] " * 35_000 + "\n"))
+    yield Hostile("aliases without anchors", ("DB001",), added("".join(f"k{i}: *nothing{i}\n" for i in range(30_000))))
+    yield Hostile("tags without number", ("DB005",), added("".join(f"k{i}: !t{i} 1\n" for i in range(40_000))))
+    yield Hostile("old truth values without number", ("DB005", "DB101"), added("x: [" + "yes, " * 30_000 + "yes]\n"))
+    yield Hostile("words like one key", ("DB101",), added("".join(f"timestep{i}: 1\n" for i in range(3_500))))
+    directives = "".join(f"%TAG !a{i}! tag:x{i}:\n" for i in range(40_000))
+    yield Hostile("directives without number", ("DB001",), directives.encode() + b"---\n" + SCENARIO.encode())
     yield Hostile("directive", ("DB001",), b"%YAML 99999999999999999999.1\n---\n" + SCENARIO.encode())
 
 
@@ -145,6 +152,10 @@ def _of_expressions() -> Iterator[Hostile]:
     yield Hostile("code in an expression", ("DB401", "DB402"), changed('"cos(lean)"', """"__import__('os').system('touch pwned')\""""))
     chain = "".join(f"  s{i}: s{i + 1} + s{i + 1}\n" for i in range(2000))
     yield Hostile("signals upon signals", ("DB005", "DB402", "DB205"), added(f"signals:\n{chain}  s2000: lean\n"))
+    unknown = "".join(f"  s{i}: laen{i}\n" for i in range(3_500))
+    yield Hostile("thousands of names that nobody knows", ("DB402",), added(f"signals:\n{unknown}"))
+    endings = "".join(f"    f{i}: abs(lean) > {i} deg\n" for i in range(1, 3_500))
+    yield Hostile("thousands of endings", ("DB005",), added(f"termination:\n  failure:\n{endings}"))
     yield Hostile("signals in a circle", ("DB207",), added("signals: {a: b + 1, b: a + 1}\n"))
     yield Hostile("pattern of stars", ("DB206",), changed("joint: slider", f'joints: ["{"*a" * 2000}b"]'))
     yield Hostile("pattern with classes", ("DB206", "DB201"), changed("joint: slider", f'joints: ["{"[a-z]*" * 300}!"]'))
@@ -153,6 +164,7 @@ def _of_expressions() -> Iterator[Hostile]:
 def _of_numbers() -> Iterator[Hostile]:
     yield Hostile("integer of a megabyte", ("DB105", "DB401", "DB103"), changed("max_steps: 100", "max_steps: " + "9" * 900_000))
     yield Hostile("integer of 5000 digits", ("DB401", "DB103", "DB105"), changed("max_steps: 100", "max_steps: " + "9" * 5000))
+    yield Hostile("digits and then underscores", ("DB101",), added("x: " + "1" * 400_000 + "_" * 400_000 + "x\n"))
     yield Hostile("exponent", ("DB105", "DB401", "DB103"), changed("max_steps: 100", "max_steps: 1e999999999"))
     yield Hostile("infinity", ("DB105", "DB103", "DB401"), changed("max_steps: 100", "max_steps: .inf"))
     yield Hostile("not a number", ("DB105", "DB103", "DB401"), changed("20 ms", ".nan"))
@@ -176,6 +188,11 @@ def _of_numbers() -> Iterator[Hostile]:
     text = f"reset:\n  layout: big\n  layouts:\n    big:\n      cell: 1 cm\n      legend: {{R: cart}}\n      map: |\n{letters}\n"
     yield Hostile("map of 400 000 letters", ("DB005",), added(text))
     many = ", ".join(f"c{i}: {{set: {{world.substeps: {i + 1}}}}}" for i in range(2000))
+    large = "".join(f"  p{i}: {i}\n" for i in range(3_000))
+    some = ", ".join(f"c{i}: {{set: {{p0: {i}}}}}" for i in range(60))
+    yield Hostile("cases of a large scenario", ("DB005",), added(f"parameters:\n{large}evaluation: {{episodes: 1, cases: {{{some}}}}}\n"))
+    deep = added(f'evaluation: {{episodes: 1, cases: {{c: {{set: {{"{".".join("a" * 200)}": 1}}}}}}}}\n')
+    yield Hostile("setting of two hundred steps", ("DB005",), deep)
     yield Hostile("thousands of cases", ("DB005", "DB105"), added(f"evaluation: {{episodes: 1, cases: {{{many}}}}}\n"))
 
 
@@ -192,6 +209,9 @@ def _of_includes() -> Iterator[Hostile]:
     wide = {f"w{i}.yaml": b"x: [" + b"1, " * 20_000 + b"1]\n" for i in range(20)}
     text = added("".join(f"k{i}: {{include: w{i}.yaml}}\n" for i in range(20)))
     yield Hostile("many large parts", ("DB005",), text, wide)
+    heavy = {f"h{i}.yaml": b"#" * (MEGA - 8) + b"\nx: 1\n" for i in range(40)}
+    text = added("".join(f"k{i}: {{include: h{i}.yaml}}\n" for i in range(40)))
+    yield Hostile("files of a megabyte by the dozen", ("DB005",), text, heavy)
     yield Hostile("included binary", ("DB001",), added("k: {include: b.yaml}\n"), {"b.yaml": bytes(range(256)) * 1000})
     yield Hostile("included file of ten megabytes", ("DB005",), added("k: {include: b.yaml}\n"), {"b.yaml": b"#" * (10 * MEGA)})
 
