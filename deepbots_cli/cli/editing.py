@@ -26,7 +26,7 @@ def write(files: copying.Files, folder: Path) -> list[Path]:
     """
     (target, text), *others = files.items()
     schema = target.with_suffix(".schema.json")
-    if (folder / schema).exists():
+    if os.path.lexists(folder / schema):
         raise UsageError(f"nothing was written, since there is already: {folder / schema}")
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
     written = copying.write({target: led, **dict(others)}, folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
@@ -63,11 +64,18 @@ def test_a_new_scenario_overwrites_nothing_and_leaves_nothing_half_written(deepb
     assert (tmp_path / taken).read_text() == "mine\n"
 
 
-@pytest.mark.parametrize("name", ["", "../up", "a/b", "1st", "-x", "x" * 65, "a b", "a\nb", "ü"])
+@pytest.mark.parametrize("name", ["", "../1", "/", "a/b/", "1st", "-x", "x" * 65, "a b", "a\nb", "ü"])
 def test_a_name_that_names_no_file_is_wrong_usage(deepbots, tmp_path, name):
     ran = deepbots("new", "--template", "pit", "--", name)
     assert ran.code == 2
     assert "begin with a letter" in ran.err
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_name_with_a_folder_is_told_where_the_folder_goes(deepbots, tmp_path):
+    ran = deepbots("new", "my experiments/reach", "--template", "arm")
+    assert (ran.code, ran.out) == (2, "")
+    assert "deepbots new reach 'my experiments'" in ran.err
     assert not any(tmp_path.iterdir())
 
 
@@ -146,6 +154,14 @@ def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_pat
     ]
 
 
+@pytest.mark.parametrize("robot", ["package://pybullet_data/racecar/racecar.urdf", "balancer", "rover"])
+def test_no_wheels_are_grouped_twice(deepbots, tmp_path, robot):
+    deepbots("new", "car", "--urdf", robot)
+    groups = re.findall(r"^      (\w+): (\[.*\])$", (tmp_path / "car.yaml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert groups[0][0] == "wheels"
+    assert len({members for _, members in groups}) == len(groups)
+
+
 def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbots, tmp_path):
     (tmp_path / "robots").mkdir()
     (tmp_path / "pyproject.toml").write_text("")
@@ -214,6 +230,12 @@ def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, t
     (robot,) = api.load(tmp_path / "sub" / "mine.yaml").robots.values()
     assert f"Robot.{robot.name}" in schema["$defs"]
     assert made.out.split() == [f"sub/{file}" for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")]
+
+
+def test_a_link_where_the_schema_would_go_leaves_nothing_half_written(deepbots, tmp_path):
+    (tmp_path / "mine.schema.json").symlink_to("nowhere")
+    assert deepbots("new", "mine", "--template", "pit", "--schema").code == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.schema.json"]
 
 
 def test_a_schema_that_is_there_already_is_not_written_over(deepbots, tmp_path):

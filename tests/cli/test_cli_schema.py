@@ -71,3 +71,10 @@ def test_a_scenario_that_there_is_not_is_wrong_usage(deepbots):
 def test_of_a_scenario_that_comes_with_deepbots_no_line_is_to_be_changed(deepbots):
     ran = deepbots("schema", "--for", "cartpole", "-o", "s.json")
     assert (ran.code, ran.out, ran.err) == (0, "", "")
+
+
+def test_a_dash_is_standard_output_and_no_file(deepbots, tmp_path):
+    ran = deepbots("schema", "--for", "cartpole", "-o", "-")
+    assert (ran.code, ran.err) == (0, "")
+    assert json.loads(ran.out)["title"] == "deepbots scenario"
+    assert not any(tmp_path.iterdir())

@@ -95,6 +95,7 @@ def walk(survey: Survey, robot: Robot) -> Draft:
     place = {
         "z": f"{figure(height * 1.02)} m",
         **{name: f"{figure(angle)} deg" for name, angle in zip(("roll", "pitch"), turn, strict=True) if angle},
+        "yaw": "uniform(-5 .. 5 deg)",
     }
     draft.add("reset", "settle: 0.3 s    # it lands before the episode begins")
     robot.into(draft, place)

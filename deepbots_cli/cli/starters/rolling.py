@@ -126,14 +126,14 @@ def _motors(survey: Survey, robot: Robot, *, turns: bool = True) -> str:
     groups: dict[tuple[str, bool], list[Wheel]] = {}
     for wheel in survey.wheels:
         off = frames.dot(wheel.middle, left) - middle
-        side = "all" if steered or abs(off) < 0.1 * wheel.radius else "left" if off > 0 else "right"
+        side = "driven" if steered else "middle" if abs(off) < 0.1 * wheel.radius else "left" if off > 0 else "right"
         groups.setdefault((side, frames.dot(wheel.axle, left) < 0), []).append(wheel)
     for (side, mirrored), wheels in groups.items():
         name = f"{side}_wheels" + ("_mirrored" if mirrored and (side, False) in groups else "")
         joints = [wheel.joint for wheel in wheels]
-        command = {"all": "gas", "left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}[side]
-        command = command if turns else "push"
-        robot.motor(f"drive_{name}", "velocity_motor", robot.group(name, joints), joints, f"{'-' if mirrored else ''}{command} * top_speed")
+        name, group = ("wheels", everything) if len(groups) == 1 else (name, robot.group(name, joints))
+        command = {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}.get(side, "gas") if turns else "push"
+        robot.motor(f"drive_{name}", "velocity_motor", group, joints, f"{'-' if mirrored else ''}{command} * top_speed")
     return everything
 
 
@@ -145,7 +145,7 @@ def _steering(survey: Survey, robot: Robot, *, turns: bool = True) -> bool:
             ends = [min(abs(end), 0.5) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
             name = "steering" + ("_mirrored" if mirrored else "")
             angle = f"{'-' if mirrored else ''}turn * {figure(degrees(min(ends, default=0.5)))} deg" if turns else "0 deg"
-            robot.motor(f"steer_{name}", "position_motor", robot.group(name, joints), joints, angle)
+            robot.motor(name, "position_motor", robot.group(name, joints), joints, angle)
     return bool(survey.steering)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
+from shlex import quote
 
 from deepbots_cli.cli.copying import Files
 from deepbots_cli.errors import UsageError
@@ -46,6 +47,9 @@ def check(name: str) -> str:
         UsageError: No file and no run could be called so.
     """
     bare = name.removesuffix(".yaml")
+    folder, _, last = bare.rpartition("/")
+    if folder and _NAME.fullmatch(last):
+        raise UsageError(f"'{name[:80]}' is a name with a folder, which goes behind it: deepbots new {last} {quote(folder)} ...")
     if not _NAME.fullmatch(bare):
         raise UsageError(f"'{name[:80]}' cannot name a scenario; use letters, digits, _ and -, at most 64, and begin with a letter")
     return bare

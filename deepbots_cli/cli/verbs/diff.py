@@ -35,7 +35,7 @@ def command(
 ) -> None:
     """Say in what two scenarios differ by meaning.
 
-    Both are compiled, and what they come to is compared: layout, comments, units and the order of keys count for nothing. Of a run
+    Both are compiled, and what they come to is compared: layout, comments and units count for nothing. Of a run
     directory, the scenario is the one that it was trained on. --set is for the second scenario.
 
     The exit code is 0 if there is no difference but in names, looks and the order of keys, 1 if there is one, and 2 if one of the two

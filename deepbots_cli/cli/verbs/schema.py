@@ -22,7 +22,9 @@ def command(
     scenario: Annotated[
         str | None, typer.Option("--for", metavar="SCENARIO", help="List the joints, links, sensors and other names of this scenario too.")
     ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write this file anew; - is standard output.")
+    ] = None,
     allow_paths: AllowPaths = None,
 ) -> None:
     """Print the JSON Schema of scenario files, for editors.
@@ -36,6 +38,8 @@ def command(
 
     and, as the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
     """
+    if output == Path("-"):
+        output = None
     if scenario is None:
         _write(to_text(), output)
         return
