@@ -6,6 +6,8 @@ the reference: after the code what is found and why it matters, an example, and 
 
 names.py        definitions that nothing uses
 commands.py     what robots are told to do
+equality.py     measures that are asked to be a figure
+turns.py        angles that jump by a full turn
 observation.py  what the policy sees; saturation.py values at the end of their range
 reward.py       the size of a reward and its terms; progress.py its direction; peril.py where it leads into failures
 endings.py      when episodes end; variety.py whether they differ
@@ -96,6 +98,11 @@ def _may_cost(task: Task) -> bool:
     return _succeeds(task) or not all(interval.low > 0.0 and interval.finite for interval in known)
 
 
+def _asks_for_equality(task: Task) -> bool:
+    texts = (value.text for value in (*task.order, *task.reward, *(ending.value for ending in task.endings)))
+    return any("==" in text or "!=" in text for text in texts)
+
+
 def _asks_for_a_return(task: Task) -> bool:
     stages = (stage.until for stage in task.curriculum)
     return (task.solved is not None and task.solved.mean_return is not None) or any(
@@ -106,6 +113,8 @@ def _asks_for_a_return(task: Task) -> bool:
 _MODULES: dict[str, Callable[[Task], bool]] = {
     "names": _always,
     "commands": _always,
+    "equality": _asks_for_equality,
+    "turns": _always,
     "observation": _always,
     "saturation": _always,
     "reward": _may_cost,
@@ -116,5 +125,5 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "returns": _asks_for_a_return,
     "peril": _fails,
 }
-_IN_PREVIEW = frozenset({"commands", "peril", "variety"})
+_IN_PREVIEW = frozenset({"commands", "peril", "turns", "variety"})
 """All rules of these modules are."""

@@ -1,0 +1,79 @@
+"""DB411: measures that are asked to be a figure exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.lang.scalar import Op, Scalar, World
+from deepbots_cli.lang.typed import Constant, Operation, Typed, children
+from deepbots_cli.lang.types import Stage
+from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.task import Task, Valued
+
+_MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
+_SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
+"""What leaves a measure one; `clamp`, `min` and `where` give figures that can be met."""
+
+
+def equality_of_measures(checked: Checked) -> Iterator[Finding]:
+    """DB411: a condition asks a measure to be equal to a figure.
+
+    A distance, an angle or a speed is a number of sixteen digits, new in every tick. It passes 20 cm without ever being 20 cm, so that
+    `==` never holds, or holds by chance alone, and `!=` always does. What is counted, chosen or clamped can be equal to a figure, and
+    is not meant.
+
+    Example::
+
+        reward: {alive: 1, there: 5 when x == 20 cm}
+
+    Instead::
+
+        reward: {alive: 1, there: 5 when abs(x - 20 cm) < 1 cm}
+    """
+    if checked.task is None or checked.namespace is None:
+        return
+    book = book_of(checked.task, ideal=True)
+    for value in judged(checked.task):
+        for node in _compared(value.typed):
+            pairs = [pair for pair in (node.args, node.args[::-1]) if _is_met_by_chance(book, value, *pair)]
+            if pairs:
+                text = checked.namespace.values.text(tuple(value.owner.split(".")))
+                measure, figure, written = (text.text[part.start : part.end] for part in (*pairs[0], node))
+                outcome, sign = ("holds by chance alone", "<") if node.operator == "equal" else ("always holds", ">")
+                is_zero = isinstance(pairs[0][1], Constant) and not any(pairs[0][1].values)
+                apart = measure if is_zero else f"{measure} - {figure}"
+                help = f"ask how near it is, as `abs({apart}) {sign} ...` does"
+                yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help=help)
+
+
+def judged(task: Task) -> Iterator[Valued]:
+    """What the supervisor computes in a step, as it is written."""
+    yield from (value for value in (*task.order, *task.reward) if value.foreign is None)
+    yield from (ending.value for ending in task.endings if ending.value.foreign is None)
+
+
+def _compared(node: Typed) -> Iterator[Operation]:
+    if isinstance(node, Operation) and node.operator in ("equal", "not_equal") and not node.args[0].type.boolean:
+        yield node
+    for part in children(node):
+        yield from _compared(part)
+
+
+def _is_met_by_chance(book: Book, value: Valued, measure: Typed, figure: Typed) -> bool:
+    settled = figure.type.stage is not Stage.STEP
+    return settled and all(_is_measure(book, part) for part in book.lowered(measure, value.owner))
+
+
+def _is_measure(book: Book, node: Scalar) -> bool:
+    match book.meaning(node):
+        case World(function):
+            return function in _MEASURED
+        case Op(op, args):
+            return op in _SMOOTH and any(_is_measure(book, arg) for arg in args)
+        case _:
+            return False
+
+
+RULES = (equality_of_measures,)
