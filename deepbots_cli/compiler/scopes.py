@@ -110,12 +110,15 @@ class RobotScope:
             self.namespace.touch(name)
             return self.own[name]
         origin = self.namespace.origin(name)
+        scene = self.namespace.robots.get(self.robot)
+        arrives = origin is Origin.ACTION or (scene is not None and name in (scene.spec.receive or {}))
         if origin is Origin.PARAMETER:
             symbol = self.namespace.symbol(name)
-            if symbol is not None and symbol.type is not None and symbol.type.stage is not Stage.FIXED:
+            if symbol is None or symbol.type is None or symbol.type.stage is Stage.FIXED:
+                return symbol
+            if not arrives:
                 return Symbol(name, None, refused=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
-            return symbol
-        if origin is Origin.ACTION:
+        if arrives:
             return Symbol(name, None, refused="it arrives with a message; use it in `apply`")
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
             return Symbol(name, None, refused=f"robot `{self.robot}` sees only its own sensors; send it under `receive` if it must know")
