@@ -10,7 +10,8 @@ def read_at_most(path: Path, most: int) -> bytes:
     """The first bytes of a file, all of them if there are no more than `most`.
 
     Memory is asked for by what the file says of its size. Asked for by the limit, of 32 MB for a mesh, it came from where the C library
-    cuts small pieces too, and went back with holes: a process that lints damaged files grew by 0.4 MB with every 1 000 of them.
+    cuts small pieces too, and was left with holes: linting damaged files, a process grew from 40 MB after 5 000 to 60 MB after 60 000
+    of them, and to 42 MB without.
 
     Raises:
         OSError: If it cannot be read.

@@ -10,7 +10,7 @@ from pathlib import Path
 from deepbots_cli.cli.settings import Settings
 from deepbots_cli.errors import UsageError
 
-_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A\s*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
+_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _LOOKED_AT = 65_536
 _NOT_OURS = ("run.json", "pyvenv.cfg")
 """What the folder of a training and a virtual environment hold: copies of scenarios that nobody edits there."""

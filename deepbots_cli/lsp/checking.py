@@ -6,6 +6,7 @@ import asyncio
 import gc
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from typing import NamedTuple
 
 from lsprotocol import types
@@ -104,9 +105,13 @@ class Checker:
         self._tell(other for other in {*before, *now.found} if now.is_about(self._desk.documents.get(other)))
 
     def _tell(self, uris: Iterable[str]) -> None:
-        """Publish all that is known of some addresses as they are; what several documents have found there is told once."""
+        """Publish all that is known of some addresses as they are.
+
+        What several documents have found there is told once: as it was found in the file itself, or else in the last of them by name.
+        """
         for uri in sorted(uris):
             document = self._desk.documents.get(uri)
-            told = [found for shown in self._shown.values() if shown.is_about(document) for found in shown.found.get(uri, ())]
-            unique = {(str(found.range), found.code, found.message): found for found in told}
+            order = sorted(self._shown, key=lambda reader: (reader == uri, reader))
+            shown = [self._shown[reader].found.get(uri, ()) for reader in order if self._shown[reader].is_about(document)]
+            unique = {(str(found.range), found.code, found.message): found for found in chain.from_iterable(shown)}
             self._publish(uri, document.version if document else None, list(unique.values()))

@@ -75,8 +75,8 @@ class Client:
         """Open a file, by default as it is on the disk, and return its address."""
         uri = path.as_uri()
         self.texts[uri] = path.read_text(encoding="utf-8") if text is None else text
-        self.versions[uri] = 1
-        document = {"uri": uri, "languageId": "yaml", "version": 1, "text": self.texts[uri]}
+        self.versions[uri] = self.versions.get(uri, 0) + 1  # what was published before it was closed is of another version
+        document = {"uri": uri, "languageId": "yaml", "version": self.versions[uri], "text": self.texts[uri]}
         self.notify("textDocument/didOpen", {"textDocument": document})
         return uri
 

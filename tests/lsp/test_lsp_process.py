@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import json
+import random
+import shutil
 from concurrent.futures import Future
 from typing import Any
 
@@ -14,7 +17,11 @@ from deepbots_cli.lsp.checking import Checker
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.documents import Document, path_of
 from deepbots_cli.lsp.server import Server
+from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import Client
+
+TOGETHER = ("arena.yaml", "maze.yaml", "rover_part.yaml", "wireless.yaml", "balance.yaml")
+"""Scenarios of which two include the same piece, and one extends another."""
 
 
 @pytest.mark.parametrize(("farewell", "code"), [(["shutdown", "exit"], 0), (["exit"], 1)])
@@ -30,39 +37,99 @@ def test_the_exit_code_tells_whether_the_client_has_taken_its_leave(project, far
     assert own.errors == ""
 
 
-def test_nothing_is_kept_of_changes_that_came_and_went():
-    uri = "untitled:a"
-    written = {"version": 1, "languageId": "yaml", "text": "deepbots: 1\n"}
+class Process:
+    """A server without a process around it, and what it publishes: versions and findings by address."""
 
-    def messages() -> Any:
-        yield {"id": 0, "method": "initialize", "params": {"processId": None, "rootUri": None, "capabilities": {}}}
-        yield {"method": "textDocument/didOpen", "params": {"textDocument": {"uri": uri, **written}}}
-        for number in range(60):
-            document = {"uri": uri, "version": number + 2}
-            yield {
-                "method": "textDocument/didChange",
-                "params": {"textDocument": document, "contentChanges": [{"text": f"deepbots: {number}"}]},
-            }
+    def __init__(self) -> None:
+        self.server = Server()
+        self.server.protocol.set_writer(self)
+        self.shown: dict[str, tuple[int | None, set[str]]] = {}
+        self.tell("initialize", id=0, processId=None, rootUri=None, capabilities={})
 
-    async def serve() -> list[int]:
-        server, counts = Server(), []
-        server.protocol.set_writer(Sink())
-        for message in messages():
-            server.protocol.handle_message(server.protocol.structure_message({"jsonrpc": "2.0", **message}))
-            counts.append(sum(isinstance(known, Future) for known in gc.get_objects()))
-        server.checker.stop()
-        return counts
+    def tell(self, method: str, id: int | None = None, **params: Any) -> None:
+        message = {"jsonrpc": "2.0", "method": method, "params": params} | ({} if id is None else {"id": id})
+        self.server.protocol.handle_message(self.server.protocol.structure_message(message))
 
-    counts = asyncio.run(serve())
-    assert max(counts[2:]) <= counts[2] + 1  # an analysis may be under way
+    def open(self, uri: str, text: str) -> None:
+        self.tell("textDocument/didOpen", textDocument={"uri": uri, "languageId": "yaml", "version": 1, "text": text})
 
+    def change(self, uri: str, version: int, text: str) -> None:
+        self.tell("textDocument/didChange", textDocument={"uri": uri, "version": version}, contentChanges=[{"text": text}])
 
-class Sink:
-    """Takes what a server says."""
+    async def rest(self) -> None:
+        """Until everything has been looked at."""
+        while others := asyncio.all_tasks() - {asyncio.current_task()}:
+            await asyncio.wait(others)
 
-    def write(self, data: bytes) -> None: ...
+    def write(self, data: bytes) -> None:
+        message = json.loads(data.partition(b"\r\n\r\n")[2])
+        if message.get("method") == "textDocument/publishDiagnostics":
+            told = message["params"]
+            self.shown[told["uri"]] = (told.get("version"), {json.dumps(found, sort_keys=True) for found in told["diagnostics"]})
 
     def close(self) -> None: ...
+
+
+def test_nothing_is_kept_of_changes_that_came_and_went():
+    def kept() -> int:
+        return sum(isinstance(known, Future) for known in gc.get_objects())
+
+    async def counts() -> tuple[int, int]:
+        process = Process()
+        process.open("untitled:a", "deepbots: 1\n")
+        before = kept()
+        for number in range(60):
+            process.change("untitled:a", number + 2, f"deepbots: {number}\n")
+        after = kept()
+        await process.rest()
+        return before, after
+
+    before, after = asyncio.run(counts())
+    assert after <= before + 1  # an analysis may be under way
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_after_changes_in_any_order_each_file_shows_what_a_first_look_at_it_would(tmp_path, seed):
+    folder = tmp_path / "project"
+    shutil.copytree(SEEDS, folder)
+    (folder / "deepbots.toml").touch()
+    drawn, texts, versions = random.Random(seed), {}, {}
+
+    async def work() -> Process:
+        process = Process()
+        for _ in range(40):
+            path = folder / drawn.choice(TOGETHER)
+            uri, text = path.as_uri(), damaged(path.read_text(encoding="utf-8"), drawn)
+            if uri not in texts:
+                texts[uri], versions[uri] = text, 1
+                process.open(uri, text)
+            elif drawn.random() < 0.8:
+                texts[uri], versions[uri] = text, versions[uri] + 1
+                process.change(uri, versions[uri], text)
+            else:
+                del texts[uri]
+                process.tell("textDocument/didClose", textDocument={"uri": uri})
+            await asyncio.sleep(drawn.choice((0, 0, 0.1)))
+        await process.rest()
+        return process
+
+    async def look() -> Process:
+        process = Process()
+        for uri, text in texts.items():
+            process.open(uri, text)
+        await process.rest()
+        return process
+
+    after, first = asyncio.run(work()).shown, asyncio.run(look()).shown
+    for uri in {*after, *first}:
+        assert after.get(uri, (None, set()))[1] == first.get(uri, (None, set()))[1], uri
+        assert uri not in texts or after[uri][0] == versions[uri]
+
+
+def damaged(text: str, drawn: random.Random) -> str:
+    place = drawn.randrange(len(text))
+    signs = drawn.choice(("", "x", "{", "\n", "# 😀\n", "[", ":"))
+    return text if drawn.random() < 0.3 else text[:place] + signs + text[place + drawn.randrange(2) :]
 
 
 def test_what_is_written_in_is_looked_at_before_what_waits_already():
