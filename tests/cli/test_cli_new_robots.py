@@ -77,6 +77,14 @@ def locked() -> str:
     return "".join([*links, joint("stuck", "foot", "a", "0 0 0.05", limit=stuck), joint("free", "a", "b", "0 0 0.45")])
 
 
+def gripper() -> str:
+    """Two fingers that can only open from 0, of which one follows the other."""
+    opening = 'lower="0" upper="0.8" effort="10" velocity="1"'
+    right = joint("right", "palm", "b", "0 -0.1 0.1", "1 0 0", opening).replace("</joint>", '<mimic joint="left"/></joint>')
+    links = [link("palm", box("0.3 0.3 0.1"), 20.0), link("a", box("0.1 0.05 0.1")), link("b", box("0.1 0.05 0.1"))]
+    return "".join([*links, joint("left", "palm", "a", "0 0.1 0.1", "1 0 0", opening), right])
+
+
 def odd_names() -> str:
     names = [
         "on",
@@ -105,7 +113,7 @@ def odd_names() -> str:
     return "".join([*links, *(joint(name, "trunk", f"{name} link", f"{x} {y} 0.1") for name, x, y in around)])
 
 
-ROBOTS = {make.__name__: make for make in (tall_foot, snake, spider, hexacopter, locked, odd_names)}
+ROBOTS = {make.__name__: make for make in (tall_foot, snake, spider, hexacopter, locked, gripper, odd_names)}
 
 
 @pytest.fixture(params=ROBOTS)
@@ -139,6 +147,12 @@ def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_l
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
     assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
     assert [motor.parts for motor in api.compile(tmp_path / "first.yaml").ir.robots[0].actuators] == [("free",)]
+
+
+@pytest.mark.parametrize("robot", ["gripper"], indirect=True)
+def test_that_a_joint_does_not_follow_another_is_said(deepbots, tmp_path, robot):
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
+    assert "# <mimic> is not simulated: right is moved like any other joint here." in (tmp_path / "first.yaml").read_text(encoding="utf-8")
 
 
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):

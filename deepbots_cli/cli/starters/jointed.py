@@ -8,7 +8,7 @@ from math import hypot, radians
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.draft import Draft, figure, word
-from deepbots_cli.cli.starters.limbs import Limb, Positions, bring, neutral, range_of
+from deepbots_cli.cli.starters.limbs import Limb, Positions, bring, centre, swing
 from deepbots_cli.cli.starters.parts import Robot, by_unit, train
 from deepbots_cli.cli.starters.survey import Survey
 from deepbots_cli.frames import Quaternion, Triple
@@ -122,9 +122,8 @@ def roam(survey: Survey, robot: Robot) -> Draft:
             draft.add("action", f"spin_{name}: {{range: -1 .. 1, each: robot.{group}}}")
         if others:
             group = robot.group(f"bending_{name}", others)
-            swing = min(0.5, *(min(range_of(j)[1] - neutral(j), neutral(j) - range_of(j)[0]) or 0.1 for j in others))
-            at = robot.begin(group, f"rest_{name}", {joint.name: neutral(joint) for joint in others}, others)
-            robot.motor(f"bend_{name}", "position_motor", group, others, f"{at} + {figure(swing)} {unit} * bend_{name}")
+            at = robot.begin(group, f"rest_{name}", {joint.name: centre(joint) for joint in others}, others)
+            robot.motor(f"bend_{name}", "position_motor", group, others, f"{at} + {figure(swing(others))} {unit} * bend_{name}")
             draft.add("action", f"bend_{name}: {{range: -1 .. 1, each: robot.{group}}}")
     robot.add("emit", "[gyro, down]")
     draft.add("augment", "v: velocity(robot)")
@@ -147,16 +146,15 @@ def posture(survey: Survey, robot: Robot) -> Draft:
     misses = []
     for name, joints in by_unit(survey.driven):
         unit = "m" if name == "slides" else "rad"
-        swing = min(0.5, *(min(range_of(j)[1] - neutral(j), neutral(j) - range_of(j)[0]) or 0.5 for j in joints))
-        span = figure(swing)
+        span = swing(joints)
         group = robot.group(f"moved_{name}", joints)
-        at = robot.begin(group, f"rest_{name}", {joint.name: neutral(joint) for joint in joints}, joints)
+        at = robot.begin(group, f"rest_{name}", {joint.name: centre(joint) for joint in joints}, joints)
         robot.add("sensors", f"{name}: {{type: joint_position, joints: {group}}}")
         robot.add("emit", f"{name}: {name} - {at}")
-        robot.motor(f"move_{name}", "position_motor", group, joints, f"{name} + {figure(0.2 * swing)} {unit} * turn_{name}")
+        robot.motor(f"move_{name}", "position_motor", group, joints, f"{name} + {figure(0.2 * span)} {unit} * turn_{name}")
         draft.add("action", f"turn_{name}: {{range: -1 .. 1, each: robot.{group}}}")
-        draft.add("observation", f"robot.{name}: -{figure(1.5 * swing)} .. {figure(1.5 * swing)} {unit}")
-        misses.append(f"mean(abs(robot.{name} / ({span} {unit}) - wanted))")
+        draft.add("observation", f"robot.{name}: -{figure(1.5 * span)} .. {figure(1.5 * span)} {unit}")
+        misses.append(f"mean(abs(robot.{name} / ({figure(span)} {unit}) - wanted))")
     draft.add("signals", f"miss: {' + '.join(misses)}")
     draft.add("reward", "near: exp(-miss)")
     draft.add("truncation", "max_steps: 100")

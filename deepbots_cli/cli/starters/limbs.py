@@ -6,7 +6,7 @@ its range that brings the end nearest to the target, round after round. It needs
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from math import atan2, dist, pi
 
@@ -52,6 +52,17 @@ def neutral(joint: Joint) -> float:
     """0, or the middle of the range of a joint that may not be there."""
     low, high = range_of(joint)
     return 0.0 if low <= 0.0 <= high else (low + high) / 2
+
+
+def centre(joint: Joint) -> float:
+    """0, or the middle of the range of a joint that can hardly move on one side of 0."""
+    low, high = range_of(joint)
+    return 0.0 if min(-low, high) > 0.2 * (high - low) else (low + high) / 2
+
+
+def swing(joints: Iterable[Joint]) -> float:
+    """By how much each of them can leave its centre, either way; at most 0.5."""
+    return min(0.5, *(min(range_of(joint)[1] - centre(joint), centre(joint) - range_of(joint)[0]) for joint in joints))
 
 
 def bring(limb: Limb, start: Frame, target: Triple, using: Container[Joint] | None = None) -> tuple[Positions, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from deepbots_cli.cli import robot_file
@@ -102,7 +103,14 @@ def _remarks(survey: Survey, robot: Robot) -> list[str]:
     parts += [f"{len(survey.limbs)} limb{'s' if len(survey.limbs) > 1 else ''}"] if survey.limbs and not survey.wheels else []
     parts += [f"{len(survey.idle)} without a motor"] if survey.idle else []
     base = "taken to be fixed to the ground" if robot.fixed else "free"
+    followers = [joint.name for joint in model.moving_joints if joint.mimic]
     return [
         f"What was found in {robot.reference}: {', '.join(parts)};",
         f"{survey.mass:.3g} kg, {survey.size:.3g} m long at most; its base is {base}. Figures below were chosen from these: change them.",
+        *([f"<mimic> is not simulated: {_few(followers)} moved like any other joint here."] if followers else []),
     ]
+
+
+def _few(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return f"{shown} {'is' if len(names) == 1 else 'are'}"
