@@ -11,6 +11,7 @@ turns.py        angles that jump by a full turn
 observation.py  what the policy sees; saturation.py values at the end of their range
 reward.py       the size of a reward and its terms; progress.py its direction; peril.py where it leads into failures
 endings.py      when episodes end; variety.py whether they differ
+lateness.py     what would come after that
 goals.py        whether goals can be reached; returns.py whether returns can
 
 What rules ask:
@@ -103,6 +104,12 @@ def _asks_for_equality(task: Task) -> bool:
     return any("==" in text or "!=" in text for text in texts)
 
 
+def _waits(task: Task) -> bool:
+    """Whether there is a time that could be too long."""
+    routes = task.to_robot.latency is not None or task.from_robot.latency is not None
+    return bool(task.disturbances) or routes or any(sensor.faults is not None for robot in task.robots for sensor in robot.sensors)
+
+
 def _asks_for_a_return(task: Task) -> bool:
     stages = (stage.until for stage in task.curriculum)
     return (task.solved is not None and task.solved.mean_return is not None) or any(
@@ -123,6 +130,7 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "goals": _succeeds,
     "variety": _always,
     "returns": _asks_for_a_return,
+    "lateness": _waits,
     "peril": _fails,
 }
 _IN_PREVIEW = frozenset({"commands", "peril", "turns", "variety"})

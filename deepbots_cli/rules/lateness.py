@@ -1,0 +1,65 @@
+"""DB811: what would come only after every episode has ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.lang.dimensions import TIME
+from deepbots_cli.rules.meaning import book_of
+from deepbots_cli.rules.payments import versions
+from deepbots_cli.rules.reach import reach_of
+from deepbots_cli.rules.wording import figure
+from deepbots_cli.source.nodes import Path
+from deepbots_cli.task import Task, Valued
+
+
+def after_the_end(checked: Checked) -> Iterator[Finding]:
+    """DB811: a push, a reading or a message that would come only after every episode has been cut short.
+
+    The first push of a disturbance, the second reading of a sensor, the first message after that of the reset: later than `max_steps` or
+    `max_time`, in the scenario and in each of its cases and stages, so that there is none. Most often a time is in another unit.
+
+    Example::
+
+        disturbances:
+          knock: {body: cart, force: 5 0 0 N, at: 20 s, lasts: 50 ms}
+
+    Instead::
+
+        disturbances:
+          knock: {body: cart, force: 5 0 0 N, at: 2 s, lasts: 50 ms}
+    """
+    if checked.task is None or checked.namespace is None:
+        return
+    end = max(book_of(task).last * book_of(task).period for task in versions(checked))  # s
+    for what, time, path in _awaited(checked.task):
+        if time >= end and all(other >= end for task in versions(checked) for _, other, there in _awaited(task) if there == path):
+            headline = f"{what} {figure(time, TIME)} or more, and no episode lasts longer than {figure(end, TIME)}"
+            yield Finding("DB811", checked.namespace.values.span(path), headline, help="let it come earlier, or episodes last longer")
+
+
+def _awaited(task: Task) -> Iterator[tuple[str, float, Path]]:
+    """What has to be waited for, the least time of that (s), and where it is written."""
+    book = book_of(task)
+    reach = reach_of(book)
+
+    def least(time: Valued) -> float:
+        return reach.of(book.scalars(time)[0]).low
+
+    for push in task.disturbances:
+        key, first = ("at", push.first) if push.first is not None else ("every", push.every)
+        if first is not None:
+            yield f"`{push.name}` begins after", least(first), ("disturbances", push.name, key)
+    for robot in task.robots:
+        for sensor in robot.sensors:
+            if sensor.faults is not None:
+                period = sensor.faults.period * task.world.timestep
+                yield f"`{sensor.name}` is read again after", period, ("robots", robot.name, "sensors", sensor.name, "period")
+    for key, route in (("to_robot", task.to_robot), ("from_robot", task.from_robot)):
+        if route.latency is not None:
+            yield "a message takes", least(route.latency), ("messages", key, "latency")
+
+
+RULES = (after_the_end,)
