@@ -58,9 +58,10 @@ class Book:
     With `ideal`, a sensor is what it measures, whatever its faults; without, only where reading it is reading the world.
     """
 
-    def __init__(self, task: Task, *, ideal: bool = False) -> None:
+    def __init__(self, task: Task, *, ideal: bool = False, like: Book | None = None) -> None:
+        """With `like`, the trees of what the supervisor computes are those of another book of the same task."""
         self.task = task
-        self.leaves: dict[str, Interval] = {}
+        self.leaves: dict[str, Interval] = like.leaves if like else {}
         """The intervals of names that nothing defines, such as action variables and readings."""
         self._ideal = ideal
         self._robots: Mapping[str, TaskRobot] = {robot.name: robot for robot in task.robots}
@@ -76,8 +77,9 @@ class Book:
         self._scalars: dict[str, dict[str | None, Scalar]] = {}
         self._behind: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._behind_names: dict[Name, frozenset[str]] = {}
-        self._lowered: dict[str, _Lowered] = {}
-        self._learnt: dict[tuple[int, str], Typed] = {}
+        self._lowered: dict[str, _Lowered] = like._lowered if like else {}
+        self._learnt: dict[tuple[int, str], Typed] = like._learnt if like else {}
+        self._told: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._of_names: dict[Name, int] = {}
         self._of_trees: dict[int, tuple[Scalar, int]] = {}
@@ -188,26 +190,28 @@ class Book:
         sensors = self._robots[robot].sensors if name and robot in self._robots else ()
         return next(((robot, sensor) for sensor in sensors if sensor.name == name), None)
 
-    def told(self, node: Scalar) -> set[str]:
+    def told(self, node: Scalar) -> frozenset[str]:
         """The drawn parameters and the bodies that a value depends on."""
-        found: set[str] = set()
-        met: set[Scalar] = set()
-        waiting = [node]
-        while waiting:
-            node = waiting.pop()
-            match node:
-                case Name() if node not in met:
-                    met.add(node)
-                    found.add(node.name)
-                    further = self.definition(node)  # name by name: one that is only another name for a parameter tells of it
-                    waiting += [] if further is None else [further]
-                    sensor = self.sensor(self.meaning(node))
-                    found |= {sensor[0]} if sensor else set()
-                case World(_, subjects):
-                    found |= {subject.partition(".")[0].partition("#")[0] for subject in subjects}
-                case _:
-                    waiting += parts(node)
-        return found
+        known = self._told.get(id(node))
+        if known is None:
+            known = self._told[id(node)] = (node, frozenset(self._tells(node)))
+        return known[1]
+
+    def _tells(self, node: Scalar) -> Iterator[str]:
+        match node:
+            case Name(name):
+                yield name
+                further = self.definition(node)  # name by name: one that is only another name for a parameter tells of it
+                if further is not None:
+                    yield from self.told(further)
+                sensor = self.sensor(self.meaning(node))
+                if sensor is not None:
+                    yield sensor[0]
+            case World(_, subjects):
+                yield from (subject.partition(".")[0].partition("#")[0] for subject in subjects)
+            case _:
+                for part in parts(node):
+                    yield from self.told(part)
 
     # Which trees mean the same
 
@@ -286,7 +290,7 @@ class Book:
 @lru_cache(maxsize=4)
 def book_of(task: Task, *, ideal: bool = False) -> Book:
     """The definitions of a task, which all rules share: following them anew for each took a third of the time of all rules."""
-    return Book(task, ideal=ideal)
+    return Book(task, ideal=ideal, like=book_of(task) if ideal else None)
 
 
 def _reached(goal: TaskGoal) -> Valued:
