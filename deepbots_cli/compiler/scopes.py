@@ -7,7 +7,8 @@ sensors, what it received, its poses, and parameters that never change.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.lang.dimensions import NUMBER, TIME
@@ -15,19 +16,19 @@ from deepbots_cli.lang.intervals import Interval
 from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol, Type
 
 _ENDLESS = Interval(0.0, float("inf"))
+_NO_POSES: Mapping[str, Symbol] = MappingProxyType({})
 _FLAGS = ("terminated", "truncated", "ended")
 _ACCOUNTS = ("previous_reward", "episode_return")
 GOAL_IS_LATE = "the goal is settled after the signals, and seen by endings and rewards only"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_ACCOUNTS, *_FLAGS)
 
 
-@dataclass(frozen=True)
-class ParameterScope:
+class ParameterScope(NamedTuple):
     """Parameters only: for figures of the world, resets, ranges. `poses` are those of the robot whose joints are set."""
 
     namespace: Namespace
     context: Context
-    poses: Mapping[str, Symbol] = field(default_factory=dict)
+    poses: Mapping[str, Symbol] = _NO_POSES
 
     def lookup(self, name: str) -> Symbol | None:
         if name in self.poses:
@@ -47,8 +48,7 @@ class ParameterScope:
         return self.namespace.subjects()
 
 
-@dataclass(frozen=True)
-class SupervisorScope:
+class SupervisorScope(NamedTuple):
     """Everything that has a value in a step; endings only where they are known already."""
 
     namespace: Namespace
@@ -96,8 +96,7 @@ class SupervisorScope:
         return self.namespace.subjects()
 
 
-@dataclass(frozen=True)
-class RobotScope:
+class RobotScope(NamedTuple):
     """What one robot knows on board. `own` holds its sensors, received fields and poses by name."""
 
     namespace: Namespace

@@ -124,7 +124,7 @@ class _Checker:
             case syntax.Name():
                 return reference(node, self._scope, self._report)
             case syntax.Number():
-                return self._quantity((node,), node, None)
+                return self._number(node)
             case syntax.Binary():
                 left, right = self.visit(node.left), self.visit(node.right)
                 return operators.binary(node, left, right, self._report) if left and right else None
@@ -169,14 +169,23 @@ class _Checker:
         result = Type(value.type.dimension, components[0], interval=hull((value.type.interval, exact(0.0))), stage=stage)
         return Invocation(result, node.start, node.end, "where", (), (condition, value, nothing))
 
-    def _quantity(
-        self, items: Sequence[syntax.Number], node: syntax.Number | syntax.Vector, components: Components | None
-    ) -> Constant | None:
+    def _number(self, node: syntax.Number) -> Constant | None:
+        value = node.unit.to_si(node.value) if node.unit else node.value
+        if not math.isfinite(value):
+            self._too_large(node)
+            return None
+        dimension = node.unit.dimension if node.unit else NUMBER
+        return Constant(Type(dimension, interval=exact(value)), node.start, node.end, (value,), node.unit)
+
+    def _too_large(self, node: syntax.Number | syntax.Vector) -> None:
+        self._report("DB401", node.start, node.end, "a quantity too large to be kept")
+
+    def _numbers(self, items: Sequence[syntax.Number], node: syntax.Vector, components: Components) -> Constant | None:
         """Numbers in the unit of `node`, which stands behind the last of them."""
         unit = node.unit
         values = tuple(unit.to_si(item.value) if unit else item.value for item in items)
         if not all(map(math.isfinite, values)):
-            self._report("DB401", node.start, node.end, "a quantity too large to be kept")
+            self._too_large(node)
             return None
         dimension = unit.dimension if unit else NUMBER
         return Constant(Type(dimension, components, interval=Interval(min(values), max(values))), node.start, node.end, values, unit)
@@ -187,7 +196,7 @@ class _Checker:
             return None
         components = _positions(len(node.items))
         if all(isinstance(item, syntax.Number) for item in node.items):
-            return self._quantity([item for item in node.items if isinstance(item, syntax.Number)], node, components)
+            return self._numbers([item for item in node.items if isinstance(item, syntax.Number)], node, components)
         items = [self.visit(item) for item in node.items]
         known = [item for item in items if item is not None]
         if len(known) < len(items) or not agree.numbers(known, self._report):

@@ -13,10 +13,10 @@ from typing import NamedTuple
 from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
 from deepbots_cli.ir import Sensor
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.lower import Lowering, Scalars, lower
+from deepbots_cli.lang.lower import Lowering, Scalars
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.lang.scalar import children as parts
-from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed
 from deepbots_cli.lang.types import Stage, Symbol, Type
 from deepbots_cli.task import Task, TaskGoal, TaskRobot, Valued
 from deepbots_cli.urdf.model import Pose
@@ -35,19 +35,21 @@ class Comparison(NamedTuple):
 
 
 class _Lowered(Lowering):
-    """Gives the same objects for the same part of a tree, whether it is asked for alone or as part of the whole."""
+    """Gives the same objects for the same part of a tree, whether it is asked for alone or as part of the whole.
 
-    def __init__(self, owner: str) -> None:
+    The intervals of the names that it meets are noted in `leaves`.
+    """
+
+    def __init__(self, owner: str, leaves: dict[str, Interval]) -> None:
         super().__init__(owner)
+        self._leaves = leaves
         self._known: dict[int, tuple[Typed, Scalars]] = {}
-
-    def __contains__(self, value: Typed) -> bool:
-        """Whether it was lowered before, alone or as part of another."""
-        return id(value) in self._known
 
     def scalars(self, value: Typed) -> Scalars:
         known = self._known.get(id(value))
         if known is None:
+            if isinstance(value, Reference):
+                self._leaves[value.symbol.name] = value.type.interval
             known = self._known[id(value)] = (value, super().scalars(value))  # with the tree, so that no other gets its id
         return known[1]
 
@@ -78,7 +80,6 @@ class Book:
         self._behind: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._behind_names: dict[Name, frozenset[str]] = {}
         self._lowered: dict[str, _Lowered] = like._lowered if like else {}
-        self._learnt: dict[tuple[int, str], Typed] = like._learnt if like else {}
         self._told: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._of_names: dict[Name, int] = {}
@@ -101,9 +102,7 @@ class Book:
         """What a tree of the supervisor computes, per component; the same objects each time."""
         lowering = self._lowered.get(owner)
         if lowering is None:
-            lowering = self._lowered[owner] = _Lowered(owner)
-        if typed not in lowering:
-            self._learn(typed, "")
+            lowering = self._lowered[owner] = _Lowered(owner, self.leaves)
         return lowering.scalars(typed)
 
     def meaning(self, node: Scalar) -> Scalar:
@@ -129,8 +128,10 @@ class Book:
 
     def on_board(self, value: Valued, robot: str) -> Scalars:
         """What a value on board of a robot computes, per component."""
-        self._learn(value.typed, robot)
-        return tuple(self._on_board(part, robot) for part in lower(value.typed, value.owner))
+        met: dict[str, Interval] = {}
+        trees = _Lowered(value.owner, met).scalars(value.typed)
+        self.leaves.update((f"{robot}:{name}", interval) for name, interval in met.items())
+        return tuple(self._on_board(tree, robot) for tree in trees)
 
     def names_behind(self, node: Scalar) -> frozenset[str]:
         """The names that a value depends on, its own among them, and `time` where it depends on how long something lasts."""
@@ -154,17 +155,6 @@ class Book:
             behind = self.names_behind(part)
             found = found | behind if found else behind
         return found
-
-    def _learn(self, typed: Typed, robot: str) -> None:
-        """Note the intervals of the names in a tree."""
-        if (id(typed), robot) in self._learnt:
-            return
-        self._learnt[id(typed), robot] = typed
-        if isinstance(typed, Reference):
-            name = f"{robot}:{typed.symbol.name}" if robot else typed.symbol.name
-            self.leaves[name] = typed.type.interval
-        for part in children(typed):
-            self._learn(part, robot)
 
     def _on_board(self, node: Scalar, robot: str) -> Scalar:
         """The same where names are those on board of a robot: its sensors, and what is sent to it."""

@@ -27,6 +27,8 @@ _YAML11 = {
     **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
 }
 
+# What all of these have in common; an expression such as `2 * x` is none, and that is found out at once.
+_PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]*+")
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
 _RADIX = re.compile(r"([-+]?)0(?:x([0-9A-Fa-f]+)|o([0-7]+)|b([01]+))")
 _COMMA = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
@@ -82,6 +84,8 @@ def _as_it_is_read(text: str, span: Span) -> Fix | None:
 
 def _odd_number(text: str) -> tuple[str, str] | None:
     """Headline and help for something that looks like a number, or is another number elsewhere."""
+    if not _PERHAPS_ODD.fullmatch(text):
+        return None
     if _INT.fullmatch(text):
         if not _LEADING_ZERO.fullmatch(text) or len(text) > 24:
             return None
