@@ -17,6 +17,7 @@ from pygls.lsp.server import LanguageServer
 from pygls.protocol import LanguageServerProtocol
 
 import deepbots_cli
+from deepbots_cli.errors import UsageError
 from deepbots_cli.lsp.analysing import analyse
 from deepbots_cli.lsp.checking import Checker
 from deepbots_cli.lsp.completing import completion
@@ -27,6 +28,7 @@ from deepbots_cli.lsp.formatting import formatting
 from deepbots_cli.lsp.hovering import hover
 from deepbots_cli.lsp.mending import KINDS, Actions
 from deepbots_cli.lsp.outlining import outline
+from deepbots_cli.source.load import allowed_folders
 
 _WATCHED = ("**/*.{yaml,yml,urdf}", "**/*.{obj,stl,dae,png}", "**/{deepbots,pyproject}.toml")
 _TRIGGERS = [".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]
@@ -192,7 +194,11 @@ class Server(LanguageServer):
 
 
 def serve(port: int | None = None, *, allow_paths: Sequence[Path] = (), allow_code: bool = False) -> int:
-    """Serve one client, over standard input and output or over a port of this machine, until it leaves; the exit code."""
+    """Serve one client, over standard input and output or over a port of this machine, until it leaves; the exit code.
+
+    Raises:
+        UsageError: The port cannot be had, or what is allowed to be read is no folder.
+    """
     # What the library has to say goes to the client as answers; its log would go to standard error, with tracebacks.
     logging.getLogger("pygls").setLevel(logging.CRITICAL + 1)
     # Garbage is collected behind each analysis, which leaves most of it: by itself Python looked through all of some 500 000
@@ -202,9 +208,12 @@ def serve(port: int | None = None, *, allow_paths: Sequence[Path] = (), allow_co
     gc.disable()
     # How long the analysis may go on while an answer waits for its turn; at the usual 5 ms answers took twice as long.
     sys.setswitchinterval(0.001)
-    server = Server(allow_paths, allow_code)
+    server = Server(allowed_folders(allow_paths), allow_code)
     if port is not None:
-        server.start_tcp("127.0.0.1", port)
+        try:
+            server.start_tcp("127.0.0.1", port)
+        except OSError as error:
+            raise UsageError(f"port {port} of this machine cannot be listened on: {os.strerror(error.errno or 0).lower()}") from None
         return server.code
     # The protocol has standard output for itself; what anything else prints goes to standard error.
     stream = os.fdopen(os.dup(sys.__stdout__.fileno() if sys.__stdout__ else 1), "wb")

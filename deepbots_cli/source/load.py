@@ -113,13 +113,22 @@ def loads(
 
 
 def _roots(folder: Path, sets: Texts[str], allowed: Iterable[Path]) -> tuple[Path, ...]:
-    allowed = tuple(allowed)
-    for path in allowed:
-        if not path.is_dir():
-            raise UsageError(f"there is no folder {path} that could be read from; --allow-path names a folder outside the project")
     # A path typed on the command line is the user's own, and relative to where they stand.
     own = [roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
-    return tuple(dict.fromkeys((*own, *shipped.data_roots(), *(path.resolve() for path in allowed))))
+    return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
+
+
+def allowed_folders(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """What `--allow-path` names, links followed.
+
+    Raises:
+        UsageError: One of them is no folder.
+    """
+    paths = tuple(paths)
+    for path in paths:
+        if not path.is_dir():
+            raise UsageError(f"there is no folder {path} that could be read from; --allow-path names a folder outside the project")
+    return tuple(path.resolve() for path in paths)
 
 
 class _Reader:

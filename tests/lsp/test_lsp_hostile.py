@@ -176,6 +176,20 @@ def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
     assert server.stderr.read() == b""
 
 
+def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for arguments, said in [
+            (["--tcp", str(port)], f"error: port {port} of this machine cannot be listened on: address already in use\n"),
+            (["--allow-path", "missing"], "error: there is no folder missing that could be read from; --allow-path names"),
+        ]:
+            command = [sys.executable, "-m", "deepbots_cli", "lsp", *arguments]
+            environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+            ran = subprocess.run(command, cwd=tmp_path, env=environment, input="", capture_output=True, text=True, check=False)
+            assert (ran.returncode, ran.stdout) == (2, "")
+            assert ran.stderr.startswith(said)
+
+
 def connected(port: int) -> socket.socket:
     """A connection to a server that is about to start."""
     for _ in range(200):
