@@ -127,6 +127,7 @@ _CATALOGUE = (
     Rule("DB708", "hovering-pays", "warning", "staying just short of the goal pays more than reaching it", deep="too", deep_preview=True),
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
     Rule("DB710", "pays-towards-failure", "warning", "a reward that grows towards a failure", preview=True),
+    Rule("DB711", "nothing-to-learn", "warning", "a reward that is the same for all policies"),
     Rule("DB801", "never-true", "warning", "an ending that can never hold"),
     Rule("DB802", "always-true", "error", "an ending that holds in every step"),
     Rule("DB803", "no-time-limit", "error", "an episode that nothing is bound to end"),

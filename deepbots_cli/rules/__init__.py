@@ -12,7 +12,7 @@ observation.py  what the policy sees; saturation.py values at the end of their r
 reward.py       the size of a reward and its terms; progress.py its direction; peril.py where it leads into failures
 endings.py      when episodes end; variety.py whether they differ
 lateness.py     what would come after that
-goals.py        whether goals can be reached; returns.py whether returns can
+goals.py        whether goals can be reached; returns.py what an episode is worth
 
 What rules ask:
 
@@ -110,10 +110,13 @@ def _waits(task: Task) -> bool:
     return bool(task.disturbances) or routes or any(sensor.faults is not None for robot in task.robots for sensor in robot.sensors)
 
 
-def _asks_for_a_return(task: Task) -> bool:
+def _may_be_known(task: Task) -> bool:
+    """Whether a return is asked for, or may be the same in all episodes."""
     stages = (stage.until for stage in task.curriculum)
-    return (task.solved is not None and task.solved.mean_return is not None) or any(
-        until is not None and until.metric == "mean_return" for until in stages
+    return (
+        (task.solved is not None and task.solved.mean_return is not None)
+        or any(until is not None and until.metric == "mean_return" for until in stages)
+        or all(term.typed.type.interval.single for term in task.reward)
     )
 
 
@@ -129,7 +132,7 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "endings": _ends,
     "goals": _succeeds,
     "variety": _always,
-    "returns": _asks_for_a_return,
+    "returns": _may_be_known,
     "lateness": _waits,
     "peril": _fails,
 }

@@ -1,4 +1,4 @@
-"""DB810: returns that no policy comes to, or that every policy does."""
+"""DB711 and DB810: what an episode is worth: the same for all policies, or not what is asked for."""
 
 from __future__ import annotations
 
@@ -7,11 +7,35 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.lang.intervals import INF, Interval
-from deepbots_cli.rules.payments import payments_of
+from deepbots_cli.rules.payments import payments_of, versions
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Task
 
 _ROUNDING = 1e-9
+
+
+def nothing_to_learn(checked: Checked) -> Iterator[Finding]:
+    """DB711: every episode is worth the same, whatever the policy does.
+
+    The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
+    such as `alive: 1` pays for lasting, where something ends the episode. Scenarios without `train` are not meant.
+
+    Example::
+
+        reward: {alive: 1}
+        remove: [termination, parameters.fall_angle, parameters.track]
+
+    Instead::
+
+        reward: {alive: 1}
+        termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
+    """
+    if checked.task is None or checked.task.training is None or not all(_worth(task).single for task in versions(checked)):
+        return
+    worth = _worth(checked.task).low
+    headline = f"every episode is worth {worth:.4g}, whatever the policy does"
+    help = "pay for what the policy shall do, or let an ending make a bad episode shorter"
+    yield Finding("DB711", checked.task.reward[0].span, headline, help=help)
 
 
 def return_out_of_reach(checked: Checked) -> Iterator[Finding]:
@@ -70,4 +94,4 @@ def _worth(task: Task) -> Interval:
     return Interval(least, best)
 
 
-RULES = (return_out_of_reach,)
+RULES = (nothing_to_learn, return_out_of_reach)
