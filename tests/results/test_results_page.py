@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from tests.results.__main__ import main
 from tests.results.catalogue import experiments, reasons
 from tests.results.experiment import FIRST_SEED, Bar, Evaluation, Experiment, Training
 from tests.results.figures import Ahead, Crossed, Held, Solved, Tried
-from tests.results.places import Places
+from tests.results.places import ROOT, Places
 from tests.results.standing import Standing
 from tests.results.verdicts import judge
 
@@ -27,6 +28,22 @@ def named(experiment: Experiment) -> str:
 
 def test_the_page_is_what_the_records_say():
     assert PLACES.page.read_text(encoding="utf-8") == render.page(PLACES, experiments()), CURRENT
+
+
+def test_the_readme_tells_figures_of_the_page():
+    measured: dict[str, str] = {}
+    task = ""
+    for line in PLACES.page.read_text(encoding="utf-8").partition("## CartPole")[0].splitlines():
+        if (cells := line.split("|"))[0] == "" and len(cells) == 7:
+            task = cells[1].strip() or task
+            measured[task] = measured.get(task, "") + cells[4]
+    rows = re.findall(r"^\| \[(\w+)\]\(docs/results\.md#.*\| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [name for name, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
+    for name, told in rows:
+        (page,) = (figures for task, figures in measured.items() if task.startswith(f"[{name}]"))
+        figures = re.findall(r"[\d.]+(?: %| h| s|)", told.replace("200 of 200", "200"))
+        assert figures
+        assert [figure for figure in figures if figure not in page] == []
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=named)
