@@ -14,6 +14,10 @@ from deepbots_cli.schema.explain import meant_by
 from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, Sequence, descend, to_data
 
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
+ANY = "*"
+"""Stands for all names: those of a section that is no mapping cannot be told."""
+
+_OF_NAMES = frozenset({"parameters", "augment", "signals", "success", "failure"})
 _REACH = 200  # how far before a finding its key may stand, in characters
 
 
@@ -26,6 +30,8 @@ def lost_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> 
         if steps == len(path):
             near = meant_by(data, path)
             names.update([key.text] if key else [], [near.text] if near else [], _names(node))
+            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, Mapping):
+                names.add(ANY)
     for span in found:
         before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _REACH), span.start)
         names.update([before[1]] if before else [])

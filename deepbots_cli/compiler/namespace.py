@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path as FilePath
 
+from deepbots_cli.compiler.lost import ANY
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.ir import Variation
@@ -180,4 +181,4 @@ class Namespace:
     def is_broken(self, name: str) -> bool:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
-        return self.values.is_lost(name) or (head in self.robots and self.robots[head] is None)
+        return self.values.is_lost(name) or self.values.is_lost(ANY) or (head in self.robots and self.robots[head] is None)

@@ -89,6 +89,7 @@ _CATALOGUE = (
     Rule("DB310", "spawn-overlap", "error", "bodies that begin within each other", deep="only"),
     Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),
     Rule("DB312", "command-cut-off", "warning", "an actuator that cuts off most of what it is asked for", preview=True),
+    Rule("DB313", "joint-driven-twice", "warning", "a joint that two actuators hold", preview=True),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),

@@ -23,7 +23,9 @@ def numbers(values: Sequence[Typed], report: Report) -> bool:
         return False
     wrong = [value for value in values if value.type.boolean]
     for value in wrong:
-        report("DB403", value.start, value.end, "a truth value where a number belongs", "make it a number with `where(condition, 1, 0)`")
+        name = value.symbol.name if isinstance(value, Reference) else "condition"
+        help = f"make it a number with `where({name}, 1, 0)`, or write what a whole value is then: `5 when {name}`"
+        report("DB403", value.start, value.end, "a truth value where a number belongs", help)
     return not wrong
 
 

@@ -19,7 +19,7 @@ from deepbots_cli.lang.names import pick, reference
 from deepbots_cli.lang.size import MAX_SIZE, size
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Constant, Invocation, Redraw, Typed, TypedRange, Vector
-from deepbots_cli.lang.types import PLANE, SPACE, Components, Report, Scope, Stage, Type
+from deepbots_cli.lang.types import PLANE, SPACE, Components, Report, Scope, Stage, Symbol, Type
 from deepbots_cli.lang.units import multiple, suggest_unit
 
 _NUMBERED = {Family.STATEFUL, Family.DRAW}
@@ -218,14 +218,7 @@ class _Checker:
         if named is not None and len(node.items) > 2:
             return False
         if named is not None:
-            number = node.items[0]
-            self._report(
-                "DB401",
-                number.start,
-                name.end,
-                f"an operator is missing before `{name.dotted}`",
-                f"to multiply, write `*` before `{name.dotted}`",
-            )
+            self._report_missing(node, name, named)
             return True
         meant, scaled = suggest_unit(name.dotted), multiple(name.dotted)
         help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
@@ -235,6 +228,18 @@ class _Checker:
             help = f"give it in {scaled[1]}: 1 {name.dotted} is {scaled[0]:g} {scaled[1]}"
         self._report("DB501", name.start, name.end, f"unknown unit `{name.dotted}`", help, meant=meant)
         return True
+
+    def _report_missing(self, node: syntax.Vector, name: syntax.Name, named: Symbol) -> None:
+        """What was left out before a value: `when` before a condition, an operator before a number."""
+        start, is_condition = node.items[0].start, named.type is not None and named.type.boolean
+        headline = f"{'`when`' if is_condition else 'an operator'} is missing before `{name.dotted}`"
+        if not is_condition:
+            self._report("DB401", start, name.end, headline, f"to multiply, write `*` before `{name.dotted}`")
+            return
+        help = f"what is paid on a condition is written `5 when {name.dotted}`"
+        at = name.start - start  # only a whole text can take it
+        meant = (lambda piece: f"{piece[:at]}when {piece[at:]}") if start == 0 else None
+        self._report("DB401", start, name.end, headline, help, meant=meant)
 
 
 def _positions(count: int) -> Components:

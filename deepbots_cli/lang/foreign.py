@@ -6,10 +6,11 @@ from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.lang.lexer import Token, TokenKind
 
 _INSTEAD = {
+    "...": "a range has two dots: `low .. high`",
     "**": "a power is `a ^ b`",
     "&&": "write `and`",
     "||": "write `or`",
-    "//": "write `/`",
+    "//": "write `/`; a comment begins with ` # `",
     "!": "write `not`",
     "?": "write `where(condition, a, b)`, or `a when condition`",
     ":": "write `where(condition, a, b)`, or quote the text if it is meant for YAML",
@@ -86,6 +87,8 @@ def instead(stream: list[Token], at: int) -> Meant | None:
     token, same = stream[at], _SAME.get(stream[at].text)
     if _decimal(stream, at):
         return Meant(".", safe=False)
+    if token.text == "...":
+        return Meant("..", safe=False)  # the third may be the point of a decimal
     if same is None or (token.text == "=" and at >= 2 and stream[at - 2].text in ("(", ",")):
         return None
     if same.isalpha():
@@ -125,6 +128,8 @@ def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None
         return "an operator is missing before `(`", "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
     numbers = token.kind is TokenKind.NUMBER and stream[at - 1].kind is TokenKind.NUMBER
     help = "a vector within a larger expression is written `vector(a, b, c)`" if numbers else None
+    if token.kind is TokenKind.NAME and stream[at + 1].kind is TokenKind.END:
+        help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
     return f"an operator is missing before `{shown}`", help
 
 

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 
 from deepbots_cli.diagnostics.nearest import Meant, meant
 from deepbots_cli.lang import syntax
+from deepbots_cli.lang.functions import ALLOWED, Family
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Pick, Reference, Typed
-from deepbots_cli.lang.types import Context, Kind, Report, Scope, Subject, shown
+from deepbots_cli.lang.types import SPACE, Context, Kind, Report, Scope, Subject, shown
 
 # What is asked most often of a part of the world that is no place.
 _ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
@@ -109,8 +110,24 @@ def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:
             report("DB203", node.start, node.end, f"`{node.dotted}` is {subject.kind.words}, not a value", help)
     elif node.dotted in FUNCTIONS:
         report("DB402", node.start, node.end, f"`{node.dotted}` is a function", f"call it: `{FUNCTIONS[node.dotted].signature}`")
+    elif asked := _asked_of_a_body(node, scope):
+        help = f"what is known of the world is asked for by functions: `{asked}`"
+        report("DB402", node.start, node.end, f"unknown name `{node.dotted}`", help, meant=Meant(asked, safe=False))
     else:
         unknown("name", node.dotted, scope.names(), node.start, node.end, report, also=_ELSEWHERE.get(scope.context))
+
+
+def _asked_of_a_body(node: syntax.Name, scope: Scope) -> str | None:
+    """`position(cart).x` for `cart.position.x` and for `cart.x`."""
+    for length in range(len(node.parts) - 1, 0, -1):
+        body, (asked, *rest) = ".".join(node.parts[:length]), node.parts[length:]
+        subject = scope.subject(body) if Family.WORLD in ALLOWED[scope.context] else None
+        if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT):
+            function = FUNCTIONS.get(asked)
+            if function is not None and function.family is Family.WORLD and len(function.params) == 1:
+                return ".".join([f"{asked}({body})", *rest])
+            return f"position({body}).{asked}" if asked in SPACE and not rest else None
+    return None
 
 
 def _known(names: list[str]) -> str:

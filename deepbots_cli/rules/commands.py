@@ -1,4 +1,4 @@
-"""DB312: what robots are told to do, and what their actuators can."""
+"""Rules about what robots are told to do, and what their actuators can, in the family DB3."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from deepbots_cli import ir
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import Finding
+from deepbots_cli.compiler.values import Values
+from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.lang.intervals import Interval, hull
 from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
 from deepbots_cli.rules.meaning import Book, book_of
@@ -91,4 +92,58 @@ def _is_decided(book: Book, node: Scalar, robot: TaskRobot) -> bool:
             return False
 
 
-RULES = (command_cut_off,)
+def joint_driven_twice(checked: Checked) -> Iterator[Finding]:
+    """DB313: two actuators hold the same joint at a speed or a position, so that what the first is told is lost.
+
+    A joint has one motor, and the last command counts. Most often a line was copied, and the joint on the other side moves by nothing. A
+    torque or a spring (`stiffness`) beside a motor adds to it, and is not meant.
+
+    Example::
+
+        robots:
+          cart:
+            actuators:
+              wheels: {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
+              right:  {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
+            apply: {right: drive * wheel_speed}
+
+    Instead::
+
+        robots:
+          cart:
+            actuators:
+              wheels: {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
+              right:  {type: velocity_motor, joints: ["*_right"], max_torque: 10 N*m}
+            apply: {right: drive * wheel_speed}
+    """
+    if checked.task is None or checked.namespace is None:
+        return
+    values = checked.namespace.values
+    for robot in checked.task.robots:
+        holding: dict[str, str] = {}
+        for command in robot.commands:
+            name = command.actuator.name
+            shared = next((joint for joint in _held(command.actuator) if joint in holding), None)
+            if shared is not None:
+                first, second = (_joints_span(values, robot.name, called) for called in (holding[shared], name))
+                headline = f"`{name}` drives the joint `{shared}`, which `{holding[shared]}` drives already"
+                yield Finding("DB313", second, headline, help="give each joint one motor", also=(Label(first, "driven here"),))
+            holding |= dict.fromkeys(_held(command.actuator), name)
+
+
+def _held(actuator: ir.Actuator) -> tuple[str, ...]:
+    """The joints that the motors of the engine hold for it."""
+    match actuator:
+        case ir.Motor(kind="velocity_motor" | "position_motor", stiffness=None) | ir.Cartesian():
+            return actuator.joints
+        case _:
+            return ()
+
+
+def _joints_span(values: Values, robot: str, actuator: str) -> Span:
+    place = ("robots", robot, "actuators", actuator)
+    key = next((key for key in ("joint", "joints") if values.stands((*place, key))), None)
+    return values.span((*place, key)) if key else values.key_span(place)
+
+
+RULES = (command_cut_off, joint_driven_twice)

@@ -273,7 +273,7 @@ def ends_at_reset(checked: Checked) -> Iterator[Finding]:
                 for arg in entry.node.args
                 if not (known := hull([start.of(part) for part in book.lowered(arg, entry.value.owner)])).single and known.finite
             )
-            help = "let the episode begin clear of it, under `reset`, or widen it"
+            help = "let the episode begin clear of it, under `reset`, widen it, or turn its comparison round"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
 

@@ -239,10 +239,18 @@ class Range(Leaf):
 
     def examine(self, value: object) -> None:
         if ".." not in str(value) and not (self.auto and value == "auto"):
-            raise mismatch(self.noun, self.help_for(value))
+            raise mismatch(self.noun, self.help_for(value), self.meant_by(value))
 
     def help_for(self, value: object) -> str | None:
-        return f"write it like `{self.example}`{', or `auto`' if self.auto else ''}"
+        from deepbots_cli.schema.habits import range_meant
+
+        return f"write it like `{range_meant(value) or self.example}`{', or `auto`' if self.auto else ''}"
+
+    def meant_by(self, value: object) -> Meant | None:
+        from deepbots_cli.schema.habits import range_meant
+
+        near = range_meant(value) if isinstance(value, str) else None
+        return Meant(near, safe=False) if near else None
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\.", "patternErrorMessage": self.help_for(None)}

@@ -68,6 +68,18 @@ class Count(Leaf):
     def holds(self, value: object) -> bool:
         return isinstance(value, int) and not isinstance(value, bool)
 
+    def help_for(self, value: object) -> str | None:
+        from deepbots_cli.schema.habits import count_meant
+
+        near = count_meant(value)
+        return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
+
+    def meant_by(self, value: object) -> Meant | None:
+        from deepbots_cli.schema.habits import count_meant
+
+        near = count_meant(value) if isinstance(value, str) else None
+        return Meant(near, safe=True) if near else None
+
     def examine(self, value: object) -> None:
         if isinstance(value, int):
             examine_bounds(value, self.minimum, self.maximum)

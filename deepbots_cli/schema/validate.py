@@ -20,7 +20,7 @@ from deepbots_cli.schema.part import Keys
 from deepbots_cli.schema.refusal import Refusal
 from deepbots_cli.schema.scenario import VERSION, Scenario
 from deepbots_cli.schema.walk import parts, spec_at
-from deepbots_cli.source.nodes import Mapping, Node, Path, Scalar, descend, to_data, walk
+from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend, to_data, walk
 from deepbots_cli.source.traps import GIVE_A_VALUE
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
@@ -156,7 +156,12 @@ def _trouble(root: Mapping, data: Any, refusal: Refusal) -> _Trouble:
         case _, None:
             node = descend(root, path)[0]
             headline = f"expected {refusal.expected or expected_at(data, path)}, found {describe(node)}"
-            help = _glued_key(node) or help or keys_of(spec_at(Scenario, data, path))
+            from deepbots_cli.schema.habits import habit_of  # only on the way to a finding
+
+            help = help or keys_of(spec_at(Scenario, data, path))
+            if habit := habit_of(node):
+                help = "; ".join(filter(None, (habit.help, about(data, path) if habit.is_part else None)))
+                refusal.meant = refusal.meant or habit.meant
         case "DB102", str(headline):
             headline = f"{headline} {place(path)}"
         case "DB107", str(headline):
@@ -165,12 +170,6 @@ def _trouble(root: Mapping, data: Any, refusal: Refusal) -> _Trouble:
             pass
     at_key = refusal.at_key or code in ("DB102", "DB107")
     return _Trouble(code, path, headline, help, refusal.missing, at_key=at_key, meant=refusal.meant)
-
-
-def _glued_key(node: Node) -> str | None:
-    """What to write in place of `key:value`, which YAML takes for one text."""
-    glued = re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", node.text) if isinstance(node, Scalar) and node.style == "plain" else None
-    return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`" if glued else None
 
 
 def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) -> bool:

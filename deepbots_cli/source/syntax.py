@@ -7,13 +7,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 from yaml.error import MarkedYAMLError
 
-from deepbots_cli.diagnostics import Finding, Source, Span
+from deepbots_cli.diagnostics import Edit, Finding, Fix, Source, Span
 
 _TAB_INDENT = re.compile(r"[ ]*\t")
 _GLUED = re.compile(r"\s*[\w.]+:\S")
+_ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
+_PARTED = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
+_NO_KEY = "a line without a key"
+_COMMENT_HELP = "a comment begins with `#`"
+_SHOWN = 60
 _HASH = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
 _QUOTE_HELP = "put the whole value in quotes, or behind `|` on a line of its own"
 
@@ -150,6 +156,12 @@ def _second_colon(place: _Place) -> Finding | None:
     if ": " in place.before.lstrip() or (":" in place.before and '"' in place.before):
         help = "choose by where(condition, a, b)" if " ? " in place.before else _QUOTE_HELP
         return place.finding("a second colon in one value", help)
+    above = place.text.rfind("\n", 0, max(0, place.line_start - 1)) + 1
+    line = place.text[above : place.line_start].strip()
+    if line.startswith("//"):
+        start = place.text.index("//", above)
+        comment = place.finding(_NO_KEY, _COMMENT_HELP, start, len(line))
+        return replace(comment, fix=Fix((Edit(Span(place.source, start, start + 2), "#"),), safe=False))
     indent = len(place.before) - len(place.before.lstrip())
     headline = "a key where the value above goes on"
     help = "align it with the keys that it belongs to; a key holds a value or further keys, not both"
@@ -174,10 +186,33 @@ def _no_colon(place: _Place) -> Finding | None:
     if "could not find expected ':'" not in place.problem or place.since is None:
         return None
     line = place.rest(place.since)
-    help = (
-        "put a space after the colon" if _GLUED.match(line) else "write `key: value`, or indent the line if it belongs to the value above"
-    )
-    return place.finding("a line without a key", help, place.since, max(1, len(line)))
+    found = place.finding(_NO_KEY, _about_line(line), place.since, max(1, len(line)))
+    start, length, text = _mended(line) or (0, 0, "")
+    edit = Edit(Span(place.source, place.since + start, place.since + start + length), text)
+    return replace(found, fix=Fix((edit,), safe=False)) if text else found
+
+
+def _about_line(line: str) -> str:
+    if _GLUED.match(line):
+        return "put a space after the colon"
+    if line.startswith(("//", "--")):
+        return _COMMENT_HELP
+    if found := _ASSIGNED.match(line):
+        return f"write a colon: `{found[1]}: {found[2][:_SHOWN]}`"
+    if found := _PARTED.match(line):
+        return f"write a colon behind the key: `{found[1]}: {found[2]}`".rstrip(" `") + "`"
+    return "write `key: value`, or indent the line if it belongs to the value above"
+
+
+def _mended(line: str) -> tuple[int, int, str] | None:
+    """Where in the line what belongs there is missing or wrong, how long that is, and what to write."""
+    if line.startswith("//"):
+        return 0, 2, "#"
+    if found := _ASSIGNED.match(line):
+        return found.end(1), found.start(2) - found.end(1), ": "
+    if found := _GLUED.match(line):
+        return found.end() - 1, 0, " "
+    return (found.end(1), 0, ":") if (found := _PARTED.match(line)) else None
 
 
 def _after_value(place: _Place) -> Finding | None:

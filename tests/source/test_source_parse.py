@@ -173,7 +173,7 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
         ("a: 1\n  b: 2", "DB001", "b", "align"),
         ("a:\n    b: 1\n  c: 2", "DB001", "c: 2", "indentation"),
         ("a: 1\nb:2\nc: 3", "DB001", "b:2", "space after the colon"),
-        ("a: 1\nword\nb: 2", "DB001", "word", "key: value"),
+        ("a: 1\nword\nb: 2", "DB001", "word", "`word:`"),
         ("a: 1\n- b", "DB001", "- b", "indent the list"),
         ("a: 1\n---\nb: 2", "DB001", "---", "one document"),
         # nothing

@@ -1,0 +1,51 @@
+"""Values of a wrong form that tell by themselves what was meant: a colon without a space, a comma at the end, dashes before keys."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.source.nodes import Mapping, Node, Scalar, Sequence
+
+_SHOWN = 60
+_NUMBER = r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?"
+_ENDS = re.compile(rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*")
+_THOUSANDS = re.compile(r"([0-9]{1,6})([kKM])")
+_MANY = {"k": 1_000, "K": 1_000, "M": 1_000_000}
+
+
+class Habit(NamedTuple):
+    """What to do, and what to write instead where that is sure; `is_part` where it says nothing of what the key takes."""
+
+    help: str
+    meant: Meant | None = None
+    is_part: bool = False
+
+
+def habit_of(node: Node) -> Habit | None:
+    """What a value of the wrong form shows, whatever was wanted in its place."""
+    match node:
+        case Scalar(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
+            return Habit(f"a colon is followed by a space: `{glued[1]}: {glued[2][:_SHOWN]}`")
+        case Scalar(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
+            return Habit(f"a line ends without a comma: `{bare[:_SHOWN]}`", Meant(bare, safe=True))
+        case Sequence(items=items) if items and all(isinstance(item, Mapping) for item in items):
+            return Habit("leave out the dashes, if keys are meant", is_part=True)
+    return None
+
+
+def range_meant(value: object) -> str | None:
+    """The range that two numbers with another sign between them were meant to be."""
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
+        return f"{value[0]:g} .. {value[1]:g}"
+    ends = _ENDS.fullmatch(value) if isinstance(value, str) else None
+    return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
+
+
+def count_meant(value: object) -> str | None:
+    """The whole number that `200k` or `1e5` was meant to be."""
+    if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:  # below, a point may have parted thousands
+        return f"{int(value):_}"
+    found = _THOUSANDS.fullmatch(value) if isinstance(value, str) else None
+    return f"{int(found[1]) * _MANY[found[2]]:_}" if found else None
