@@ -9,18 +9,21 @@ from pathlib import Path
 
 from deepbots_cli.cli.settings import Settings
 from deepbots_cli.errors import UsageError
+from deepbots_cli.source import roots
 
 _VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _LOOKED_AT = 65_536
 _NOT_OURS = ("run.json", "pyvenv.cfg")
 """What the folder of a training and a virtual environment hold: copies of scenarios that nobody edits there."""
+_MOST_LEVELS = 64
+"""Of folders in folders: `os.walk` calls itself for each of them, and a path may hold two thousand."""
 
 
 def scenarios_in(folder: Path, project: Settings) -> list[Path]:
     """Every `.yaml` file with a `deepbots:` key, whether the rest of it can be read or not, in the folder and all inside of it.
 
     What the project excludes is left out, as are hidden folders, `node_modules`, virtual environments and the folders of trainings.
-    Links to folders are not followed.
+    Links to folders are not followed, and links to files not out of the project.
 
     Raises:
         UsageError: There is none, and none was excluded.
@@ -33,16 +36,22 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
 
 
 def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
+    root, deepest = roots.project_root(folder), str(folder).count(os.sep) + _MOST_LEVELS
     for place, folders, names in os.walk(folder):
         here = Path(place)
         if here != folder and not {*_NOT_OURS}.isdisjoint(names):
             folders.clear()
             continue
         inside = [here / name for name in folders if not name.startswith(".") and name != "node_modules"]
-        files = [here / name for name in names if name.endswith(".yaml") and (here / name).is_file()]
+        files = [here / name for name in names if name.endswith(".yaml") and _is_within(here / name, root)]
         excluded.update(path for path in (*inside, *files) if project.excludes(path))
-        folders[:] = [path.name for path in inside if path not in excluded]
+        folders[:] = [path.name for path in inside if path not in excluded and place.count(os.sep) < deepest]
         yield from (path for path in files if path not in excluded)
+
+
+def _is_within(path: Path, root: Path) -> bool:
+    """Whether this is a file of the project: a link may lead to one of the system, which waits for whoever reads it, and `--fix` writes."""
+    return path.is_file() and (not path.is_symlink() or path.resolve().is_relative_to(root))
 
 
 def is_scenario(data: bytes) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.settings import Format
 from deepbots_cli.diagnostics import Finding, Severity
+from deepbots_cli.diagnostics.escape import inert
 from deepbots_cli.diagnostics.render import render
 
 
@@ -27,7 +28,8 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
 
             return junit.render(findings, names, failing)
         case _:
-            return render(findings, format, terminal.colourful(sys.stdout), terminal.width())
+            text = render(findings, format, terminal.colourful(sys.stdout), terminal.width())
+            return text if format == "json" else inert(text)
 
 
 def _page(code: str) -> tuple[str, str]:

@@ -34,10 +34,18 @@ def _difference(rewrite: Rewrite) -> str:
     from difflib import unified_diff
 
     name = display(rewrite.path)
-    name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
+    if name.isprintable():
+        name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
+    else:
+        name = f'"{"".join(map(_quoted, os.fsencode(name)))}"'
     before, after = (list(StringIO(data.decode("utf-8", "replace"))) for data in (rewrite.before, rewrite.after))  # parted by \n alone
     lines = unified_diff(before, after, name, name)
     return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+
+
+def _quoted(byte: int) -> str:
+    """A byte of an odd file name, as `git` and `patch` write it."""
+    return chr(byte) if chr(byte).isprintable() and byte < 128 and chr(byte) not in '"\\' else f"\\{byte:03o}"
 
 
 def write(rewrite: Rewrite) -> None:
@@ -47,11 +55,13 @@ def write(rewrite: Rewrite) -> None:
         UsageError: It is no longer what was read, or the system refuses it; nothing is written then.
     """
     path = rewrite.path
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft = path.with_name(f".deepbots-{os.getpid()}")  # not made of its name, which may be as long as names can be
     try:
         if path.read_bytes() != rewrite.before:
             raise UsageError(f"{display(path)} was changed by someone else meanwhile, and is left alone")
-        with draft.open("xb") as stream:
+        with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
+            pass
+        with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
             stream.write(rewrite.after)
         shutil.copymode(path, draft)
         draft.replace(path)

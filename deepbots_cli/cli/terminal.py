@@ -14,6 +14,7 @@ from shutil import get_terminal_size
 from typing import TextIO
 
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.escape import inert
 from deepbots_cli.diagnostics.render import render, summary
 
 
@@ -77,10 +78,10 @@ def width() -> int:
 
 
 def printable(text: str) -> str:
-    """`text`, which may quote a file, without characters that a terminal would obey or hide."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
+    """`text`, which may quote a file, without characters that a terminal would obey or hide, and words that a log would."""
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
+    return inert(text)
 
 
 def plain(data: object) -> object:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
+import subprocess
 
 import pytest
 
@@ -340,3 +342,38 @@ def test_a_difference_takes_no_format_since_it_holds_no_findings(deepbots, scena
         ran = deepbots("lint", "a.yaml", "--diff", *option)
         assert (ran.code, ran.out) == (2, "")
         assert "--diff shows the change and no findings" in ran.err
+
+
+def test_a_file_whose_name_is_as_long_as_names_can_be_is_fixed(deepbots, scenario, tmp_path):
+    long = scenario(faulty(("  timestep:", "  timestop:"))).rename(tmp_path / f"{'n' * 250}.yaml")
+    assert deepbots("lint", long, "--fix").code == 0
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".yaml"] == [long.name]
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write into every file")
+def test_a_file_that_is_read_only_stays_as_it_is_though_its_folder_could_be_changed(deepbots, scenario):
+    path = scenario(faulty(("  timestep:", "  timestop:")))
+    before = path.read_bytes()
+    path.chmod(0o444)
+    ran = deepbots("lint", path, "--fix")
+    assert (ran.code, path.read_bytes()) == (2, before)
+    assert "cannot be written: permission denied" in ran.err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such names")
+@pytest.mark.parametrize("name", ["::stop-commands::x.yaml", "a\n::error::x.yaml", "##[add-mask]x.yaml"])
+def test_no_name_of_a_file_is_a_command_to_the_log_of_a_workflow(deepbots, scenario, tmp_path, name):
+    scenario(faulty(("  timestep:", "  timestop:"))).rename(tmp_path / name)
+    for words in ("lint .", "lint . --format concise", "lint . --diff", "lint . --fix", "lint .", "fmt .", "fmt . --check"):
+        ran = deepbots(*words.split())
+        assert "\n::" not in f"\n{ran.out}\n{ran.err}"
+        assert "--diff" in words or "##[" not in ran.out + ran.err
+
+
+@pytest.mark.skipif(shutil.which("patch") is None, reason="there is no `patch` here")
+def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_characters(deepbots, scenario, tmp_path):
+    odd = scenario(faulty(("  timestep:", "  timestop:"))).rename(tmp_path / 'a\x1b[31m"\\é.yaml')
+    ran = deepbots("lint", odd, "--diff")
+    assert ran.out.replace("\n", "").isprintable()
+    subprocess.run(["patch", "-p0"], cwd=tmp_path, input=ran.out, text=True, check=True, capture_output=True)
+    assert deepbots("lint", odd).code == 0

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -116,6 +118,38 @@ def test_the_root_of_a_project_stands_for_the_scenarios_of_all_its_folders(deepb
     ran = deepbots("lint", ".", "--format", "concise")
     told = list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines()))
     assert told == ["top.yaml", "worlds/deep/old/seven.yaml", "worlds/deep/two.yaml", "worlds/one.yaml"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+def test_a_folder_stands_for_no_file_to_which_a_link_leads_out_of_the_project(deepbots, tmp_path):
+    inside = tmp_path / "project"
+    inside.mkdir()
+    (inside / "deepbots.toml").touch()
+    (tmp_path / "private.yaml").write_text("deepbots: 1\nmesages: {}\n")
+    (inside / "x.yaml").symlink_to(tmp_path / "private.yaml")
+    (inside / "system.yaml").symlink_to("/proc/kmsg")
+    (inside / "loop.yaml").symlink_to("loop.yaml")
+    assert deepbots("lint", "project", "--fix").code == 2
+    (inside / "real.yaml").write_text("deepbots: 1\n")
+    assert {one["file"] for one in json.loads(deepbots("lint", "project", "--json").out)["findings"]} == {"project/real.yaml"}
+    assert (tmp_path / "private.yaml").read_text() == "deepbots: 1\nmesages: {}\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no paths of that length")
+def test_folders_in_folders_by_the_hundred_are_searched_without_a_fault(deepbots, tmp_path, monkeypatch):
+    (tmp_path / "real.yaml").write_text("deepbots: 1\n")
+    monkeypatch.chdir(tmp_path)
+    for _ in range(1200):
+        os.mkdir("a")
+        os.chdir("a")
+    deepest = Path.cwd()
+    monkeypatch.chdir(tmp_path)
+    ran = deepbots("lint", ".", "--format", "concise")
+    os.chdir(deepest)
+    for _ in range(1200):  # what pytest removes folders with calls itself as well
+        os.chdir("..")
+        os.rmdir("a")
+    assert (ran.code, ran.out[:10], ran.err) == (1, "real.yaml:", "")
 
 
 def test_a_folder_without_scenarios_is_wrong_usage(deepbots, tmp_path):
