@@ -21,8 +21,8 @@ def equality_of_measures(checked: Checked) -> Iterator[Finding]:
     """DB411: a condition asks a measure to be equal to a figure.
 
     A distance, an angle or a speed is a number of sixteen digits, new in every tick. It passes 20 cm without ever being 20 cm, so that
-    `==` never holds, or holds by chance alone, and `!=` always does. What is counted, chosen or clamped can be equal to a figure, and
-    is not meant.
+    `==` never holds, or holds by chance alone, and `!=` holds at the slightest change. What is counted, chosen or clamped can be equal to
+    a figure, and so can the place of what never moves: these are not meant.
 
     Example::
 
@@ -41,7 +41,7 @@ def equality_of_measures(checked: Checked) -> Iterator[Finding]:
             if pairs:
                 text = checked.namespace.values.text(tuple(value.owner.split(".")))
                 measure, figure, written = (text.text[part.start : part.end] for part in (*pairs[0], node))
-                outcome, sign = ("holds by chance alone", "<") if node.operator == "equal" else ("always holds", ">")
+                outcome, sign = ("holds by chance alone", "<") if node.operator == "equal" else ("holds at the slightest change", ">")
                 is_zero = isinstance(pairs[0][1], Constant) and not any(pairs[0][1].values)
                 apart = measure if is_zero else f"{measure} - {figure}"
                 help = f"ask how near it is, as `abs({apart}) {sign} ...` does"
@@ -67,9 +67,10 @@ def _is_met_by_chance(book: Book, value: Valued, measure: Typed, figure: Typed) 
 
 
 def _is_measure(book: Book, node: Scalar) -> bool:
+    still = {thing.name for thing in book.task.world.objects if thing.fixed}
     match book.meaning(node):
-        case World(function):
-            return function in _MEASURED
+        case World(function, subjects):
+            return function in _MEASURED and still.isdisjoint(subject.partition("#")[0] for subject in subjects)
         case Op(op, args):
             return op in _SMOOTH and any(_is_measure(book, arg) for arg in args)
         case _:

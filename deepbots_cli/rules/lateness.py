@@ -54,7 +54,7 @@ def _awaited(task: Task) -> Iterator[tuple[str, float, Path]]:
             yield f"`{push.name}` begins after", least(first), ("disturbances", push.name, key)
     for robot in task.robots:
         for sensor in robot.sensors:
-            if sensor.faults is not None:
+            if sensor.faults is not None and sensor.faults.period > 1:
                 period = sensor.faults.period * task.world.timestep
                 yield f"`{sensor.name}` is read again after", period, ("robots", robot.name, "sensors", sensor.name, "period")
     for key, route in (("to_robot", task.to_robot), ("from_robot", task.from_robot)):

@@ -8,6 +8,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.lang.intervals import INF, Interval
 from deepbots_cli.rules.payments import payments_of, versions
+from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Task
 
@@ -86,11 +87,11 @@ def _worth(task: Task) -> Interval:
     if not payments.is_whole:
         return Interval(-INF, INF)
     step = payments.total(terms, payments.running())
-    ends = [payments.total(terms, payments.at(ending)) for ending in (*task.endings, None)]
+    end = payments.total(terms, reach_of(payments.book, (1.0, float(payments.book.last))))  # whichever endings hold, several at once too
     ticks = payments.book.last * task.agent.repeat - 1
     fewest = 0 if task.endings else ticks
-    best = step.high * (ticks if step.high > 0.0 else fewest) + max(end.high for end in ends) if step.high < INF else INF
-    least = step.low * (ticks if step.low < 0.0 else fewest) + min(end.low for end in ends) if step.low > -INF else -INF
+    best = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
+    least = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
     return Interval(least, best)
 
 
