@@ -143,6 +143,16 @@ def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_l
         assert bring(limb, start, (x, y, z - lift))[1] < 0.03 * limb.reach
 
 
+@pytest.mark.parametrize(("lower", "upper"), [(-1.0, -0.999), (-3.0, -2.9), (0.0001, 0.0007), (2.9999, 9.0)])
+def test_no_position_is_rounded_beyond_a_limit(deepbots, tmp_path, lower, upper):
+    limit = f'lower="{lower}" upper="{upper}" effort="40" velocity="6"'
+    text = joint("a", "foot", "arm", "0 0 0.1", limit=limit) + joint("b", "arm", "tip", "0 0 0.4", limit=limit)
+    links = link("foot", box("0.3 0.3 0.1"), 20.0) + link("arm", box("0.1 0.1 0.4"), middle="0 0 0.2") + link("tip", box("0.1 0.1 0.1"))
+    (tmp_path / "narrow.urdf").write_text(f'<robot name="r">{links}{text}</robot>')
+    assert deepbots("new", "first", "--urdf", "narrow.urdf").code == 0
+    assert api.lint(tmp_path / "first.yaml", preview=True) == []
+
+
 @pytest.mark.parametrize("robot", ["locked"], indirect=True)
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
     assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import degrees, radians
+from math import ceil, degrees, floor, radians
 
 from deepbots_cli.urdf.model import Joint
 
@@ -80,15 +80,19 @@ def pose(key: str, positions: Mapping[str, float], joints: Iterable[Joint]) -> l
 
 
 def settled(joint: Joint, value: float) -> float:
-    """A position in rad or m, in whole degrees or millimetres, within the joint's limits."""
+    """A position in rad or m, in whole degrees or millimetres within the joint's limits; between the two if they are too close for that."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
     low, high = joint.limit.lower, joint.limit.upper
     rounded = round(value / step) * step
-    return rounded if joint.type == "continuous" or low is None or high is None else min(max(rounded, low), high)
+    if joint.type == "continuous" or low is None or high is None or low <= rounded <= high:
+        return rounded
+    inside = ceil(low / step) * step if rounded < low else floor(high / step) * step
+    return inside if low <= inside <= high else (low + high) / 2
 
 
 def _position(joint: Joint, value: float) -> str:
-    return f"{figure(value)} m" if joint.type == "prismatic" else f"{figure(degrees(value))} deg"
+    measure, unit = (value, "m") if joint.type == "prismatic" else (degrees(value), "deg")
+    return f"{measure + 0.0:.6g} {unit}"
 
 
 def figure(value: float) -> str:
