@@ -55,7 +55,7 @@ def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
         return []
     if kind in _OF_ROBOTS:
         return list(_of_robots(checked.namespace, kind, path))
-    if kind in ("action", "choice", "layout"):
+    if kind in ("action", "choice", "option", "layout"):
         return _keys(checked.namespace, checked.spec, kind, path)
     return [Named("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
 
@@ -80,6 +80,8 @@ def _keys(namespace: Namespace, spec: Scenario, kind: str, path: Path) -> list[N
     part = spec.action.get(name)
     if isinstance(part, DiscreteAction):
         return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
+    if kind == "option":
+        return []
     symbol = namespace.settle(name) if part is not None else None  # a range for each member of a group
     components = symbol.type.components if symbol is not None and symbol.type is not None else None
     return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from deepbots_cli.schema.fields import Leaf
+from deepbots_cli.schema.fields import Leaf, Reference
 from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.source.nodes import Path
 
+_OPTION = Reference("option")
+
 
 def specs(path: Path, data: Any) -> list[Spec]:
     """Every spec that a value at `path` may have; more than one where the forms of a value are still open."""
-    return list(dict.fromkeys(_specs(Scenario, data, path)))
+    found = list(dict.fromkeys(_specs(Scenario, data, path)))
+    # What a script decides is an expression or, which the schema cannot tell apart, one of the options of the action.
+    return [_OPTION, *found] if path[:1] == ("scripts",) and len(path) == 3 else found
 
 
 def leaves(path: Path, data: Any) -> list[Leaf]:

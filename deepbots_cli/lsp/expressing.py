@@ -12,9 +12,10 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import definition
 from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.lang import parser, syntax
+from deepbots_cli.lang.check import check
 from deepbots_cli.lang.functions import ALLOWED, Family, Form, Param
 from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.types import Context, Kind, Scope
+from deepbots_cli.lang.types import Context, Kind, Scope, Type
 from deepbots_cli.lang.units import UNITS, Unit
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.describing import of_function, of_symbol
@@ -37,6 +38,8 @@ _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Co
 _ON_BOARD = ("emit", "apply")
 BODY = "body or link"
 _MOST = 1000
+_FURTHEST = 2000
+"""So many characters before the place brackets are looked for."""
 
 
 class Choice(NamedTuple):
@@ -101,6 +104,9 @@ def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
     if kinds is not None:
         yield from _parts(scope, kinds)
         return
+    if before.endswith(")."):
+        yield from _components_of_call(before[:-1], scope)
+        return
     if "." in word:
         yield from _components(word.rpartition(".")[0], scope)
     yield from _names(scope, checked)
@@ -110,12 +116,14 @@ def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
 
 
 def units(leaf: Leaf) -> Iterator[Choice]:
-    """All of them, those in which a field of this kind is measured first."""
+    """All of them, those in which a field of this kind is measured first, and what may follow a plain number."""
     wanted = [unit for measure in _measures(leaf) if (unit := _unit(measure)) is not None]
     yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
     dimensions = [unit.dimension for unit in wanted]
     for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
         yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
+    if isinstance(leaf, Expression):
+        yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
 
 
 def _measures(leaf: Leaf) -> list[str]:
@@ -147,12 +155,30 @@ def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
 
 
 def _components(name: str, scope: Scope) -> Iterator[Choice]:
-    """`.x` and the like, where what stands before the dot is a vector."""
+    """`name.x` and the like, where the name is that of a vector."""
     symbol = scope.lookup(name)
-    known = symbol.type if symbol else None
-    for component in (known.components or ()) if known else ():
-        single = known and known._replace(components=None)
-        yield Choice(f"{name}.{component}", CompletionItemKind.Field, single.words if single else "")
+    return _picked(symbol.type if symbol else None, f"{name}.")
+
+
+def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
+    """`x` and the like, where the function that is called at the end of the text gives a vector."""
+    depth = 0
+    for index in range(len(text) - 1, max(-1, len(text) - _FURTHEST), -1):
+        depth += {")": 1, "(": -1}.get(text[index], 0)
+        if depth == 0:
+            break
+    begin = index - len(begun(text[:index]))
+    tree = parser.parse(text[begin:], ignored)
+    known = check(tree, scope, ignored) if tree is not None else None
+    return _picked(known.type if known else None, "")
+
+
+def _picked(vector: Type | None, before: str) -> Iterator[Choice]:
+    """What can be picked out of a vector: each component, and what lies in the plane."""
+    components = (vector and vector.components) or ()
+    for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
+        words = vector._replace(components=None).words if vector else ""
+        yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
 
 
 def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
@@ -179,7 +205,7 @@ def _subjects(before: str) -> frozenset[Kind] | None:
 def _call(before: str) -> tuple[str, int] | None:
     """The function whose brackets are open at the end of the text, and which of its arguments that is."""
     depth = commas = 0
-    for index in range(len(before) - 1, max(-1, len(before) - 2000), -1):
+    for index in range(len(before) - 1, max(-1, len(before) - _FURTHEST), -1):
         sign = before[index]
         if sign == ")":
             depth += 1

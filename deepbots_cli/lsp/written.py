@@ -42,7 +42,7 @@ def defines(path: Path, name: str) -> bool:
 
 
 def _sections(kind: str, path: Path) -> tuple[Path, ...]:
-    if kind == "choice":
+    if kind in ("choice", "option"):
         named = path[2:3] if path[:1] == ("scripts",) else path[1:2]
         return (("action", *named, "choices"),) if named else ()
     robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()

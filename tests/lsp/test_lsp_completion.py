@@ -63,6 +63,7 @@ def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, of
         ("{pitch_motor: pitch * speed", "{¦: pitch * speed", {"pitch_motor"}),
         ("{roller.gyro: -5", "{rol¦: -5", {"roller.gyro", "reach", "previous_action"}),
         ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
+        ("forward_only: {roll: forward}", "forward_only: {roll: f¦", {"forward", "turn_left"}),
         ("reset: {place: {roller", "reset: {place: {¦", {"roller"}),
     ],
 )
@@ -76,10 +77,15 @@ def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_du
         ("delta(metric)", "delta(me¦", {"metric", "reach", "radius", "delta(", "running_max(", "when"}, {"gyro", "uniform(", "m"}),
         ("{pitch_motor: pitch * speed", "{pitch_motor: pi¦ * speed", {"pitch", "speed", "gyro"}, {"reach", "roller.gyro", "position("}),
         ("norm(position(roller).xy)", "norm(position(¦", {"roller", "roller.ball"}, {"radius", "norm(", "m"}),
-        ("roller.gyro.y < 0 rad/s", "roller.gyro.¦", {"roller.gyro.x", "roller.gyro.z"}, {"gyro"}),
+        ("roller.gyro.y < 0 rad/s", "roller.gyro.¦", {"roller.gyro.x", "roller.gyro.z", "roller.gyro.xy"}, {"gyro"}),
         ("radius: 2.7 m", "radius: 2.7 ¦", {"m", "deg", "N"}, {"speed", "uniform("}),
         ("8.72 rad/s", "8.72 rad/¦", {"s", "ms"}, {"radius"}),
         ("radius: 2.7 m", "radius: uni¦", {"uniform(", "time_limit"}, {"reach", "delta("}),
+        ("norm(position(roller).xy)", "norm(position(roller).¦", {"x", "y", "z", "xy"}, {"radius", "norm("}),
+        ("norm(position(roller).xy)", "norm(2 * position(roller).x¦", {"x", "y", "z"}, {"radius", "norm("}),
+        ("reach > radius", "reach > (2 * radius).¦", set(), {"x", "radius"}),
+        ("progress: delta(metric)", "progress: 10 wh¦", {"when", "m"}, {"metric"}),
+        ("timestep: 32 ms", "timestep: 32 wh¦", {"ms"}, {"when"}),
     ],
 )
 def test_expressions_offer_what_has_a_value_there(typing, old, new, offered, not_offered):

@@ -95,7 +95,7 @@ def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, p
         ("{pitch_mo¦tor: pitch", ("pit_escape.yaml", 11, 6)),
         ("{roller.gy¦ro: -5", ("pit_escape.yaml", 13, 11)),
         ("{backward: roller.gyro.¦y", ("pit_escape.yaml", 13, 11)),
-        ("forward_only: {roll: forw¦ard}", None),
+        ("forward_only: {roll: forw¦ard}", ("pit_escape.yaml", 20, 6)),
         ("joint: pi¦tch", ("roller.urdf", 72, 15)),
         ("urdf: ../robots/urdf/rol¦ler.urdf", ("roller.urdf", 0, 0)),
         ("position(rol¦ler).xy", ("pit_escape.yaml", 6, 2)),
