@@ -5,7 +5,8 @@
 The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition, code actions, outline
 and formatting is asked for at so many places of a scenario, drawn with seed 0, a quarter of them right behind a change of the
 text, whose analysis may go on beside. The time of an answer is the CPU time of the thread that answers, once everything has been
-asked for before; that of findings is the CPU time of the whole process, its analysis included.
+asked for before; that of findings is the CPU time of the whole process, its analysis included. Memory is what the server held at most
+when all this was done, which is some hundred changes of the text.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from tests.lsp.client import ROOT, Client, position
 SCENARIOS = ("pit_escape", "find_ball_random")
 METHODS = ("completion", "hover", "definition", "codeAction", "documentSymbol", "formatting")
 BAR = 50.0
+MOST_MEMORY = 300.0
 
 
 def cpu_milliseconds(process: int, threads: str = "*") -> float:
@@ -66,6 +68,12 @@ def analysis(client: Client, uri: str, count: int) -> Iterator[float]:
         yield cpu_milliseconds(client.process.pid) - before
 
 
+def most_memory(process: int) -> float:
+    """Megabytes that a process held at most."""
+    status = Path(f"/proc/{process}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
+
+
 def heavy_imports(process: int) -> int:
     """How many of the heavy packages the process has mapped, or has a file open of."""
     maps = Path(f"/proc/{process}/maps").read_text()
@@ -81,6 +89,7 @@ def rows(count: int) -> Iterator[Row]:
             yield Row(f"an answer in {name}.yaml, median of {len(taken)}", median(taken), "ms", BAR)
             yield Row(f"an answer in {name}.yaml, worst of {len(taken)}", max(taken), "ms", BAR)
             yield Row(f"from a change of {name}.yaml to its findings", median(analysis(client, uri, 11)), "ms")
+        yield Row("memory that it held at most", most_memory(client.process.pid), "MB", MOST_MEMORY)
         yield Row(f"of {', '.join(HEAVY)} it imports", heavy_imports(client.process.pid), "", 0)
 
 
