@@ -140,6 +140,7 @@ _CATALOGUE = (
     Rule("DB809", "identical-episodes", "warning", "a scenario in which nothing differs between episodes", preview=True),
     Rule("DB810", "return-out-of-reach", "warning", "a mean return that no policy comes to, or that every policy does"),
     Rule("DB811", "after-the-end", "warning", "a push, a reading or a message that comes after every episode has ended"),
+    Rule("DB812", "requirement-not-redrawn", "warning", "a requirement that drawing again does not help"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
     Rule(
         "DB902",

@@ -11,7 +11,7 @@ turns.py        angles that jump by a full turn
 observation.py  what the policy sees; saturation.py values at the end of their range
 reward.py       the size of a reward and its terms; progress.py its direction; peril.py where it leads into failures
 endings.py      when episodes end; variety.py whether they differ
-lateness.py     what would come after that
+lateness.py     what would come after that; requirement.py what has to hold as they begin
 goals.py        whether goals can be reached; returns.py what an episode is worth
 
 What rules ask:
@@ -104,6 +104,10 @@ def _asks_for_equality(task: Task) -> bool:
     return any("==" in text or "!=" in text for text in texts)
 
 
+def _requires(task: Task) -> bool:
+    return task.beginnings.require is not None
+
+
 def _waits(task: Task) -> bool:
     """Whether there is a time that could be too long."""
     routes = task.to_robot.latency is not None or task.from_robot.latency is not None
@@ -134,6 +138,7 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "variety": _always,
     "returns": _may_be_known,
     "lateness": _waits,
+    "requirement": _requires,
     "peril": _fails,
 }
 _IN_PREVIEW = frozenset({"commands", "peril", "turns", "variety"})

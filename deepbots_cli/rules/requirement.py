@@ -1,0 +1,101 @@
+"""DB812: requirements that drawing again does not help."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.lang.functions import Family
+from deepbots_cli.lang.scalar import Scalar, World
+from deepbots_cli.lang.scalar import children as parts
+from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
+from deepbots_cli.lang.types import Stage
+from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.rules.reach import ALWAYS
+from deepbots_cli.rules.start import AtStart
+from deepbots_cli.task import Placement, Task
+
+
+def requirement_not_redrawn(checked: Checked) -> Iterator[Finding]:
+    """DB812: `reset.require` depends on parameters that are drawn, and on nothing that is drawn again where it does not hold.
+
+    Where a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the
+    episode, so that all attempts are the same, and the reset breaks off. Draw the parameter so that it fits, or draw under `place`.
+
+    Example::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        augment: {left: mark - x}
+        observation: {left: -0.8 .. 0.8 m}
+        reset: {require: abs(mark) > 10 cm}
+
+    Instead::
+
+        parameters: {side: choice(-1 | 1), mark: side * uniform(0.1 .. 0.3 m)}
+        augment: {left: mark - x}
+        observation: {left: -0.8 .. 0.8 m}
+    """
+    if checked.task is None or (require := checked.task.beginnings.require) is None:
+        return
+    book = book_of(checked.task)
+    (node,) = book.scalars(require)
+    drawn = {value.name for value in checked.task.parameters if value.typed.type.stage is not Stage.FIXED}
+    facts = list(_facts(book, node))
+    bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
+    placements = [place for place in _placements(checked.task) if place.body in bodies]
+    told = sorted((book.told(node) | {name for place in placements for name in _names(place)}) & drawn)
+    bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(checked.task, fact) for subject in fact.subjects}
+    if told and not _is_drawn_again(checked.task, placements, bent) and AtStart(book).of(node) != ALWAYS:
+        headline = f"drawing again does not change what is required: `{told[0]}` is drawn once per episode"
+        yield Finding("DB812", require.span, headline, help=f"draw `{told[0]}` so that it fits, or draw places under `reset.place`")
+
+
+def _facts(book: Book, node: Scalar) -> Iterator[World]:
+    node = book.meaning(node)
+    if isinstance(node, World):
+        yield node
+    for part in parts(node):
+        yield from _facts(book, part)
+
+
+def _is_of_root(task: Task, fact: World) -> bool:
+    """Whether it is about the place of an object or of a root link, which no joint moves."""
+    roots = {f"{robot.name}.{robot.model.root}" for robot in task.world.robots} | {thing.name for thing in task.world.objects}
+    return fact.function in ("position", "orientation") and roots.issuperset(fact.subjects)
+
+
+def _placements(task: Task) -> list[Placement]:
+    begins = task.beginnings
+    return [*begins.placements, *(place for layout in begins.layouts for place in layout.placements)]
+
+
+def _names(place: Placement) -> Iterator[str]:
+    """What its coordinates are made of."""
+    waiting = [coordinate.typed for coordinate in place.coordinates.values() if coordinate.typed is not None]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Reference):
+            yield node.symbol.name
+        waiting += children(node)
+
+
+def _is_drawn_again(task: Task, placements: list[Placement], bent: set[str]) -> bool:
+    """Whether something is another at the next attempt: the place of a body, the layout, or a joint of a robot that is `bent`."""
+    joints = any(start.robot in bent and _draws(start.position.typed) for start in task.joint_starts)
+    return joints or any(_moves(place) for place in placements) or (bool(placements) and len(task.beginnings.layouts) > 1)
+
+
+def _moves(place: Placement) -> bool:
+    coordinates = place.coordinates.values()
+    is_drawn = any(coordinate.typed is None or _draws(coordinate.typed) for coordinate in coordinates)
+    return is_drawn or place.spot is not None or place.at_most is not None
+
+
+def _draws(node: Typed) -> bool:
+    is_draw = isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW
+    return is_draw or any(_draws(part) for part in children(node))
+
+
+RULES = (requirement_not_redrawn,)
