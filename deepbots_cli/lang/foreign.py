@@ -44,7 +44,7 @@ _INSTEAD = {
     ",": "a comma only parts the arguments of a function; decimals take a point",
     "..": "a range stands alone or in a function such as `clamp(x, low .. high)`",
     "+-": "`normal(mean +- deviation)` is a draw; elsewhere put a space between the signs",
-    "|": "`choice(a | b)` is a draw; for conditions write `or`",
+    "|": "`abs(x)` is a value without its sign, `choice(a | b)` is a draw; for conditions write `or`",
     "lambda": "there are no functions of one's own; name the value under `signals`",
     "if": "write `where(condition, a, b)`, or `a when condition`",
     "else": "write `where(condition, a, b)`, or `a when condition`",
@@ -87,6 +87,10 @@ def instead(stream: list[Token], at: int) -> Meant | None:
     token, same = stream[at], _SAME.get(stream[at].text)
     if _decimal(stream, at):
         return Meant(".", safe=False)
+    if _is_at_the_end(stream, at):
+        return Meant("", safe=True)
+    if token.text == "=" and at and stream[at - 1].text in ("+", "-", "*", "/"):
+        return None  # `+=` is more than a sign of another language
     if token.text == "...":
         return Meant("..", safe=False)  # the third may be the point of a decimal
     if same is None or (token.text == "=" and at >= 2 and stream[at - 2].text in ("(", ",")):
@@ -120,6 +124,8 @@ def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None
         return f"a value is missing before `{shown}`", _INSTEAD.get(token.text)
     if token.text == ")":
         return "a parenthesis that was never opened", None
+    if _is_at_the_end(stream, at):
+        return "a comma at the end", "a line ends without one"
     if comma := _decimal(stream, at):
         return "a comma in a number", f"decimals take a point: `{comma}`"
     if token.kind is TokenKind.SIGN and token.text != "(":
@@ -131,6 +137,10 @@ def _about(stream: list[Token], at: int, missing: bool) -> tuple[str, str | None
     if token.kind is TokenKind.NAME and stream[at + 1].kind is TokenKind.END:
         help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
     return f"an operator is missing before `{shown}`", help
+
+
+def _is_at_the_end(stream: list[Token], at: int) -> bool:
+    return stream[at].text == "," and at > 0 and stream[at + 1].kind is TokenKind.END
 
 
 def _decimal(stream: list[Token], at: int) -> str | None:
@@ -152,6 +162,8 @@ def _about_end(stream: list[Token], at: int) -> str | None:
 
 
 def _about_equals(stream: list[Token], at: int) -> str:
+    if at and stream[at - 1].text in ("+", "-", "*", "/"):
+        return "leave it out: an entry says what a value is, and the terms of a reward are added up"
     named = at >= 2 and stream[at - 1].kind is TokenKind.NAME and stream[at - 2].text in ("(", ",")
     return "arguments are given in order, without their names" if named else "compare with `==`"
 

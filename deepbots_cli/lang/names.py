@@ -15,6 +15,7 @@ from deepbots_cli.lang.types import SPACE, Context, Kind, Report, Scope, Subject
 _ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
 
 # Where a name may still have to be given that is missing, besides what is known there.
+_NAMED = {"pi": "half a turn is `180 deg`"}
 _ELSEWHERE = {Context.APPLY: "what the agent decides is named under `action`"}
 
 
@@ -114,7 +115,15 @@ def _no_value(node: syntax.Name, scope: Scope, report: Report) -> None:
         help = f"what is known of the world is asked for by functions: `{asked}`"
         report("DB402", node.start, node.end, f"unknown name `{node.dotted}`", help, meant=Meant(asked, safe=False))
     else:
-        unknown("name", node.dotted, scope.names(), node.start, node.end, report, also=_ELSEWHERE.get(scope.context))
+        unknown(
+            "name",
+            node.dotted,
+            scope.names(),
+            node.start,
+            node.end,
+            report,
+            also=_NAMED.get(node.dotted.lower(), _ELSEWHERE.get(scope.context)),
+        )
 
 
 def _asked_of_a_body(node: syntax.Name, scope: Scope) -> str | None:

@@ -94,7 +94,7 @@ def _out_of_reach(book: Book, asked: Threshold) -> Reason | None:
         return None
     a, b = sorted(pair)
     limit = asked.bound.high
-    if any(_flies(book, body) for body in pair):
+    if limit <= 0.0 or any(_flies(book, body) for body in pair):  # below zero it is DB801
         return None
     least = _touching(_cores(book, a), _cores(book, b))
     if limit < _SURE * least:

@@ -11,7 +11,8 @@ part.py             the base of the models, and how parts, lists and mappings ne
 check.py            data to parts, or what is refused (refusal.py) and where
 walk.py             walking a scenario: every value with its path and kind
 validate.py         nodes to a Scenario; refusals become findings
-explain.py          their wording; habits.py what values of a wrong form tell of what was meant
+explain.py          their wording; habits.py what values of a wrong form tell of what was meant,
+                    displaced.py sections inside of others
 examples.py         an example of every key, from examples.yaml
 hover.py            what is said of a key: unit, default, example
 export.py           the JSON Schema for editors: `python -m deepbots_cli.schema.export`; lowering.py how specs become schemas,

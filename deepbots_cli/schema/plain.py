@@ -130,6 +130,8 @@ class Switch(Leaf):
 
     def help_for(self, value: object) -> str | None:
         meant = self.meant_by(value)
+        if value in ("true", "false"):
+            return f"write `{value}` without quotes"
         return f"write `{meant.text}`" if meant else None
 
     def meant_by(self, value: object) -> Meant | None:

@@ -81,7 +81,7 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
         troubles += [_trouble(root, data, refusal) for refusal in refusals[: findings.most]]
         if round_number == 0:
             news = [new for new in troubles if not (_is_follow_up(root, new, earlier) or _is_misspelt(new, troubles))]
-            found = [_finding(root, data, trouble) for trouble in _together(news)]
+            found = [_finding(root, data, trouble) for trouble in _together(_in_place(root, data, news, findings))]
             for one in found:
                 findings.append(one)
             if findings.most is not None and len(troubles) >= findings.most:  # what was left aside would be in the way of later passes
@@ -101,6 +101,27 @@ def _advise(root: Mapping, data: Any, findings: Findings) -> None:
         for key in node.hollow if isinstance(node, Mapping) else ():
             if found := vague.get(key.span):
                 findings.advise(found, wanted(data, (*path, key.text)))
+
+
+def _in_place(root: Mapping, data: Any, troubles: list[_Trouble], findings: Findings) -> list[_Trouble]:
+    """The same, with a section that stands inside of another as one trouble."""
+    if not troubles:
+        return troubles
+    from deepbots_cli.schema.displaced import HELP, displaced, hollow_sections  # only on the way to a finding
+
+    sections = displaced(root, data, [trouble.path for trouble in troubles])
+    inside = sections | hollow_sections(root, findings)
+    if not inside:
+        return troubles
+    names = {str(path[-1]) for path in sections}
+    left = [
+        trouble
+        for trouble in troubles
+        if not any(trouble.path[:depth] in inside for depth in range(1, len(trouble.path) + 1))
+        and not (trouble.code == "DB102" and not trouble.path and names.issuperset(trouble.missing))
+    ]
+    told = [_Trouble("DB101", path, f"`{path[-1]}` stands {place(path[:-1])}", HELP, at_key=True) for path in sorted(sections, key=str)]
+    return [*told, *left]
 
 
 def _together(troubles: list[_Trouble]) -> list[_Trouble]:

@@ -17,6 +17,7 @@ _TAB_INDENT = re.compile(r"[ ]*\t")
 _GLUED = re.compile(r"\s*[\w.]+:\S")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
 _PARTED = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
+_NEGATED = re.compile(r"[:,{\[][ \t]+(!\()")
 _NO_KEY = "a line without a key"
 _COMMENT_HELP = "a comment begins with `#`"
 _SHOWN = 60
@@ -79,6 +80,14 @@ def _tab(place: _Place) -> Finding | None:
         if found:
             return place.finding("a tab in the indentation", "indent with spaces", found.end() - 1)
     return None
+
+
+def _bang(place: _Place) -> Finding | None:
+    """`!(a)`, where YAML reads a tag up to the next blank and stumbles over what follows."""
+    found = _NEGATED.search(place.before)
+    if found is None:
+        return None
+    return place.finding("a leading `!` begins a tag", "`not` negates a condition", place.line_start + found.start(1), len(found[1]))
 
 
 def _reserved(place: _Place) -> Finding | None:
@@ -250,6 +259,7 @@ def _quoted(text: str) -> str:
 
 _RULES: tuple[Callable[[_Place], Finding | None], ...] = (
     _tab,
+    _bang,
     _reserved,
     _directive,
     _block_header,
