@@ -27,8 +27,9 @@ test: dev ## the tests, without those that take minutes
 	$(BIN)/pytest -n 2 -m "not slow and not editors"
 
 .PHONY: fuzz
-fuzz: dev ## lint damaged files; COUNT=500000 takes most of an hour of CPU, START= goes on from a number
+fuzz: dev ## damaged files: lint, then fmt, diff and editors for a tenth; COUNT=500000 takes hours of CPU, START= goes on from a number
 	$(BIN)/python -m tests.fuzz --count $(or $(COUNT),20000) --start $(or $(START),0)
+	$(BIN)/python -m tests.fuzz.beside --count $$(( $(or $(COUNT),20000) / 10 )) --start $(or $(START),0)
 
 .PHONY: check
 check: dev ## everything that a change must pass

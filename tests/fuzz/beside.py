@@ -1,0 +1,202 @@
+"""What is not lint, upon damaged files: `fmt`, `diff`, and sessions of the language server. `make fuzz` runs this as well.
+
+    python -m tests.fuzz.beside [--count 1000] [--start 0]
+
+Each number is a damaged file, as for lint, and every hundredth a session with an editor as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import random
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli.cli import main as command_line
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.source import files
+from deepbots_cli.source.layout import tidy
+from deepbots_cli.source.nodes import to_data
+from deepbots_cli.source.parse import parse
+from tests.fuzz.mutations import CORPUS, PIECES, READS, ROOT, Case, case, damaged
+from tests.fuzz.workbench import FailedError, Workbench
+from tests.lsp.client import Client, edited
+
+SESSION = 100
+"""Files after which there is a session."""
+STEPS = 40
+ASKED = ("hover", "completion", "definition", "codeAction", "documentSymbol", "formatting")
+
+
+def check_layout(text: str) -> bool:
+    """Whether `fmt` has anything to do; what it makes of a text means the same, and cannot be made better.
+
+    Raises:
+        FailedError: It does not.
+    """
+    before, readable = _meaning(text)
+    done = tidy(text) if readable else None
+    if done is None:
+        return False
+    if _meaning(done) != (before, True):
+        raise FailedError("fmt changes what the file says")
+    if tidy(done) != done:
+        raise FailedError("fmt of what fmt has made changes it again")
+    return done != text
+
+
+def unkempt(text: str, chance: random.Random) -> str:
+    """The text with white space and comments where nobody needs them; most are still read as before."""
+    lines = text.split("\n")
+    for _ in range(chance.randint(1, 12)):
+        at = chance.randrange(len(lines))
+        gaps = [index for index, sign in enumerate(lines[at]) if sign in " ,:{}[]"]
+        where = chance.choice(gaps) if gaps else 0
+        match chance.randrange(5):
+            case 0:
+                lines.insert(at, chance.choice(("", "", " ", "# a word", "      # a word", "#")))
+            case 1:
+                lines[at] += chance.choice((" ", "   ", "\t", " # a word", "\r"))
+            case 2:
+                indented = next((index for index in range(at, len(lines)) if not lines[index].startswith(" ")), len(lines))
+                lines[at:indented] = [f"   {line}" for line in lines[at:indented]]
+            case _:
+                lines[at] = lines[at][:where] + chance.choice((" ", "  ", "        ", "\n  ", "\t")) + lines[at][where:]
+    return "\n".join(lines)
+
+
+def _meaning(text: str) -> tuple[object, bool]:
+    findings = Findings()
+    source, readable = files.decode(text.encode(), "fuzz", findings)
+    root = parse(Source(source.name, source.text), findings) if readable else None
+    return (to_data(root), True) if root is not None and not findings.errors else (None, False)
+
+
+def check_verbs(damaged: Case) -> int:
+    """The exit code of `diff` of a file with itself, which has no difference; `fmt` and `schema` end as they should as well.
+
+    Raises:
+        FailedError: A verb says otherwise, or ends in a fault.
+    """
+    name = str(damaged.main)
+    for words, allowed in ((("fmt", "--diff", name), (0, 1)), (("schema", "--for", name), (0, 1, 2)), (("diff", name, name), (0, 2))):
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = command_line(list(words))
+        if code not in allowed or "Traceback" in err.getvalue():
+            raise FailedError(f"{' '.join(words)} ends with {code}: {out.getvalue()[-300:]} {err.getvalue()[-300:]}")
+    return code
+
+
+def session(client: Client, folder: Path, chance: random.Random) -> int:
+    """Edit documents at random, ask about places at random, some of them nowhere, and see that all answers fit; how many there were.
+
+    Raises:
+        FailedError: An answer does not fit the text, or the server has said that it failed.
+    """
+    uris = [client.open(folder / name) for name in chance.sample(sorted(READS), 2)]
+    answers = 0
+    for _ in range(STEPS):
+        uri = chance.choice(uris)
+        if chance.random() < 0.5:
+            client.change(uri, _edit(client.texts[uri], chance))
+        elif chance.random() < 0.1:
+            client.close(uri)
+            uris[uris.index(uri)] = client.open(folder / uri.rpartition("/")[2])
+        else:
+            answers += _ask(client, uri, chance)
+    for uri in uris:
+        _check_places(client.texts[uri], client.findings(uri))
+        client.close(uri)
+    if client.logged:
+        raise FailedError(f"the language server says: {client.logged}")
+    return answers
+
+
+def _edit(text: str, chance: random.Random) -> str:
+    if chance.random() < 0.1:
+        return CORPUS[chance.choice(sorted(READS))].decode()
+    if chance.random() < 0.5:
+        at = chance.randint(0, len(text))
+        return text[:at] + chance.choice(PIECES).decode() + text[at + chance.choice((0, 0, 1, 30)) :]
+    return damaged(text.encode("utf-8", "surrogatepass"), chance).decode("utf-8", "replace")[:100_000]
+
+
+def _place(text: str, chance: random.Random) -> dict[str, int]:
+    """A line and a column, beyond the end now and then."""
+    lines = text.split("\n")
+    line = chance.choice((0, chance.randrange(len(lines)), chance.randrange(len(lines)), len(lines) + 3, 2**31 - 1))
+    longest = len(lines[line]) if line < len(lines) else 5
+    return {"line": line, "character": chance.choice((0, chance.randint(0, longest), chance.randint(0, longest), longest + 7, 2**31 - 1))}
+
+
+def _ask(client: Client, uri: str, chance: random.Random) -> bool:
+    text, method = client.texts[uri], chance.choice(ASKED)
+    params: dict[str, Any] = {"textDocument": {"uri": uri}}
+    if method in ("hover", "completion", "definition"):
+        params["position"] = _place(text, chance)
+    elif method == "codeAction":
+        params |= {"range": {"start": _place(text, chance), "end": _place(text, chance)}, "context": {"diagnostics": []}}
+    elif method == "formatting":
+        params["options"] = {"tabSize": chance.choice((2, 4, 0)), "insertSpaces": True}
+    answer = client.request(f"textDocument/{method}", params)
+    if method == "formatting" and answer and "\r" not in text:
+        made = edited(text, answer)
+        if _meaning(made) != _meaning(text):
+            raise FailedError(f"formatting changes what the document says: {text!r} -> {made!r}")
+    elif method == "documentSymbol":
+        _check_places(text, answer or [])
+    return answer is not None
+
+
+def _check_places(text: str, found: list[dict[str, Any]]) -> None:
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    for one in found:
+        start, end = one["range"]["start"], one["range"]["end"]
+        if (start["line"], start["character"]) > (end["line"], end["character"]) or end["line"] >= len(lines):
+            raise FailedError(f"{one} lies outside of its text of {len(lines)} lines")
+        if end["character"] > len(lines[end["line"]].encode("utf-16-le", "surrogatepass")) // 2:
+            raise FailedError(f"{one} lies behind the end of its line")
+
+
+def check(bench: Workbench, number: int) -> None:
+    """Everything that must hold of the file of a number but what lint says of it."""
+    one = case(number)
+    if one.file.suffix == ".yaml":
+        with contextlib.suppress(UnicodeDecodeError):
+            check_layout(one.data.decode("utf-8"))
+        check_layout(unkempt((ROOT / one.file).read_text(encoding="utf-8"), random.Random(number)))
+    with bench.laid_out(one):
+        check_verbs(one)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.beside", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--count", type=int, default=1000, help="files, by default 1000")
+    parser.add_argument("--start", type=int, default=0, help="the number of the first, by default 0")
+    given = parser.parse_args()
+    failed = 0
+    with tempfile.TemporaryDirectory() as name, Workbench(Path(name)) as bench:
+        for number in range(given.start, given.start + given.count):
+            try:
+                check(bench, number)
+                if number % SESSION == 0:
+                    with Client(Path(name)) as client:
+                        session(client, Path(name) / "tests" / "fuzz" / "seeds", random.Random(number))
+                    if (client.code, client.errors) != (0, ""):
+                        raise FailedError(f"the language server leaves with {client.code}: {client.errors}")
+            except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for
+                failed += 1
+                print(f"{number}: {traceback.format_exc()}", flush=True)
+    print(f"{given.count} files, {failed} failed, {time.process_time():.0f} s of CPU")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
