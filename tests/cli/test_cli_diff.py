@@ -174,6 +174,23 @@ def test_a_colour_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
     assert found["world", "robots.cart.links.pole.mass"]["other"] == "uniform(0.1 .. 0.2 kg)"
 
 
+def test_a_figure_that_differs_in_the_last_digit_means_the_same(deepbots):
+    code, found = differences(deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={tip: {mass: 0.020000000000000004 kg}}")
+    assert (code, {group for group, _ in found}) == (0, {"cosmetic"})
+
+
+def test_a_figure_that_differs_in_the_sixth_digit_is_told(deepbots):
+    _, found = differences(deepbots, "cartpole", "cartpole", "--set", "world.ground={friction: 1.000001}")
+    (row,) = found.values()
+    assert row["other"] == "{friction: 1.000001}"
+
+
+def test_the_group_of_a_difference_is_the_same_from_both_sides(deepbots):
+    for pair in (("find_ball", "see_ball"), ("see_ball", "find_ball")):
+        _, found = differences(deepbots, *pair)
+        assert ("world", "look of objects.ball") in found
+
+
 def test_what_stands_on_several_lines_is_told_without_its_comments(deepbots):
     _, found = differences(deepbots, "cartpole", "pit_escape")
     metric = found["task", "signals.metric"]["other"]

@@ -41,7 +41,7 @@ def changes(one: Side, other: Side) -> list[Change]:
     found = [*_of_items(one, other, items(one.ir), items(other.ir)), *_of_settings(one, other)]
     if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
         group = Group.cosmetic if _shuffled(one.ir) == _shuffled(other.ir) else Group.task
-        found.append(Change("order of keys" if group is Group.cosmetic else "last digits", group, "changed", "", ""))
+        found.append(Change("order of keys" if group is Group.cosmetic else "what no key tells of", group, "changed", "", ""))
     ranks = list(Group)
     gravest: dict[str, Change] = {}
     for change in sorted(found, key=lambda change: ranks.index(change.group)):
@@ -68,16 +68,28 @@ def _of_items(one: Side, other: Side, before: dict[str, Item], after: dict[str, 
             continue
         if path.startswith("order of ") and not (old and new and _is_reordered(old.value, new.value)):
             continue  # other names, which are told one by one
-        known = new or old
-        assert known is not None  # the path is of one of the two
         shown = _place(path, one, other)
+        if old and new and _rounded(old.value) == _rounded(new.value):
+            yield Change(f"last digits of {shown}", Group.cosmetic, "changed", "", "")
+            continue
+        group = min((item.group for item in (old, new) if item), key=list(Group).index)
         texts = _texts(one, other, shown)
         kind: Kind = "changed" if (old and new) or all(texts) else "removed" if old else "added"
         used = set(_NAME.findall(texts[0])) if texts[0] == texts[1] else set()
         through = tuple(name for name in altered if name in used)
         if texts[0] == texts[1] and not through:
             texts = _figures(old, new)
-        yield Change(shown, known.group, kind, *texts, through)
+        yield Change(shown, group, kind, *texts, through)
+
+
+def _rounded(value: object) -> object:
+    """A value whose figures have twelve digits: `urdf * uniform(0.9 .. 1.1)` has its middle a last digit beside the file's figure."""
+    if isinstance(value, float):
+        return float(f"{value:.12g}")
+    inside = members(value)
+    if inside is not None:
+        return (type(value).__name__, *map(_rounded, inside.values()))
+    return tuple(map(_rounded, value)) if isinstance(value, tuple) else value
 
 
 def _is_reordered(old: object, new: object) -> bool:
@@ -153,9 +165,10 @@ def _figures(old: Item | None, new: Item | None) -> tuple[str, str]:
 
 def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
     """The single figures in a value, each with its place there."""
+    value = value.value if isinstance(value, Const) else value
     match value:
-        case Const(figure):
-            yield path, cell(figure)
+        case float():
+            yield path, f"{value:.12g}"
         case Name() | World() | Op() | State() | Draw():
             yield path, python(value, _read)
         case None:

@@ -20,7 +20,7 @@ _HEADINGS = {
     Group.task: "what is sensed, done, paid for or ended",
     Group.world: "world and starts, and so how hard it is",
     Group.training: "training and judgement",
-    Group.cosmetic: "names, looks and the order of keys, which change nothing that happens",
+    Group.cosmetic: "names, looks, the order of keys and last digits, which change nothing that is meant",
 }
 _Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A file, the name of a shipped scenario, or a run directory.")]
 
@@ -38,8 +38,7 @@ def command(
     Both are compiled, and what they come to is compared: layout, comments and units count for nothing. Of a run
     directory, the scenario is the one that it was trained on. --set is for the second scenario.
 
-    The exit code is 0 if there is no difference but in names, looks and the order of keys, 1 if there is one, and 2 if one of the two
-    cannot be compiled.
+    The exit code is 0 if there is no difference but in what is cosmetic, 1 if there is one, and 2 if one of the two cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed
