@@ -307,8 +307,12 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
     if not payments.is_whole or len(successes) != 1 or not ordinary:
         return
     success, running = successes[0], payments.running()
-    endless = reach_of(payments.book, (0.0, INF)).of(payments.book.scalars(success.value)[0]) if success.value.foreign is None else TRUTH
-    if endless == NEVER or success in forestalled(checked.task):
+    possible = (
+        reach_of(payments.book, (0.0, float(payments.book.last))).of(payments.book.scalars(success.value)[0])
+        if success.value.foreign is None
+        else TRUTH
+    )
+    if possible == NEVER or success in forestalled(checked.task):
         return  # DB801, DB804
     for entry in payments.book.comparisons(success.value):
         for asked in thresholds(entry, payments.book, running):
