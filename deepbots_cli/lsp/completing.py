@@ -118,8 +118,9 @@ def _values(view: View) -> Iterator[CompletionItem]:
     yield from (_item(view, choice, place.start) for choice in _unique(words))
     for spec in specs(place.path, data):
         if isinstance(spec, Leaf) and is_expression(spec):
-            start = view.offset - len(begun(place.text))
-            yield from (_item(view, choice, start) for choice in _unique(_in_expression(view, spec, data)))
+            start, is_called = view.offset - len(begun(place.text)), view.document.plain.startswith("(", view.offset)
+            for choice in _unique(_in_expression(view, spec, data)):
+                yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
             return
 
 
@@ -127,7 +128,7 @@ def _in_expression(view: View, leaf: Leaf, data: Any) -> Iterator[Choice]:
     """What may come next in an expression; names that no analysis knows yet come as they are written."""
     path, text = view.place.path, view.place.text
     if awaits_unit(text):
-        yield from units(leaf)
+        yield from units(text, leaf)
         return
     scope = scope_of(view.analysis, leaf, path) if view.analysis else None
     if scope is not None and view.analysis is not None and view.analysis.checked is not None:

@@ -115,14 +115,19 @@ def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
         yield Choice(said, CompletionItemKind.Keyword, "", doc)
 
 
-def units(leaf: Leaf) -> Iterator[Choice]:
-    """All of them, those in which a field of this kind is measured first, and what may follow a plain number."""
+def units(text: str, leaf: Leaf) -> Iterator[Choice]:
+    """All of them, those in which a field of this kind is measured first, and what may follow a plain number.
+
+    What goes on behind a `*` or `/` is a single one, and no `N*m`.
+    """
+    goes_on = text[: len(text) - len(begun(text))].endswith(("*", "/"))
     wanted = [unit for measure in _measures(leaf) if (unit := _unit(measure)) is not None]
-    yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
+    if not goes_on:
+        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
     dimensions = [unit.dimension for unit in wanted]
     for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
         yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
-    if isinstance(leaf, Expression):
+    if isinstance(leaf, Expression) and not goes_on:
         yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
 
 

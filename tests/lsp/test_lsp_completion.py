@@ -79,7 +79,9 @@ def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_du
         ("norm(position(roller).xy)", "norm(position(¦", {"roller", "roller.ball"}, {"radius", "norm(", "m"}),
         ("roller.gyro.y < 0 rad/s", "roller.gyro.¦", {"roller.gyro.x", "roller.gyro.z", "roller.gyro.xy"}, {"gyro"}),
         ("radius: 2.7 m", "radius: 2.7 ¦", {"m", "deg", "N"}, {"speed", "uniform("}),
-        ("8.72 rad/s", "8.72 rad/¦", {"s", "ms"}, {"radius"}),
+        ("8.72 rad/s", "8.72 rad/¦", {"s", "ms"}, {"radius", "when"}),
+        ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 N*¦}\n      yaw", {"m", "mm"}, {"N*m"}),
+        ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 N*m¦}\n      yaw", {"m", "mm"}, {"N*m"}),
         ("radius: 2.7 m", "radius: uni¦", {"uniform(", "time_limit"}, {"reach", "delta("}),
         ("norm(position(roller).xy)", "norm(position(roller).¦", {"x", "y", "z", "xy"}, {"radius", "norm("}),
         ("norm(position(roller).xy)", "norm(2 * position(roller).x¦", {"x", "y", "z"}, {"radius", "norm("}),
@@ -127,6 +129,12 @@ def test_an_item_says_what_it_is_and_writes_no_more_than_is_missing(client, pit)
     assert edited(client.texts[pit], [timestep["textEdit"]]) == client.texts[pit].replace("timestep: 32", "timesteptep: 32")
     (gravity,) = [item for item in items if item["label"] == "gravity"]
     assert gravity["textEdit"]["newText"] == "gravity"  # the colon is there
+
+
+@pytest.mark.parametrize(("around", "inserted"), [("progress: delta¦(metric)", "delta"), ("progress: de¦lta(metric)", "delta(")])
+def test_a_function_brings_its_bracket_unless_it_is_there(client, pit, around, inserted):
+    (delta,) = [item for item in client.ask("completion", pit, around)["items"] if item["label"] == "delta("]
+    assert delta["textEdit"]["newText"] == inserted
 
 
 def test_behind_an_emoji_the_right_letters_are_replaced(typing, client, pit):
