@@ -41,7 +41,7 @@ SAFE = {
     "a section": ("observation: ", "obsevation: "),
     "a hexadecimal number": ("substeps: 4", "substeps: 0x4"),
     "an underscore too many": ("100_000", "1000_00"),
-    "signs of another language": ("abs(x) > track", "abs(x)>track&&not (x == 0 m)"),
+    "signs of another language": ("abs(x) > track", "abs(x)>track&&not (abs(x) < 0.1 m)"),
     "a value cut by a comma": ("0.04 m}", "max(0.04 m, 0.01 m)}"),
     "a pattern without quotes": ("[wheel_*]", "[*_left]"),
 }
