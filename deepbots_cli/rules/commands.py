@@ -78,18 +78,18 @@ def _within(ends: list[tuple[float | None, float | None]]) -> Interval | None:
     return hull(known) if len(known) == len(ends) else None
 
 
-def _is_decided(book: Book, node: Scalar, robot: TaskRobot) -> bool:
+def _is_decided(book: Book, target: Scalar, robot: TaskRobot) -> bool:
     """Whether a command follows from the action alone, and from fixed figures."""
     received = {value.name for value in robot.receive}
-    match book.meaning(node):
-        case Const():
-            return True
-        case Name(name) as leaf:
-            return book.sensor(leaf) is None and name.partition(":")[2] not in received
-        case Op(_, args):
-            return all(_is_decided(book, arg, robot) for arg in args)
-        case _:
-            return False
+    for node in book.unfold(target):
+        match node:
+            case Const() | Op():
+                continue
+            case Name(name) if book.sensor(node) is None and name.partition(":")[2] not in received:
+                continue
+            case _:
+                return False
+    return True
 
 
 def joint_driven_twice(checked: Checked) -> Iterator[Finding]:

@@ -66,7 +66,8 @@ def _reasons(book: Book, ending: TaskEnding) -> Iterator[str]:
     ]
     for entry in never:
         yield from _where(book, reach, entry)
-    marks = list(_touched(book, node))
+    touched = (part for part in book.unfold(node) if isinstance(part, World) and part.function in ("contact", "collided"))
+    marks = sorted({mark for part in touched for mark in book.marks.intersection(part.subjects)})
     yield from (f"nothing touches `{mark}`, which is not solid" for mark in marks)
     if not never and not marks and isinstance(meaning := book.meaning(node), Op) and meaning.op == "and":
         yield "its parts exclude each other"
@@ -78,15 +79,6 @@ def _where(book: Book, reach: Reach, entry: Comparison) -> Iterator[str]:
         text = entry.value.text[arg.start : arg.end]
         if (known.low > -INF or known.high < INF) and not known.single:
             yield f"`{text}` is {between(known, arg.type.dimension)}"
-
-
-def _touched(book: Book, node: Scalar) -> Iterator[str]:
-    """Marks that it asks to be touched."""
-    node = book.meaning(node)
-    if isinstance(node, World) and node.function in ("contact", "collided"):
-        yield from sorted(book.marks.intersection(node.subjects))
-    for part in children(node):
-        yield from _touched(book, part)
 
 
 def always_true(checked: Checked) -> Iterator[Finding]:
@@ -181,8 +173,9 @@ def _two_limits(checked: Checked) -> Iterator[Finding]:
 def _one_behind_another(checked: Checked) -> Iterator[Finding]:
     """Endings that come too late in every case and every stage."""
     assert checked.task is not None  # as the caller found
-    later = [{late.value.name for late in forestalled(task)} for task in versions(checked)]
-    for late, first in forestalled(checked.task).items():
+    found = forestalled(checked.task)
+    later = [{late.value.name for late in forestalled(task)} for task in versions(checked)] if found else []
+    for late, first in found.items():
         if all(late.value.name in names for names in later):
             headline = f"`{late.value.name}` comes after `{first.value.name}`, which always ends an episode before"
             help = "give it a limit that is met first" if late.outcome != first.outcome else "keep the one that is meant"

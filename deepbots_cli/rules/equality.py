@@ -66,13 +66,22 @@ def _is_met_by_chance(book: Book, value: Valued, measure: Typed, figure: Typed) 
     return settled and all(_is_measure(book, part) for part in book.lowered(measure, value.owner))
 
 
-def _is_measure(book: Book, node: Scalar) -> bool:
+def _is_measure(book: Book, node: Scalar, known: dict[int, bool] | None = None) -> bool:
+    """`known` is what was asked before, so that what names stand for is looked at once."""
+    known = {} if known is None else known
+    number = book.identity(node)
+    if number not in known:
+        known[number] = _measures(book, node, known)
+    return known[number]
+
+
+def _measures(book: Book, node: Scalar, known: dict[int, bool]) -> bool:
     still = {thing.name for thing in book.task.world.objects if thing.fixed}
     match book.meaning(node):
         case World(function, subjects):
             return function in _MEASURED and still.isdisjoint(subject.partition("#")[0] for subject in subjects)
         case Op(op, args):
-            return op in _SMOOTH and any(_is_measure(book, arg) for arg in args)
+            return op in _SMOOTH and any(_is_measure(book, arg, known) for arg in args)
         case _:
             return False
 

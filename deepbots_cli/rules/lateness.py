@@ -33,9 +33,10 @@ def after_the_end(checked: Checked) -> Iterator[Finding]:
     """
     if checked.task is None or checked.namespace is None:
         return
+    times = [{path: time for _, time, path in _awaited(task)} for task in versions(checked)]
     end = max(book_of(task).last * book_of(task).period for task in versions(checked))  # s
     for what, time, path in _awaited(checked.task):
-        if time >= end and all(other >= end for task in versions(checked) for _, other, there in _awaited(task) if there == path):
+        if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {figure(time, TIME)} or more, and no episode lasts longer than {figure(end, TIME)}"
             yield Finding("DB811", checked.namespace.values.span(path), headline, help="let it come earlier, or episodes last longer")
 

@@ -203,6 +203,17 @@ class Book:
                 for part in parts(node):
                     yield from self.told(part)
 
+    def unfold(self, node: Scalar) -> Iterator[Scalar]:
+        """A value and all that it is made of, through all names; what means the same once, however often it is used."""
+        met: set[int] = set()
+        waiting = [node]
+        while waiting:
+            node = self.meaning(waiting.pop())
+            if self.identity(node) not in met:
+                met.add(self.identity(node))
+                yield node
+                waiting += parts(node)
+
     # Which trees mean the same
 
     def identity(self, node: Scalar) -> int:

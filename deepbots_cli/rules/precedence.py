@@ -14,6 +14,8 @@ from deepbots_cli.task import Task, TaskEnding
 
 _BEFORE = 0.02
 """How far ahead of its limit, as a share of that, another ending has to hold: a value may pass both within a tick."""
+_MANY = 32
+"""Of more endings not each is held against each other."""
 _GRADUAL = frozenset({"position", "orientation", "joint_position", "gap", "beside", "along"})
 """Facts that do not jump, as speeds and forces do when bodies meet."""
 
@@ -28,7 +30,7 @@ def forestalled(task: Task) -> Mapping[TaskEnding, TaskEnding]:
     reach = reach_of(book, (0.0, INF))
     own = [ending for ending in task.endings if ending.value.foreign is None and not reach.of(book.scalars(ending.value)[0]).single]
     found: dict[TaskEnding, TaskEnding] = {}
-    for late in own if len(own) > 1 else ():
+    for late in own if 1 < len(own) <= _MANY else ():
         others = [other for other in own if other is not late and late.outcome in (other.outcome, "success")]
         if not others or has_choice(book, late.value):
             continue
@@ -44,13 +46,16 @@ def forestalled(task: Task) -> Mapping[TaskEnding, TaskEnding]:
     return found
 
 
-def _is_gradual(book: Book, node: Scalar) -> bool:
-    match book.meaning(node):
-        case World(function):
-            return function in _GRADUAL
-        case Op(_, args):
-            return all(_is_gradual(book, arg) for arg in args)
-        case Name(name) as leaf:
-            return is_clock(book, leaf) or any(value.name == name for value in book.task.parameters)
-        case other:
-            return isinstance(other, Const)
+def _is_gradual(book: Book, quantity: Scalar) -> bool:
+    parameters = {value.name for value in book.task.parameters}
+    for node in book.unfold(quantity):
+        match node:
+            case World(function) if function in _GRADUAL:
+                continue
+            case Name(name) if name in parameters or is_clock(book, node):
+                continue
+            case Const() | Op():
+                continue
+            case _:
+                return False
+    return True

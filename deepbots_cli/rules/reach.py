@@ -19,6 +19,8 @@ from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.rules.meaning import Book
 
 NEVER, ALWAYS = exact(0.0), exact(1.0)
+_MANY = 64
+"""Conditions that are held against each other."""
 _NOTHING: Mapping[str, Interval] = MappingProxyType({})
 
 
@@ -136,11 +138,17 @@ class Reach:
         return False
 
     def _asked(self, conditions: Sequence[Scalar]) -> Iterator[tuple[int, Interval]]:
-        """Within what each quantity must lie for all these conditions to hold."""
-        for condition in map(self.book.meaning, conditions):
+        """Within what each quantity must lie for all these conditions to hold; of very many only the first count."""
+        met: set[int] = set()
+        waiting = list(conditions)
+        while waiting and len(met) < _MANY:
+            condition = self.book.meaning(waiting.pop())
+            if self.book.identity(condition) in met:
+                continue
+            met.add(self.book.identity(condition))
             match condition:
                 case Op("and", parts):
-                    yield from self._asked(parts)
+                    waiting += parts
                 case Op("less" | "less_equal", (small, large)) | Op("greater" | "greater_equal", (large, small)):
                     most = self.of(large).high
                     most = math.nextafter(most, -INF) if condition.op in ("less", "greater") else most

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lang.functions import Family
-from deepbots_cli.lang.scalar import Scalar, World
-from deepbots_cli.lang.scalar import children as parts
+from deepbots_cli.lang.scalar import World
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
 from deepbots_cli.lang.types import Stage
-from deepbots_cli.rules.meaning import Book, book_of
+from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.reach import ALWAYS
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.task import Placement, Task
@@ -42,7 +41,7 @@ def requirement_not_redrawn(checked: Checked) -> Iterator[Finding]:
     book = book_of(checked.task)
     (node,) = book.scalars(require)
     drawn = {value.name for value in checked.task.parameters if value.typed.type.stage is not Stage.FIXED}
-    facts = list(_facts(book, node))
+    facts = [fact for fact in book.unfold(node) if isinstance(fact, World)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     placements = [place for place in _placements(checked.task) if place.body in bodies]
     told = sorted((book.told(node) | {name for place in placements for name in _names(place)}) & drawn)
@@ -50,14 +49,6 @@ def requirement_not_redrawn(checked: Checked) -> Iterator[Finding]:
     if told and not _is_drawn_again(checked.task, placements, bent) and AtStart(book).of(node) != ALWAYS:
         headline = f"drawing again does not change what is required: `{told[0]}` is drawn once per episode"
         yield Finding("DB812", require.span, headline, help=f"draw `{told[0]}` so that it fits, or draw places under `reset.place`")
-
-
-def _facts(book: Book, node: Scalar) -> Iterator[World]:
-    node = book.meaning(node)
-    if isinstance(node, World):
-        yield node
-    for part in parts(node):
-        yield from _facts(book, part)
 
 
 def _is_of_root(task: Task, fact: World) -> bool:

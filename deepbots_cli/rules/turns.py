@@ -54,9 +54,10 @@ def angle_jumps(checked: Checked) -> Iterator[Finding]:
 class Turns:
     """Which angles of the supervisor's expressions, or of those on board of a robot, go round."""
 
-    def __init__(self, book: Book, robot: TaskRobot | None) -> None:
+    def __init__(self, book: Book, robot: TaskRobot | None, known: dict[str, bool] | None = None) -> None:
         self._book = book
         self._robot = robot
+        self._known: dict[str, bool] = {} if known is None else known
 
     def jumping(self, node: Typed) -> Iterator[Typed]:
         match node:
@@ -92,9 +93,12 @@ class Turns:
                 return False
 
     def _is_named_round(self, name: str) -> bool:
-        robot = next((robot for robot in self._book.task.robots if name.startswith(f"{robot.name}.")), None)
-        meant = self._book.named(name)
-        return meant is not None and meant.foreign is None and Turns(self._book, robot)._is_round(meant.typed)
+        if name not in self._known:
+            robot = next((robot for robot in self._book.task.robots if name.startswith(f"{robot.name}.")), None)
+            meant = self._book.named(name)
+            asked = Turns(self._book, robot, self._known)
+            self._known[name] = meant is not None and meant.foreign is None and asked._is_round(meant.typed)
+        return self._known[name]
 
 
 RULES = (angle_jumps,)
