@@ -27,6 +27,8 @@ from deepbots_cli.source.parse import parse
 
 _ROUNDS = 10
 _LOOKS = 150
+_USUAL_SIZE = 6_000
+"""Characters; the largest scenario that comes with deepbots has 5 219."""
 _MOST_AT_ONCE = 500
 _BOM = b"\xef\xbb\xbf"
 
@@ -67,6 +69,11 @@ class Seen:
             for path, source in self.files.items()
             if path.is_relative_to(project) and not any(path.is_relative_to(root) for root in shipped_data)
         }
+
+    @cached_property
+    def effort(self) -> int:
+        """How many looks at a scenario of usual size one look at this one is worth."""
+        return 1 + sum(len(source.text) for source in self.files.values()) // _USUAL_SIZE
 
     @property
     def errors(self) -> list[Finding]:
@@ -136,9 +143,9 @@ class Mender:
         start, base = self._seen[name], self.drafts
         accepted: list[Finding] = []
         waiting = [self._chosen(start)]
-        while waiting and self._looks:
+        while waiting and self._looks > 0:
             fixes = waiting.pop()
-            self._looks -= 1
+            self._looks -= start.effort
             edits = sorted((edit for finding in (*accepted, *fixes) for edit in _edits(finding)), key=lambda edit: edit.span.start)
             edited = self._edited(start, edits)
             seen = self._harmless(name, fixes, {**base, **edited}, edits, patient) if fixes else None
@@ -153,10 +160,10 @@ class Mender:
     def _chosen(self, seen: Seen) -> list[Finding]:
         """Findings whose fixes may be tried together. What warnings say may follow from errors that keep rules from looking."""
         solid = seen.findings if seen.understood else seen.errors
-        possible = [finding for finding in solid if self._is_possible(finding, seen)]
+        possible = (finding for finding in sorted(solid, key=lambda finding: finding.sort_key) if self._is_possible(finding, seen))
         chosen: list[Finding] = []
         ends: dict[Source, int] = {}
-        for finding in islice(sorted(possible, key=lambda finding: finding.sort_key), _MOST_AT_ONCE):
+        for finding in islice(possible, max(1, _MOST_AT_ONCE // (1 + seen.effort // 16))):
             edits = _edits(finding)
             if all(edit.span.start >= ends.get(edit.span.source, 0) for edit in edits):
                 chosen.append(finding)
