@@ -8,6 +8,7 @@ stands below or above the beginning of another one. So are the places of comment
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -125,8 +126,6 @@ class _Columns:
         self._neighbours = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
 
     def _place(self, offset: int) -> tuple[int, int]:
-        from bisect import bisect_right
-
         line = bisect_right(self._starts, offset) - 1
         return line, offset - self._starts[line]
 
@@ -149,6 +148,7 @@ class _Line:
 
 def _indented(text: str) -> str:
     structure, inside, dashes = _structure(text)
+    beginnings = sorted(structure)
     lines = text.split("\n")
     done: list[str] = []
     shift = 0
@@ -157,7 +157,8 @@ def _indented(text: str) -> str:
             shift = structure[number].new - structure[number].old
         own = shift
         if number not in structure and number not in inside and line.strip():  # a comment belongs to what it stands above
-            following = next((structure[other] for other in range(number + 1, len(lines)) if other in structure), None)
+            index = bisect_right(beginnings, number)
+            following = structure[beginnings[index]] if index < len(beginnings) else None
             own = following.new - following.old if following else shift
         done.append(_shifted(line, own, dashes.get(number, ())))
     return "\n".join(done)
@@ -179,7 +180,7 @@ def _structure(text: str) -> tuple[dict[int, _Line], set[int], dict[int, tuple[i
     inside: set[int] = set()
     dashes: dict[int, tuple[int, ...]] = {}
     levels: list[str] = []
-    line, flow, is_key, opened = 0, 0, False, 0
+    line, flow, is_key, opened, known = 0, 0, False, 0, 0
     for token in tokens(text):
         while line + 1 < len(starts) and starts[line + 1] <= token.start:
             line += 1
@@ -194,7 +195,11 @@ def _structure(text: str) -> tuple[dict[int, _Line], set[int], dict[int, tuple[i
         is_key = token.kind == "?" or (is_key and token.end == token.start)
         flow += (token.kind in _OPENING) - (token.kind in _CLOSING)
         last = line + text.count("\n", token.start, token.start + len(text[token.start : token.end].rstrip()))
-        inside.update(range((line if flow or token.kind in _CLOSING else line + 1), last + 1) if flow == 0 else range(opened + 1, last + 1))
+        if flow:
+            inside.update(range(max(opened + 1, known), last + 1))
+        else:
+            inside.update(range((line if token.kind in _CLOSING else line + 1), last + 1))
+        known = last + 1  # of the lines above, all is known that lie within brackets
     return structure, inside, dashes
 
 

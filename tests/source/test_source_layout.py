@@ -92,6 +92,14 @@ def test_a_shipped_scenario_is_in_the_canonical_layout(name):
     assert tidy(text_of(name)) == text_of(name)
 
 
+def test_comments_by_the_ten_thousand_and_brackets_over_thousands_of_lines_end():
+    # Whatever is quadratic in the lines takes minutes here.
+    comments = "a: 1\n" + "# a word\n" * 40_000
+    assert tidy(comments) == comments
+    brackets = "a: [\n" + "  x,\n" * 7_000 + "]\n"
+    assert tidy(brackets) == brackets
+
+
 def test_line_ends_stay():
     assert tidy(UNTIDY.replace("\n", "\r\n")) == TIDY.replace("\n", "\r\n")
 
