@@ -44,13 +44,15 @@ def test_fixing_a_damaged_file_does_no_harm_and_leaves_nothing_to_do(bench: Work
     for number in range(200):
         damaged = case(number)
         with bench.laid_out(damaged):
-            before = errors(api.lint(damaged.main, preview=True))
+            checked = api.load(damaged.main)
+            before = errors(api.review(checked, preview=True))
             rewrites = Mender([str(damaged.main)], unsafe=True, preview=True).mend()
             for rewrite in rewrites:
                 rewrite.path.write_bytes(rewrite.after)
             again = Mender([str(damaged.main)], unsafe=True, preview=True)
             assert again.mend() == [], number
-            assert errors(again.left) <= before, number
+            # Of a file that could not be read, nothing was known but that.
+            assert errors(again.left) <= before or checked.document.root is None, number
             for rewrite in rewrites:
                 rewrite.path.write_bytes(rewrite.before)
         fixed += bool(rewrites)
