@@ -102,14 +102,14 @@ def _is_dearer(payments: Payments, asked: Threshold, node: Scalar) -> bool:
 
 def _things(book: Book, node: Scalar) -> set[str]:
     """What a value is made of at the bottom: names that nothing defines, and bodies by where they are."""
-    node = book.meaning(node)
-    match node:
-        case Name(name):
-            return {name}
-        case World(function, subjects):
-            return set() if function in _RATES else {subject.partition(".")[0] for subject in subjects}
-        case _:
-            return {thing for part in children(node) for thing in _things(book, part)}
+    found: set[str] = set()
+    for part in book.unfold(node):
+        match part:
+            case Name(name):
+                found.add(name)
+            case World(function, subjects) if function not in _RATES:
+                found |= {subject.partition(".")[0] for subject in subjects}
+    return found
 
 
 def _help(compared: Comparison, asked: Threshold) -> str:
