@@ -267,19 +267,21 @@ class Book:
 
     def comparisons(self, value: Valued) -> Iterator[Comparison]:
         """Comparisons of which one at least must hold for the condition to hold, also for some time."""
-        if value.foreign is None:
-            yield from self._compared(value, value.typed)
+        yield from self._compared(value, value.typed, set()) if value.foreign is None else ()
 
-    def _compared(self, value: Valued, node: Typed) -> Iterator[Comparison]:
+    def _compared(self, value: Valued, node: Typed, met: set[str]) -> Iterator[Comparison]:
+        """`met` are the names that were followed: what is asked twice is asked."""
         match node:
             case Operation(operator=operator) if operator in COMPARISONS:
                 held = self._held_for(node)
-                yield from self._compared(value, held) if held else (Comparison(value, node),)
+                yield from self._compared(value, held, met) if held else (Comparison(value, node),)
             case Operation(operator="and" | "or", args=args):
                 for arg in args:
-                    yield from self._compared(value, arg)
+                    yield from self._compared(value, arg, met)
             case Reference(symbol=symbol) if (meant := self.named(symbol.name)) is not None and meant.typed.type.boolean:
-                yield from self.comparisons(meant)
+                if symbol.name not in met and meant.foreign is None:
+                    met.add(symbol.name)
+                    yield from self._compared(meant, meant.typed, met)
 
     def _held_for(self, node: Operation) -> Typed | None:
         """The condition of `duration(condition) > 1 s`."""

@@ -62,13 +62,15 @@ def thresholds(comparison: Comparison, book: Book, reach: Reach) -> Iterator[Thr
 
 def has_choice(book: Book, condition: Valued) -> bool:
     """Whether one part of the condition may hold without the others."""
-    waiting = [book.meaning(book.scalars(condition)[0])]
+    met: set[int] = set()
+    waiting = [book.scalars(condition)[0]]
     while waiting:
-        node = waiting.pop()
+        node = book.meaning(waiting.pop())
         if isinstance(node, Op) and node.op == "or":
             return True
-        if isinstance(node, Op) and node.op == "and":
-            waiting += [book.meaning(arg) for arg in node.args]
+        if isinstance(node, Op) and node.op == "and" and book.identity(node) not in met:
+            met.add(book.identity(node))
+            waiting += node.args
     return False
 
 
