@@ -85,3 +85,23 @@ def test_many_cases_of_a_large_scenario_are_refused(workshop, rail) -> None:
     text = rail(("world:", f"signals:\n{unused}evaluation:\n  cases:\n{cases}world:"))
     (found,) = [found for found in workshop.lint(text) if found.severity == "error"]
     assert (found.code, found.span.text) == ("DB005", "cases")
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "condition"),
+    [
+        ("cart.place > 5 cm", "{0} and {0}", "{0}"),
+        ("cart.place > 5 cm", "duration({0}) > 1 s or not {0}", "{0}"),
+        ("cart.place / m", "{0} * {0}", "{0} > 1"),
+        ("cart.place / m", "where({0} > 0.5, {0}, 1 - {0})", "{0} > 1"),
+    ],
+)
+def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
+    workshop, rail, first: str, step: str, condition: str
+) -> None:
+    chain = "".join(f"  s{index}: {step.format(f's{index - 1}')}\n" for index in range(1, 60))
+    signals = f"signals:\n  unused: cart.place\n  s0: {first}\n{chain}"
+    ends = f"termination:\n  success: {{done: {condition.format('s59')}}}\n"
+    text = rail(("reward:", f"{signals}reward:"), ("termination:\n", ends))
+    found = api.lint(workshop.write(text), preview=True)
+    assert "DB205" in {finding.code for finding in found}  # which it comes to, instead of following 2^59 paths
