@@ -41,6 +41,12 @@ def digest(scenario: ir.CompiledScenario) -> str:
     return hashlib.sha256(to_json(placeless).encode()).hexdigest()
 
 
+def task_digest(scenario: ir.CompiledScenario) -> str:
+    """The digest of what makes an episode: the same for scenarios that differ in their names, training, evaluation or scripts alone."""
+    nameless = replace(scenario, name="", summary="", scripts=())
+    return digest(replace(nameless, training=None, curriculum=(), evaluation=ir.Evaluation(), cases=(), solved=None))
+
+
 Filed = model.Mesh | ir.Picture
 """What has the path and the digest of a file."""
 

@@ -51,14 +51,33 @@ class MissingExtraError(UsageError):
         super().__init__(f"{purpose} needs the '{extra}' extra; {installing(extra)}")
 
 
-def installing(extra: str, python: tuple[int, int] = sys.version_info[:2]) -> str:
-    """How to install an extra; all but `editor` simulate, and PyBullet has no wheels beyond Python 3.11."""
+def installing(extra: str, python: tuple[int, int] = sys.version_info[:2], origin: str | None = None) -> str:
+    """How to install an extra; all but `editor` simulate, and PyBullet has no wheels beyond Python 3.11.
+
+    `origin` is what deepbots itself was installed from, which is looked up if it is not given.
+    """
     where = (
         ""
         if python < (3, 12) or extra == "editor"
         else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
     )
-    return f"install it{where} with: pip install 'deepbots-cli[{extra}]'"
+    return f"install it{where} with: pip install '{origin or _origin()}[{extra}]'"
+
+
+def _origin() -> str:
+    """The clone that deepbots was installed from, where pip says so and it is still there; otherwise its name."""
+    import json  # what tells of something missing costs nothing where all is there
+    from importlib.metadata import PackageNotFoundError, distribution
+    from pathlib import Path
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        address = urlsplit(str(json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}").get("url", "")))
+    except (PackageNotFoundError, ValueError):
+        return "deepbots-cli"
+    folder = Path(url2pathname(address.path))
+    return str(folder) if address.scheme == "file" and (folder / "pyproject.toml").is_file() else "deepbots-cli"
 
 
 class RunError(UsageError):

@@ -13,6 +13,7 @@ from deepbots_cli.source import roots
 
 _VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _LOOKED_AT = 65_536
+_SUFFIXES = (".yaml", ".yml")
 _NOT_OURS = ("run.json", "pyvenv.cfg")
 """What the folder of a training and a virtual environment hold: copies of scenarios that nobody edits there."""
 _MOST_LEVELS = 64
@@ -20,7 +21,7 @@ _MOST_LEVELS = 64
 
 
 def scenarios_in(folder: Path, project: Settings) -> list[Path]:
-    """Every `.yaml` file with a `deepbots:` key, whether the rest of it can be read or not, in the folder and all inside of it.
+    """Every `.yaml` or `.yml` file with a `deepbots:` key, whether the rest of it can be read or not, in the folder and all inside of it.
 
     What the project excludes is left out, as are hidden folders, `node_modules`, virtual environments and the folders of trainings.
     Links to folders are not followed, and links to files not out of the project.
@@ -31,7 +32,7 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
     excluded: set[Path] = set()
     found = sorted(path for path in _yaml_files(folder, project, excluded) if _is_scenario(path))
     if not found and not excluded:
-        raise UsageError(f"there is no scenario in {folder}: no .yaml file there has a `deepbots:` key")
+        raise UsageError(f"there is no scenario in {folder}: no .yaml or .yml file there has a `deepbots:` key")
     return found
 
 
@@ -43,7 +44,7 @@ def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterato
             folders.clear()
             continue
         inside = [here / name for name in folders if not name.startswith(".") and name != "node_modules"]
-        files = [here / name for name in names if name.endswith(".yaml") and _is_within(here / name, root)]
+        files = [here / name for name in names if name.endswith(_SUFFIXES) and _is_within(here / name, root)]
         excluded.update(path for path in (*inside, *files) if project.excludes(path))
         folders[:] = [path.name for path in inside if path not in excluded and place.count(os.sep) < deepest]
         yield from (path for path in files if path not in excluded)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
@@ -17,22 +18,55 @@ _WIDTH = 20
 _PAUSE = 0.2  # s between two lines on a terminal
 
 
-def told(episodes: Iterable[Episode], count: int, stream: TextIO | None = None) -> Iterator[Episode]:
-    """The episodes, of which there will be `count` at most, with a word on how many there were and how long the others will take."""
-    stream = sys.stderr if stream is None else stream
-    onto_terminal, began, last, tenth, width = stream.isatty(), time.perf_counter(), 0.0, 0, 0
-    for number, episode in enumerate(episodes, start=1):
-        yield episode
+class Meter:
+    """Tells how many episodes are done, out of how many, and how long the others will take; again from 1 on for the next row of them."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._onto_terminal = self._stream.isatty()
+        self._width = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._began, self._last, self._tenth = time.perf_counter(), 0.0, 0
+
+    def __call__(self, number: int, count: int) -> None:
         now = time.perf_counter()
-        line = f"{number:,} of {count:,} episodes  {(now - began) / number * (count - number):.0f} s to go"
-        if onto_terminal and now - last > _PAUSE:
+        line = f"{number:,} of {count:,} episodes  {(now - self._began) / number * (count - number):.0f} s to go"
+        if self._onto_terminal and now - self._last > _PAUSE:
             filled = _WIDTH * number // count
             line = f"[{'#' * filled}{'.' * (_WIDTH - filled)}] {line}"
-            width = max(width, len(line))
-            print(f"\r{line:<{width}}", end="", file=stream, flush=True)
-            last = now
-        elif not onto_terminal and 10 * number // count > tenth and number < count:
-            tenth = 10 * number // count
-            print(line, file=stream, flush=True)
-    if width:
-        print(f"\r{'':<{width}}\r", end="", file=stream, flush=True)
+            self._width = max(self._width, len(line))
+            print(f"\r{line:<{self._width}}", end="", file=self._stream, flush=True)
+            self._last = now
+        elif not self._onto_terminal and 10 * number // count > self._tenth and number < count:
+            self._tenth = 10 * number // count
+            print(line, file=self._stream, flush=True)
+        if number == count:
+            self._begin()
+
+    def clear(self) -> None:
+        """Take the line away again."""
+        if self._width:
+            print(f"\r{'':<{self._width}}\r", end="", file=self._stream, flush=True)
+        self._width = 0
+
+
+@contextmanager
+def on_terminal() -> Iterator[Meter | None]:
+    """A meter for episodes that are over in seconds: on a terminal only, and gone when they are done."""
+    meter = Meter() if sys.stderr.isatty() else None
+    try:
+        yield meter
+    finally:
+        if meter is not None:
+            meter.clear()
+
+
+def told(episodes: Iterable[Episode], count: int, stream: TextIO | None = None) -> Iterator[Episode]:
+    """The episodes, of which there will be `count` at most, with a word on how many there were and how long the others will take."""
+    meter = Meter(stream)
+    for number, episode in enumerate(episodes, start=1):
+        yield episode
+        meter(number, count)
+    meter.clear()

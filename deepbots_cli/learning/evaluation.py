@@ -17,7 +17,7 @@ from deepbots_cli.learning import algorithms, video, weights
 from deepbots_cli.learning.environments import BuildWorld, World, copies_over
 from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair
-from deepbots_cli.learning.rollout import ROWS, rollout
+from deepbots_cli.learning.rollout import ROWS, OnEpisode, rollout
 from deepbots_cli.learning.run import Compiled, ModelName, Run
 from deepbots_cli.learning.summary import Summary
 from deepbots_cli.learning.training import default_build
@@ -71,6 +71,7 @@ def evaluate(
     copies: int = ROWS,
     allow_code: bool = False,
     build: BuildWorld | None = None,
+    on_episode: OnEpisode | None = None,
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
@@ -90,6 +91,7 @@ def evaluate(
         copies: Worlds at a time, 1 to 8.
         allow_code: Whether terms in Python run.
         build: Makes a world of the scenario in place of the generated supervisor.
+        on_episode: Is told after each episode how many are done, and of how many.
 
     Raises:
         RunError: No run, a damaged one, or one that does not fit `scenario`; says field by field why.
@@ -116,7 +118,8 @@ def evaluate(
             worlds.append(make(ir))
             stack.callback(worlds[-1].close)
         policy = load(known, model, worlds[0])
-        done = rollout(policy, worlds, seeds, deterministic=deterministic)
+        told = {} if on_episode is None else {"on_episode": on_episode}
+        done = rollout(policy, worlds, seeds, deterministic=deterministic, **told)
     if video_to is not None:
         with closing(make(ir, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / ir.period) as filmed:
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
@@ -132,11 +135,22 @@ def evaluate_cases(
     scenario: Compiled | None = None,
     allow_code: bool = False,
     build: BuildWorld | None = None,
+    on_episode: OnEpisode | None = None,
 ) -> tuple[EvaluationResult, ...]:
     """Evaluate in every case of the scenario, in file order; arguments and errors as for `evaluate`."""
     cases = (Run.open(run).ir if scenario is None else scenario.ir).cases
     return tuple(
-        evaluate(run, episodes=episodes, seed=seed, model=model, scenario=scenario, case=case.name, allow_code=allow_code, build=build)
+        evaluate(
+            run,
+            episodes=episodes,
+            seed=seed,
+            model=model,
+            scenario=scenario,
+            case=case.name,
+            allow_code=allow_code,
+            build=build,
+            on_episode=on_episode,
+        )
         for case in cases
     )
 

@@ -45,10 +45,14 @@ def training_text(result: TrainingResult) -> str:
     return "\n".join(lines)
 
 
-def evaluation_text(result: EvaluationResult) -> str:
-    """Figures with their intervals, how the episodes ended, and the verdict as last line."""
+def evaluation_text(result: EvaluationResult, elsewhere: str | None = None) -> str:
+    """Figures with their intervals, how the episodes ended, and the verdict as last line.
+
+    `elsewhere` is the scenario, in words, where it is not the one of the training.
+    """
     rows = [
         ("model", f"{result.run} ({result.model})"),
+        *([("scenario", elsewhere)] if elsewhere is not None else []),
         ("episodes", f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}"),
         *_figures(result, success_defined=result.success_defined),
     ]
@@ -110,7 +114,7 @@ def _deviation(result: EvaluationResult | Summary) -> str:
     if result.deviation is None or result.return_interval is None:
         return ""
     low, high = result.return_interval
-    return f", deviation {_figure(result.deviation)} (95 % of the mean: {_figure(low)} .. {_figure(high)})"
+    return f", deviation {_figure(result.deviation)} (95 % interval of the mean: {_figure(low)} .. {_figure(high)})"
 
 
 def _figure(value: float) -> str:

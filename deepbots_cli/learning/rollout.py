@@ -7,7 +7,7 @@ what the other rows hold does not touch it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -23,11 +23,20 @@ from deepbots_cli.runtime.streams import derive
 ROWS = 8
 """A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
 
+OnEpisode = Callable[[int, int], None]
+"""Is told after each episode how many are done, and of how many."""
 
-def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool) -> list[Episode]:
+
+def _silent(_done: int, _of: int) -> None:
+    pass
+
+
+def rollout(
+    model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool, on_episode: OnEpisode = _silent
+) -> list[Episode]:
     """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one."""
     if is_team(worlds[0]):
-        return [_team_episode(model, worlds[0], seed, deterministic=deterministic) for seed in seeds]
+        return list(_team_episodes(model, worlds[0], seeds, deterministic=deterministic, on_episode=on_episode))
     together = min(len(worlds), ROWS) if deterministic else 1
     batch = _Batch(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
@@ -41,8 +50,17 @@ def rollout(model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int],
                 episode = lane.step(actions[lane.row], batch)
                 if episode is not None:
                     finished[lane.number] = episode
+                    on_episode(len(finished), len(seeds))
             running = [lane for lane in running if lane.number not in finished or lane.begin(batch)]
     return [finished[number] for number in range(len(seeds))]
+
+
+def _team_episodes(
+    model: BaseAlgorithm, world: World, seeds: Sequence[int], *, deterministic: bool, on_episode: OnEpisode
+) -> Iterator[Episode]:
+    for number, seed in enumerate(seeds, start=1):
+        yield _team_episode(model, world, seed, deterministic=deterministic)
+        on_episode(number, len(seeds))
 
 
 def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:

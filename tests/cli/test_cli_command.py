@@ -17,6 +17,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import health
 from deepbots_cli.cli.group import Verbs
 from deepbots_cli.cli.verbs import VERBS
+from deepbots_cli.errors import installing
 
 HEAVY = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3", "rich")
 
@@ -182,7 +183,7 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(words, ab
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
-    assert done.stderr.endswith(f"pip install 'deepbots-cli[{extra}]'\n")
+    assert done.stderr.endswith(f"{installing(extra)}\n")
     assert done.stderr.count("\n") == 1
 
 

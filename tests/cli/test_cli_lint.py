@@ -92,11 +92,17 @@ def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
     for name in ("b", "a"):
         (tmp_path / "s" / f"{name}.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole") + "oops: 1\n")
     (tmp_path / "s" / "other.yaml").write_text("jobs: []\n")
+    (tmp_path / "s" / "short.yml").write_text("deepbots: 2\n")
     (tmp_path / "s" / "quoted.yaml").write_text('"deepbots": 2\n')
     (tmp_path / "s" / "within.yaml").write_text("# not at the top level\njobs:\n  deepbots: 1\n")
     ran = deepbots("lint", "s", "--format", "concise")
     assert ran.code == 1
-    assert list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines())) == ["s/a.yaml", "s/b.yaml", "s/quoted.yaml"]
+    assert list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines())) == [
+        "s/a.yaml",
+        "s/b.yaml",
+        "s/quoted.yaml",
+        "s/short.yml",
+    ]
 
 
 def test_a_robot_file_is_no_scenario_to_be_linted(deepbots):

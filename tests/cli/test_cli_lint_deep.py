@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.errors import installing
 from deepbots_cli.source import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
@@ -64,4 +65,4 @@ def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepb
     monkeypatch.delitem(sys.modules, "pybullet", raising=False)
     ran = deepbots("lint", "sunk.yaml", "--deep")
     assert (ran.code, ran.out) == (2, "")
-    assert "deepbots-cli[sim]" in ran.err
+    assert installing("sim") in ran.err

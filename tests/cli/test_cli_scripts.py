@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.progress import told
+from deepbots_cli.cli.progress import Meter, told
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.intervals import mean_interval, wilson
 
@@ -149,6 +149,14 @@ def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
     assert "\n" not in screen.getvalue()
     assert "1 of 40 episodes" in screen.getvalue()
     assert screen.getvalue().endswith(" \r")
+
+
+def test_a_second_row_of_episodes_is_told_from_its_own_first_one_on():
+    log = io.StringIO()
+    meter = Meter(log)
+    for number in (*range(1, 11), *range(1, 11)):
+        meter(number, 10)
+    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*"123456789"] * 2
 
 
 def test_elsewhere_there_is_a_line_for_every_tenth():

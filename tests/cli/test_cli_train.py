@@ -94,6 +94,15 @@ def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, traine
     assert "0.9" in ran.err
 
 
+def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(deepbots, trained, tmp_path):
+    deepbots("copy", "cartpole")
+    text = (tmp_path / "cartpole.yaml").read_text()
+    (tmp_path / "wider.yaml").write_text(text.replace("track:       0.39 m", "track:       0.42 m"))
+    assert "cartpole.yaml, the same as in the training\n" in deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").out
+    assert "wider.yaml, not the one of the training\n" in deepbots("eval", "mine", "--scenario", "wider.yaml", "--episodes", "1").out
+    assert "of the training" not in deepbots("eval", "mine", "--episodes", "1").out
+
+
 def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
     deepbots("copy", "cartpole")
     text = (tmp_path / "cartpole.yaml").read_text()

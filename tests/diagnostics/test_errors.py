@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 from deepbots_cli import canonical, errors
 from deepbots_cli.errors import DeepbotsError, installing
@@ -22,7 +27,23 @@ def test_the_docstring_shows_every_exception_below_its_parent() -> None:
 
 
 def test_beyond_python_3_11_a_missing_extra_is_not_asked_for_where_it_cannot_be_installed() -> None:
-    assert installing("sim", (3, 11)) == "install it with: pip install 'deepbots-cli[sim]'"
-    said = installing("train", (3, 13))
+    assert installing("sim", (3, 11), "deepbots-cli") == "install it with: pip install 'deepbots-cli[sim]'"
+    said = installing("train", (3, 13), "deepbots-cli")
     assert "environment of Python 3.11" in said
     assert said.endswith("pip install 'deepbots-cli[train]'")
+
+
+def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_no_index_that_may_not_have_it(tmp_path: Path) -> None:
+    clone, packages = tmp_path / "my clone", tmp_path / "packages"
+    known = packages / "deepbots_cli-0.1.0.dist-info"
+    known.mkdir(parents=True)
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n")
+    (known / "direct_url.json").write_text(json.dumps({"url": clone.as_uri(), "dir_info": {}}))
+    command = [sys.executable, "-c", "from deepbots_cli.errors import installing; print(installing('sim', (3, 11)))"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(packages), str(Path(errors.__file__).parents[1])))}
+    for there, origin in ((False, "deepbots-cli"), (True, str(clone))):
+        if there:
+            clone.mkdir()
+            (clone / "pyproject.toml").touch()
+        said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        assert said == f"install it with: pip install '{origin}[sim]'\n"

@@ -52,6 +52,12 @@ def test_the_figures_belong_together(trained: TrainingResult) -> None:
     assert json.loads(json.dumps(to_json(result)))["episodes"] == 20
 
 
+def test_each_episode_is_told_when_it_is_over(trained: TrainingResult) -> None:
+    told: list[tuple[int, int]] = []
+    evaluate(trained.run, episodes=10, build=stand_in.build, on_episode=lambda done, of: told.append((done, of)))
+    assert told == [(done, 10) for done in range(1, 11)]
+
+
 def test_a_single_episode_has_no_deviation(trained: TrainingResult) -> None:
     result = evaluate(trained.run, episodes=1, build=stand_in.build)
     assert result.deviation is None

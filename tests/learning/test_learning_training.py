@@ -21,7 +21,7 @@ import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
 
-from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
 from deepbots_cli.ir import Ending, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.lang.scalar import Const
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
@@ -308,7 +308,7 @@ except deepbots_cli.learning.MissingExtraError as error:
 @pytest.mark.parametrize("module", ["torch", "stable_baselines3", "tensorboard"])
 def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path: Path) -> None:
     said = python(NEEDS_EXTRA, module, folder=tmp_path)
-    assert said == "training needs the 'train' extra; install it with: pip install 'deepbots-cli[train]'\n"
+    assert said == f"training needs the 'train' extra; {installing('train')}\n"
     assert not list(tmp_path.iterdir())
 
 

@@ -12,10 +12,12 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, small_enough
+from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.learning import report
 
 if TYPE_CHECKING:
+    from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult
 
 
@@ -70,18 +72,32 @@ def command(
         "scenario": compiled,
         "allow_code": allow_code,
     }
-    result = learning.evaluate(run, case=case, video_to=video, **chosen)
-    cases = learning.evaluate_cases(run, **chosen) if case is None else ()
+    with terminal.passing("loading the policy ..."):
+        evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
+    with on_terminal() as meter:
+        result = evaluate(run, case=case, video_to=video, on_episode=meter, **chosen)
+        cases = evaluate_cases(run, on_episode=meter, **chosen) if case is None else ()
     if as_json:
         terminal.show_json(with_cases(result, cases))
     else:
-        show(result, cases)
+        show(result, cases, elsewhere=_elsewhere(run, scenario, compiled))
     _require(result, require_solved=require_solved, min_success=min_success)
 
 
-def show(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> None:
+def _elsewhere(run: Path, scenario: str | None, compiled: Compiled | None) -> str | None:
+    """The words for a scenario that was asked for in place of the run's."""
+    if scenario is None or compiled is None:
+        return None
+    from deepbots_cli.canonical import task_digest
+    from deepbots_cli.learning.run import Run
+
+    same = task_digest(compiled.ir) == task_digest(Run.open(run).ir)
+    return f"{scenario}, {'the same as in' if same else 'not the one of'} the training"
+
+
+def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhere: str | None = None) -> None:
     """An evaluation, and the cases beside it."""
-    terminal.say(report.evaluation_text(result))
+    terminal.say(report.evaluation_text(result, elsewhere))
     if cases:
         terminal.say("\ncases\n" + table(report.case_rows([result, *cases])))
 

@@ -32,7 +32,7 @@ def command(
 
     What they say stays, and so do comments and aligned columns.
 
-    Of a folder, every .yaml file with a `deepbots:` key is meant, down through the folders inside, but for those that the
+    Of a folder, every .yaml or .yml file with a `deepbots:` key is meant, down through the folders inside, but for those that the
     project excludes from linting.
 
     \b

@@ -42,9 +42,11 @@ Codes = list[str] | None
 
 def command(
     scenarios: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENARIO", help="Files, shipped scenarios by name, folders, or - for standard input."),
-    ],
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENARIO]...", help="Files, shipped scenarios by name, folders (by default this one), - for standard input."
+        ),
+    ] = None,
     sets: Sets = None,
     format: Annotated[Format | None, typer.Option("--format", help="With the lines in question, a line each, or a report.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
@@ -66,8 +68,8 @@ def command(
 
     Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed,
     but for --deep, which simulates what has no errors in a process of its own and tells what it measures.
-    Of a folder, every .yaml file with a `deepbots:` key is read, down through the folders inside. What a project always
-    wants stands in its deepbots.toml, under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
+    Of a folder, every .yaml or .yml file with a `deepbots:` key is read, down through the folders inside. What a project
+    always wants stands in its deepbots.toml, under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
 
     \b
       deepbots lint cartpole.yaml
@@ -87,7 +89,7 @@ def command(
     if deep:
         _check_simulator(fix or diff or unsafe_fixes)
     look = Look(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
-    names = named(scenarios, project)
+    names = named(scenarios or ["."], project)
     if stdin_name and STDIN not in names:
         raise UsageError("--stdin-filename goes with - for standard input")
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
@@ -104,7 +106,7 @@ def command(
     if not diff:
         print(report(shown, format_.value, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
-            _sum_up(shown, names, selection, fixed=fix)
+            _sum_up(shown, names, selection, fixed=fix, deep=deep)
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.wants(finding)]
     _confess(hidden)
     if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
@@ -145,11 +147,12 @@ def _mended(names: Sequence[str], look: Look, selection: Selection, *, unsafe: b
     return mend(mender, show=show)
 
 
-def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixed: bool) -> None:
+def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixed: bool, deep: bool) -> None:
     """How many there are, or a friendly word; and how many of them can be fixed."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
-        terminal.say(f"{called}: no findings{'' if selection.is_everything else ' of those asked for'}")
+        asked = "" if selection.is_everything else " of those asked for"
+        terminal.say(f"{called}: no findings{asked}{', also when simulated' if deep else ''}")
         return
     terminal.say(summary(findings))
     if not fixed and any(finding.fix for finding in findings):

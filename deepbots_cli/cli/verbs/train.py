@@ -13,6 +13,7 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets, known_engine, small_enough
+from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -69,7 +70,9 @@ def command(
     else:
         compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
-        result = learning.train(
+        with terminal.passing("" if quiet else f"training {compiled.ir.name} from seed {seed or 0} ..."):
+            train = learning.train  # which imports torch
+        result = train(
             compiled,
             run=run,
             seed=seed or 0,
@@ -93,7 +96,9 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out starts ...")
-    evaluation, cases = learning.evaluate(result.run, allow_code=allow_code), learning.evaluate_cases(result.run, allow_code=allow_code)
+    with on_terminal() as meter:
+        evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=meter)
+        cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=meter)
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
