@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 import stand_in
 
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError, installing
 from deepbots_cli.ir import ActionNoise, CompiledScenario, Hindsight, Hyperparameter, Policy, Schedule, Training
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train, weights
 from deepbots_cli.learning.noise import noise
@@ -173,7 +174,7 @@ def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> N
 
 def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(algorithms.ALGORITHMS, "TQC", replace(algorithms.ALGORITHMS["TQC"], place="not_there.TQC"))  # type: ignore[arg-type]
-    with pytest.raises(MissingExtraError, match=r"training with TQC needs the 'contrib' extra; .*deepbots-cli\[contrib\]"):
+    with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {installing('contrib')}")):
         learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
     assert not (tmp_path / "run").exists()
 
