@@ -211,4 +211,30 @@ when asked again, the right exit code, and what has no error compiles. Hostile f
 pictures that lie, paths that lead outside.""",
     tables=(Benchmark("injected_faults"), Benchmark("damaged_files"), Benchmark("hostile_files")),
 )
-PARTS = (COSTS, PHYSICS, CHANNEL, LINTING, HOLDS)
+RULES = Part(
+    name="rules",
+    title="What the rules of lint say, and where they are silent",
+    prose="""\
+Every finding has a mistake as its case, whose words and places are kept in `tests/golden/lint/err`, and a page, whose example has it and
+what to write instead has not. Shipped scenarios, templates and the docs are silent with the rules in preview; what is kept in
+`tests/golden/lint/ok`, unusual and right, is silent by default.""",
+    tables=(
+        Holding("every finding has a mistake as its case", "tests/golden/test_golden_lint.py", "every_rule_has_a_case"),
+        Holding("a mistake is told in the words and at the places that are kept", "tests/golden/test_golden_lint.py", "in_these_words"),
+        Holding("every finding has a page, and the examples of all pages were run", "tests/diagnostics/test_rule_pages.py"),
+        Holding("unusual scenarios that are right: silent", "tests/golden/test_golden_lint.py", "without_mistake_is_silent"),
+        Holding("shipped scenarios: silent", "tests/world/test_world_scenarios.py", "has_no_findings"),
+        Holding("templates: silent, and they run", "tests/cli/test_cli_new.py", "what_a_template_makes"),
+        Holding(
+            "scenarios and examples in the docs: what the text says of them",
+            "tests/docs",
+            "in_the_docs_is or have_no_findings or lints_clean",
+        ),
+        Holding(
+            "the original CartPole: clipped angle, score limit before the step limit, raw bounds, time limit as an ending",
+            "tests/golden/test_golden_lint.py",
+            "original",
+        ),
+    ),
+)
+PARTS = (COSTS, PHYSICS, CHANNEL, LINTING, RULES, HOLDS)

@@ -10,7 +10,7 @@ from deepbots_cli.learning.atomic import write_text
 from tests.results import picture, records
 from tests.results.catalogue import reasons
 from tests.results.experiment import Experiment
-from tests.results.parts import PARTS, Part
+from tests.results.parts import PARTS, Holding, Part
 from tests.results.places import Places
 from tests.results.section import lines_of
 from tests.results.standing import Standing
@@ -105,7 +105,7 @@ def _link(title: str) -> str:
 def _lines_of_part(part: Part, measured: Mapping[str, Any]) -> list[str]:
     lines = [f"## {part.title}", "", part.prose, ""]
     known = [(entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]]
-    if part.name == "holds":
+    if all(isinstance(table, Holding) for table in part.tables):
         rows = [(row["what"], _counted(row), f"`{entry['command']}`") for entry, row in known]
         lines += table(("what", part.figure, "command"), rows)
     else:
