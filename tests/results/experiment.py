@@ -31,9 +31,9 @@ Over = Literal["all", "mean", "median"]
 FIRST_SEED = 101
 
 
-def seeds(count: int) -> tuple[int, ...]:
-    """So many seeds of reported results."""
-    return tuple(range(FIRST_SEED, FIRST_SEED + count))
+def seeds(count: int, first: int = FIRST_SEED) -> tuple[int, ...]:
+    """Consecutive seeds for reported results."""
+    return tuple(range(first, first + count))
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """Find the ball among obstacles that are placed anew for each episode: what the paper's agent failed to generalise to."""
 
-from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Mark, Training
+from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Mark, Training, seeds
 from tests.results.figures import Held, Trained
 
-FRESH = (111, 112, 113)
-"""101 to 103 were trained with less memory, and by them it was found wanting."""
+FRESH = seeds(3, first=201)
 
 HELD_OUT = (Evaluation(episodes=1000, last=True),)
 ASKED = {"none": 0.98, "few": 0.92, "some": 0.86, "many": 0.68}
@@ -17,8 +16,8 @@ EXPERIMENTS = (
         prose="""The same robot among one to ten obstacles, all placed anew in each episode. It is trained among cubes and planks;
 the cases none, few, some and many are 0, 1 to 3, 4 to 6 and 7 to 10 obstacles of shapes that it never met: drums, thin slabs, walls
 around a corner. The scenario itself is 1 to 10 obstacles of the trained shapes.
-A second set of seeds: with less memory, 101 to 103 had 100, 92.3, 85.0 and 82.4 % (asked for some: 86), and the
-scenario was changed.""",
+Earlier seeds: with less memory, 101 to 103 had 100, 92.3, 85.0 and 82.4 % (asked for some: 86), and the scenario was changed;
+111 to 113 were trained before the engine ignored contacts that carry nothing, and had 99.9, 95.2, 90.1 and 88.2 %.""",
         trainings=(
             Training(FRESH, full=True, evaluations=HELD_OUT),
             Training(FRESH, name="long", timesteps=168_744, full=True, evaluations=HELD_OUT, words="6 h"),
