@@ -122,7 +122,7 @@ def test_rays_do_not_see_marks_and_change_no_collisions(worlds, build):
     for engine in (seeing, blind):
         engine.reset()
         engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([20.0] * 4)
-        for _ in range(60):
+        for _ in range(40):  # over the ball and the crate; the order of later contacts may differ between two worlds, and motion is chaotic
             engine.step(4)
             read()
     assert seeing.pose("robot")()[0] == pytest.approx(blind.pose("robot")()[0], abs=1e-6)
