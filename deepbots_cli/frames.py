@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, sin
+from math import asin, atan2, cos, hypot, sin
 
 from deepbots_cli.urdf.model import Pose
 from deepbots_cli.urdf.rotation import quaternion
@@ -36,6 +36,14 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 def inverse(q: Quaternion) -> Quaternion:
     """Of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
+
+
+def roll_pitch_yaw(q: Quaternion) -> Triple:
+    """Roll, pitch and yaw (rad) of a unit quaternion, about the fixed axes x, y and z in this order."""
+    x, y, z, w = q
+    roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
+    return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def normalised(q: Quaternion) -> Quaternion:

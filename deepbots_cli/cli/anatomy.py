@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping as Dictionary
+from typing import TYPE_CHECKING
 
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row
+from deepbots_cli.compiler.joints import carries
+from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.ir import (
     Actuator,
     Cartesian,
@@ -27,9 +30,13 @@ from deepbots_cli.lang.scalar import names_in
 from deepbots_cli.source import Mapping, Node, Scalar, descend
 from deepbots_cli.urdf.model import Joint
 
+if TYPE_CHECKING:
+    from deepbots_cli.runtime import Supervisor
+
 Sections = Dictionary[str, Row | list[Row]]
 
 
+_DIGITS = 6  # of a pose; um and udeg
 _FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
 
 
@@ -213,6 +220,44 @@ def _parts_of(robot: str, actuator: Actuator) -> list[Row]:
         {**known, "part": joint, "max_torque": torque, "max_velocity": velocity, "thrust": None, **answers}
         for joint, torque, velocity in rows
     ]
+
+
+def end_links(scenario: CompiledScenario) -> list[tuple[str, str]]:
+    """Robots and their links whose pose at the start is of interest: those that `cartesian` actuators or position sensors name.
+
+    Of a robot without any, the last links that a joint carries which the reset sets.
+    """
+    found: list[tuple[str, str]] = []
+    models = {body.name: body.model for body in scenario.world.robots}
+    for robot in scenario.robots:
+        model = models[robot.name]
+        named = [actuator.link for actuator in robot.actuators if isinstance(actuator, Cartesian)]
+        named += [link for sensor in robot.sensors if sensor.kind == "position" for link in sensor.subjects if link != model.root]
+        if not named:
+            placed = [model.joint(start.joint) for start in scenario.reset.joints if start.robot == robot.name]
+            parents = {joint.parent for joint in model.joints}
+            leaves = [link.name for link in model.links if link.name not in parents]
+            named = [leaf for leaf in leaves if any(carries(model, joint, leaf) for joint in placed)]
+        found += [(robot.name, link) for link in dict.fromkeys(named)]
+    return found
+
+
+def poses(environment: Supervisor, links: list[tuple[str, str]]) -> list[Row]:
+    """Where links are now, in the world frame; of a team those of its first copy."""
+    engine = getattr(environment, "members", [environment])[0].engine
+    rows: list[Row] = []
+    for robot, link in links:
+        position, orientation = engine.pose(robot, link)()
+        figures = [*position, *map(math.degrees, roll_pitch_yaw(orientation))]
+        columns = zip(("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg"), figures, strict=True)
+        rows.append({"robot": robot, "link": link, **{name: _rounded(value) for name, value in columns}})
+    return rows
+
+
+def _rounded(value: float) -> float:
+    """Without negative zeros; half a turn is 180 deg, on whichever side it was."""
+    rounded = round(value, _DIGITS) + 0.0
+    return 180.0 if rounded == -180.0 else rounded
 
 
 def _layouts(scenario: CompiledScenario) -> list[MessageLayout]:

@@ -90,6 +90,8 @@ _CATALOGUE = (
     Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),
     Rule("DB312", "command-cut-off", "warning", "an actuator that cuts off most of what it is asked for", preview=True),
     Rule("DB313", "joint-driven-twice", "warning", "a joint that two actuators hold", preview=True),
+    Rule("DB314", "limp-at-start", "warning", "an arm that sinks before the first command reaches its motors", preview=True),
+    Rule("DB315", "pose-out-of-reach", "warning", "an arm that is commanded to a pose that it cannot reach", deep="only"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),

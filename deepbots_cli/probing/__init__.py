@@ -4,14 +4,14 @@
 
 plan.py      which resets and episodes, counted in steps
 process.py   starts the process and reads what it told, however it ended; limits.py what it may use
-child.py     that process; rolls.py resets and episodes, speeds.py whether motion is still physics
+child.py     that process; rolls.py resets and episodes, speeds.py whether motion is still physics, reach.py arms and their targets
 report.py    what it told, as data
 
 probed.py    scenario and report together, what rules read; blame.py which expression had no value
-physics.py   DB309, DB310          seen.py   DB607, DB608, DB611
+physics.py   DB309, DB310, DB315   seen.py   DB607, DB608, DB611
 paid.py      DB702 to DB708        ended.py  DB806, DB808
 
-Only `child`, `rolls` and `speeds` import a simulator, and only in the other process.
+Only `child`, `rolls`, `reach` and `speeds` import a simulator, and only in the other process.
 """
 
 from __future__ import annotations
@@ -37,6 +37,9 @@ USUAL = Limits()
 
 RULES: dict[str, Rule] = {**physics.RULES, **seen.RULES, **paid.RULES, **ended.RULES}
 
+_CAUSES = frozenset({"DB315"})
+"""Warnings that may explain an error: an arm that cannot reach its target contorts."""
+
 
 @dataclass(frozen=True)
 class Probe:
@@ -49,7 +52,7 @@ class Probe:
 def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) -> Probe:
     """Simulate a scenario that has no errors, in a process of its own, and judge it.
 
-    Where that finds errors there are no warnings: what episodes are like would follow from them.
+    Where that finds errors there are no warnings but those of `_CAUSES`: what episodes are like would follow from them.
     """
     assert checked.task is not None  # it has no errors
     assert checked.namespace is not None
@@ -59,4 +62,5 @@ def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) ->
     found = [finding for code, rule in RULES.items() if preview or not CATALOGUE[code].deep_preview for finding in rule(probed)]
     errors = [finding for finding in found if finding.severity == "error"]
     slow = report.halt is not None and report.halt.kind == "slow"
-    return Probe(errors or found, f"{probed.when()}, after {report.halt.what}" if slow and report.halt else None)
+    causes = [finding for finding in found if finding.code in _CAUSES]
+    return Probe([*errors, *causes] if errors else found, f"{probed.when()}, after {report.halt.what}" if slow and report.halt else None)

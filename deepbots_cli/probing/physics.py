@@ -1,15 +1,19 @@
-"""Whether the world is one that an engine can simulate, the codes DB309 and DB310."""
+"""Whether the world is one that an engine can simulate, and arms reach what they are told: the codes DB309, DB310 and DB315."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from math import degrees, radians
 from typing import Any
 
 from deepbots_cli import ir
+from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.probing.probed import Probed
-from deepbots_cli.probing.report import Overlap
+from deepbots_cli.probing.report import Missed, Overlap, Where
+from deepbots_cli.rules.wording import figure
+from deepbots_cli.urdf.model import Joint
 
 _DEEP = 0.005
 """m; engines let what rests sink in by less than a millimetre, and what is placed by hand is often a little off.
@@ -17,6 +21,11 @@ _DEEP = 0.005
 A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at up to 0.22 m/s from 5 mm and up to 0.5 m/s from
 10 mm (physics steps of 8 and of 1 ms); who falls for 1 mm has 0.14 m/s.
 """
+
+_OFTEN = 0.1
+"""Of the commands of an episode: a script may pass over what is out of reach on its way."""
+_SLIGHT_DISTANCE, _SLIGHT_ANGLE = 0.001, radians(0.5)
+"""m, rad; what a finding leaves out beside the other."""
 
 _CALMER = "shorten the physics step (`world.substeps`), weaken motors and springs, and look at masses and inertias"
 _KINDS = {
@@ -118,4 +127,32 @@ def _order(probed: Probed, name: str) -> int:
     return 1 if probed.placed(name) else 2
 
 
-RULES = {"DB309": unstable_simulation, "DB310": spawn_overlap}
+def pose_out_of_reach(probed: Probed) -> Iterator[Finding]:
+    """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
+    told: set[tuple[str, str]] = set()
+    for missed in probed.report.missed:
+        if missed.out >= _OFTEN * missed.commands and (missed.robot, missed.actuator) not in told:
+            told.add((missed.robot, missed.actuator))
+            yield _missed(probed, missed)
+
+
+def _missed(probed: Probed, missed: Missed) -> Finding:
+    model = next(robot.model for robot in probed.task.world.robots if robot.name == missed.robot)
+    turned = missed.angle > _SLIGHT_ANGLE
+    span = probed.names.values.span(("robots", missed.robot, "actuators", missed.actuator, "rpy" if turned else "link"))
+    distance = f"{missed.distance:.3g} m" if missed.distance > _SLIGHT_DISTANCE else ""
+    by = " and ".join(filter(None, [distance, f"{degrees(missed.angle):.3g} deg" if turned else ""]))
+    notes = [probed.when(Where(missed.by, missed.seed, missed.step))]
+    notes += [_stop(model.joint(name), stop) for name, stop in missed.stops.items()]
+    notes += [f"{missed.out} of {missed.commands} commands in that episode are out of reach"] if missed.commands > 1 else []
+    remedy = "choose another `rpy`, or leave it out if any attitude will do" if turned else "command positions that the arm reaches"
+    headline = f"`{missed.actuator}` is commanded to a pose that the inverse kinematics misses by {by}"
+    help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
+    return Finding("DB315", span, headline, help=help, notes=tuple(notes))
+
+
+def _stop(joint: Joint, stop: float) -> str:
+    return f"joint `{joint.name}` is at its limit of {figure(stop, joint_dimension(joint))}"
+
+
+RULES = {"DB309": unstable_simulation, "DB310": spawn_overlap, "DB315": pose_out_of_reach}

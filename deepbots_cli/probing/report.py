@@ -49,6 +49,25 @@ class Played:
     ended_by: str | None
 
 
+@dataclass(frozen=True)
+class Missed:
+    """The first command of an episode to a `cartesian` actuator that the inverse kinematics does not reach, and how many there are (`out`).
+
+    `distance` (m) and `angle` (rad) are what is missing; `stops` are the joints that end at a limit, with that limit (rad or m).
+    """
+
+    robot: str
+    actuator: str
+    distance: float
+    angle: float
+    stops: Mapping[str, float]
+    by: str = ""
+    seed: int = 0
+    step: int = 0
+    out: int = 0
+    commands: int = 0
+
+
 class Seen(NamedTuple):
     """A number of the observation under one policy, from -1 to 1, and in how many steps it was at either end."""
 
@@ -86,6 +105,7 @@ class Report:
     fastest: tuple[str, float] | None = None
     overlaps: list[Overlap] = field(default_factory=list)
     early: dict[str, list[int]] = field(default_factory=dict)
+    missed: list[Missed] = field(default_factory=list)
     played: list[Played] = field(default_factory=list)
     measured: dict[str, Measured] = field(default_factory=dict)
     still: tuple[int, ...] = ()
@@ -118,6 +138,8 @@ class Report:
                 self.overlaps.append(Overlap((a, b), (c, d), depth, int(seed)))
             case {"early": {"ending": str() as ending, "seed": int() as seed}}:
                 self.early.setdefault(ending, []).append(seed)
+            case {"missed": Mapping() as row}:
+                self.missed.append(Missed(**row))
             case {"episode": Mapping() as row}:
                 self.played.append(Played(**row))
             case {"measured": Mapping() as rows}:

@@ -10,7 +10,7 @@ import math
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import count
 from typing import Any
 
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
-from deepbots_cli.ir import Case, CompiledScenario, Stage, viewed
+from deepbots_cli.ir import Case, Choices, CompiledScenario, Stage, viewed
 from deepbots_cli.probing.plan import HELD, HOLD, IDLE, RANDOM, Roll, idle, planned, planned_for_variant
+from deepbots_cli.probing.reach import Reaches
 from deepbots_cli.probing.speeds import Speeds
 from deepbots_cli.runtime import Supervisor
 
@@ -32,6 +33,11 @@ _ROUNDING = 1e-6
 """Of a number of the observation, which goes from -1 to 1: what differs by less does not differ."""
 _NOTHING = 1e-9
 """The same for a term of the reward."""
+
+
+_FIRST_COMMANDS = 2
+"""Episodes in which the first command of each arm is looked at, and for how many steps that may be on its way."""
+_LATEST = 10
 
 
 class StoppedError(Exception):
@@ -56,7 +62,10 @@ class Rolls:
             self._look_at_starts()
             with closing(self._made(self._ir)) as environment:
                 self._look_at_resets(environment)
-                self._roll_out(environment, self._plan.rolls)
+                reaches = Reaches(environment)
+                if reaches.arms:
+                    self._look_at_first_commands(environment, reaches)
+                self._roll_out(environment, self._plan.rolls, reaches)
             self._try_variants()
         except StoppedError:
             return
@@ -92,6 +101,31 @@ class Rolls:
         for seed in range(self._plan.resets if self._ir.reset.settle else 0):
             self._begins(environment, seed, tell=True)
 
+    def _look_at_first_commands(self, environment: Supervisor, reaches: Reaches) -> None:
+        """Whether arms reach the first pose that they are commanded to. Every choice should lead to one; the end of a range need not."""
+        by = IDLE if idle(self._ir) is not None else RANDOM
+        if by == RANDOM and not all(isinstance(part, Choices) for part in self._ir.action):
+            return
+        for seed in range(_FIRST_COMMANDS):
+            reaches.watching = True
+            self._say({"at": [by, seed]})
+            actions = _actions(environment, Roll(by, seed, _LATEST))
+            try:
+                environment.reset(seed=seed)
+                for number in range(1, _LATEST + 1):
+                    self._step(number)
+                    _, _, terminated, truncated, _ = environment.step(next(actions))
+                    if reaches.commands or terminated or truncated:
+                        break
+            except DeepbotsError:  # the episodes to come tell of it
+                pass
+            self._tell_missed(reaches, by, seed)
+
+    def _tell_missed(self, reaches: Reaches, by: str, seed: int) -> None:
+        reaches.watching = False
+        for missed in reaches.missed(by, seed):
+            self._say({"missed": asdict(missed)})
+
     def _begins(self, environment: Supervisor, seed: int, *, tell: bool) -> bool:
         """Whether a world was put together; `tell` says if an ending held in it already."""
         self._say({"at": ["reset", seed]})
@@ -109,18 +143,25 @@ class Rolls:
 
     # Episodes
 
-    def _roll_out(self, environment: Supervisor, rolls: tuple[Roll, ...], measured_as: str | None = None) -> None:
+    def _roll_out(
+        self, environment: Supervisor, rolls: tuple[Roll, ...], reaches: Reaches | None = None, measured_as: str | None = None
+    ) -> None:
         for roll in rolls:
             if measured_as is None and roll.drawn and self._drawn_steps() >= self._plan.enough:
                 continue
             measure = self.measures.setdefault(measured_as or roll.by, Measure(self._ir))
             self._say({"at": [roll.by, roll.seed]})
+            if reaches is not None:
+                reaches.watching = roll.script is not None
             try:
                 self._episode(environment, roll, measure, tell=measured_as is None)
             except DeepbotsError as error:
                 if isinstance(error, EvaluationError) and environment.step_count == 0 and environment.terminated:
                     continue  # told of its reset
                 raise self._stopped(environment, error) from None
+            finally:
+                if reaches is not None:
+                    self._tell_missed(reaches, roll.by, roll.seed)
 
     def _drawn_steps(self) -> int:
         return sum(self.measures[by].steps for by in (RANDOM, HELD) if by in self.measures)
@@ -174,7 +215,7 @@ class Rolls:
             ir = variant.scenario
             if len(ir.seen) == len(self._ir.seen) and len(ir.reward) == len(self._ir.reward):
                 with closing(self._made(ir)) as environment:
-                    self._roll_out(environment, planned_for_variant(ir), _VARIANTS)
+                    self._roll_out(environment, planned_for_variant(ir), measured_as=_VARIANTS)
 
     # What went wrong
 

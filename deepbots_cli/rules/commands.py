@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from math import ceil, inf, radians
+from typing import TypeGuard
 
-from deepbots_cli import ir
+from deepbots_cli import frames, ir
 from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.joints import carries, joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label, Span
+from deepbots_cli.footprint import link_frames
+from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.lang.dimensions import TIME
 from deepbots_cli.lang.intervals import Interval, hull
 from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
 from deepbots_cli.rules.meaning import Book, book_of
-from deepbots_cli.rules.reach import reach_of
-from deepbots_cli.rules.wording import span_of
+from deepbots_cli.rules.reach import NEVER, reach_of
+from deepbots_cli.rules.start import AtStart
+from deepbots_cli.rules.wording import figure, span_of
 from deepbots_cli.task import Command, TaskRobot
-from deepbots_cli.urdf.model import RobotModel
+from deepbots_cli.urdf.inertia import matrix
+from deepbots_cli.urdf.model import Joint, RobotModel
+
+_VAGUE = 0.2  # rad or m; where a joint begins is known if it is drawn from no more
 
 _LITTLE = 0.25
 """Of what the agent can ask for, the share that an actuator has to be able to do."""
@@ -146,4 +156,118 @@ def _joints_span(values: Values, robot: str, actuator: str) -> Span:
     return values.span((*place, key)) if key else values.key_span(place)
 
 
-RULES = (command_cut_off, joint_driven_twice)
+def limp_at_start(checked: Checked) -> Iterator[Finding]:
+    """DB314: an arm sinks at the start of an episode, since the first command reaches its torque motors late.
+
+    Until then a torque motor exerts nothing, while motors that are commanded a position or a speed hold. Told of joints of robots on a
+    fixed base that gravity moves by more than 2 deg or 5 mm in this time, against no more torque than the motor could hold them with.
+
+    Example::
+
+        messages: {to_robot: {latency: 100 ms}}
+        robots:
+          arm:
+            urdf: package://pybullet_data/kuka_iiwa/model.urdf
+            base: fixed
+            pose: {y: 2 m}
+            actuators: {shoulder: {type: torque_motor, joint: lbr_iiwa_joint_2}}
+            emit: []
+            apply: {shoulder: -60 N*m}
+        reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
+
+    Instead::
+
+        messages: {to_robot: {latency: 100 ms}}
+        robots:
+          arm:
+            urdf: package://pybullet_data/kuka_iiwa/model.urdf
+            base: fixed
+            pose: {y: 2 m}
+            actuators: {shoulder: {type: position_motor, joint: lbr_iiwa_joint_2}}
+            emit: []
+            apply: {shoulder: 60 deg}
+        reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
+    """
+    task = checked.task
+    if task is None or checked.namespace is None or task.settle or any(varied.what == "gravity" for varied in task.variations):
+        return
+    book, values = book_of(task), checked.namespace.values
+    ticks = int(task.timing == "paper")
+    if task.to_robot.latency is not None:
+        latency = reach_of(book).of(book.scalars(task.to_robot.latency)[0]).low
+        ticks += ceil(latency / task.world.timestep - 1e-9) if latency > 0.0 else 0
+    bodies = {body.name: body for body in task.world.robots}
+    for robot in task.robots:
+        held = {joint for command in robot.commands if not _is_limp(command.actuator) for joint in getattr(command.actuator, "joints", ())}
+        limp = [command.actuator for command in robot.commands if _is_limp(command.actuator)]
+        positions = _start_positions(book, bodies[robot.name]) if limp else None
+        for motor in limp:
+            wait = ticks * task.world.timestep + motor.response.delay
+            joints = {joint: most for joint, most in zip(motor.joints, motor.max_torque, strict=True) if joint not in held}
+            if positions is None or wait <= task.world.timestep:
+                continue
+            sunk = _sunk(bodies[robot.name], positions, joints, task.world.gravity, wait)
+            if sunk is not None:
+                by = figure(sunk[1], joint_dimension(sunk[0]))
+                headline = f"`{motor.name}` exerts nothing for the first {figure(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
+                help = "hold the joint with a `position_motor`, or let the first command come sooner"
+                late = ("messages", "to_robot", "latency")
+                also = (Label(values.span(late), "what it waits for"),) if values.stands(late) else ()
+                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
+
+
+def _is_limp(actuator: ir.Actuator) -> TypeGuard[ir.Motor]:
+    """Whether it exerts nothing until its first command."""
+    return isinstance(actuator, ir.Motor) and (actuator.kind == "torque_motor" or actuator.stiffness == 0.0)
+
+
+def _start_positions(book: Book, body: ir.RobotBody) -> dict[str, float] | None:
+    """Where the joints of a robot on a fixed base begin, as far as the text tells; None for one that stands or begins anyhow."""
+    start = AtStart(book)
+    tilts = any(place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in book.task.beginnings.placements)
+    if not body.fixed_base or tilts:
+        return None
+    found = {joint.name: start.joint(f"{body.name}.{joint.name}") or NEVER for joint in body.model.moving_joints}
+    if any(interval.high - interval.low > _VAGUE for interval in found.values()):
+        return None
+    return {name: (interval.low + interval.high) / 2 for name, interval in found.items()}
+
+
+def _sunk(
+    body: ir.RobotBody, positions: Mapping[str, float], joints: Mapping[str, float | None], gravity: Triple, time: float
+) -> tuple[Joint, float] | None:
+    """The one of some joints (with the most that their motors exert) that gravity moves farthest in a time, and how far (rad or m)."""
+    where = link_frames(body.model, positions)
+    pull = frames.rotate_back(frames.frame(body.pose)[1], gravity)
+    moved = {name: _moved(body.model, where, body.model.joint(name), most, pull, time) for name, most in joints.items()}
+    name = max(moved, key=lambda joint: moved[joint], default="")
+    if not name:
+        return None
+    joint = body.model.joint(name)
+    return (joint, moved[name]) if moved[name] > (0.005 if joint.type == "prismatic" else radians(2.0)) else None
+
+
+def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, most: float | None, pull: Triple, time: float) -> float:
+    """How far gravity moves a joint, while the others keep still; 0 where its motor could not hold it."""
+    pivot, turned = where[joint.child]
+    axis = frames.rotate(turned, joint.axis)
+    load = inertia = 0.0
+    for link in model.links:
+        if link.inertial is None or not carries(model, joint, link.name):
+            continue
+        mass = link.inertial.mass
+        centre, own = frames.inside(where[link.name], frames.frame(link.inertial.origin))
+        if joint.type == "prismatic":
+            load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
+            continue
+        arm = frames.cross(axis, frames.subtract(centre, pivot))
+        local = frames.rotate_back(own, axis)
+        spin = sum(local[i] * row[j] * local[j] for i, row in enumerate(matrix(link.inertial)) for j in range(3))
+        load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
+    excess = abs(load) - joint.friction
+    if excess <= 0.0 or inertia <= 0.0 or (most is not None and abs(load) > most):
+        return 0.0
+    return min(excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf)
+
+
+RULES = (command_cut_off, joint_driven_twice, limp_at_start)

@@ -40,7 +40,7 @@ class AtStart(Reach):
         subject = node.subjects[0]
         match node.function:
             case "joint_position":
-                return self._joint(subject)
+                return self.joint(subject)
             case "position":
                 places = list(self._places(self._bodies.get(subject, "")))
                 return hull([self._coordinate(place, node.component or "") for place in places]) if places else None
@@ -54,7 +54,7 @@ class AtStart(Reach):
             case _:
                 return None
 
-    def _joint(self, joint: str) -> Interval | None:
+    def joint(self, joint: str) -> Interval | None:
         """Where a joint is set; None for one that nothing sets."""
         robot, _, name = joint.partition(".")
         for start in self.book.task.joint_starts:

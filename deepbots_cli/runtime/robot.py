@@ -64,13 +64,13 @@ class RobotController:
         """Sample what is sampled once per tick."""
 
     def release(self) -> None:
-        """Let the actuators take the figures of this episode and forget their commands: they exert nothing."""
+        """Let the actuators take the figures of this episode and forget their commands: they exert nothing until `hold`."""
         for _, drive in self._drives:
             if isinstance(drive, Drive):
                 drive.reset()
 
     def hold(self) -> None:
-        """Keep all that is driven where it is, until the first commands."""
+        """Hold everything that is driven in its reset state until the first command takes effect."""
         for actuator, drive in self._drives:
             hold(self._engine, self.spec.name, actuator, drive)
 

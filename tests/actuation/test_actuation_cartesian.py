@@ -115,6 +115,30 @@ def test_the_same_commands_give_the_same_motion_after_any_past(arm: Make):
     assert [state[:2] for state in found[0]] == [state[:2] for state in found[1]]
 
 
+@pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
+def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(arm: Make, route: str):
+    panda = arm(f"messages.to_robot={{{route}}}", "reset.set={panda.arm: ready, panda.fingers: 30 mm}")
+    states = panda.engine.joint_states("panda", (*JOINTS, "panda_finger_joint1"))
+    panda.reset(seed=0)
+    before = [state[0] for state in states()]
+    act(panda, (0.0, 0.0, -1.0), ticks=20)
+    assert [state[0] for state in states()] == pytest.approx(before, abs=2e-3)
+
+
+def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_that_command(arm: Make):
+    spring = "robots.panda.actuators.hand={type: position_motor, joints: arm, stiffness: 500 N*m/rad, damping: 50 N*m*s/rad}"
+    steady = ("robots.panda.apply={hand: ready + 1e-9 rad * reach, grip: open}", "action.reach.range=-1 .. 1")
+    late, prompt = (arm(spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s"))
+    found = []
+    for panda in (late, prompt):
+        panda.reset(seed=0)
+        for _ in range(20):
+            panda.step(0 * panda.action_space.sample())
+        found.append([state[0] for state in panda.engine.joint_states("panda", JOINTS)()])
+    assert found[0] == pytest.approx(found[1], abs=1e-9)
+    assert found[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
+
+
 def test_the_attitude_is_that_of_roll_pitch_and_yaw_in_the_world(arm: Make):
     panda = arm(f"{HAND}, rpy: 180 0 90 deg}}")
     panda.reset(seed=0)

@@ -145,6 +145,30 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
     assert abs(let_go.engine.joint_states("cart", ("slider",))()[0][0]) > 0.01
 
 
+@pytest.mark.parametrize("target", ["1 m/s", "1 m"], ids=["velocity", "position"])
+@pytest.mark.parametrize(
+    "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=paper", "robots.cart.actuators.motor.delay=100 ms"]
+)
+def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: str, late: str):
+    command = (f"robots.cart.apply.motor=drive * {target}", "reset={set: {cart.hinge: 45 deg, cart.slider: 0.3 m}}")
+    kind = {"1 m/s": "velocity_motor", "1 m": "position_motor"}[target]
+    held = rail(ENDLESS[0], *command, late, type=kind, max_torque="100 kN")
+    held.reset(seed=0)
+    held.step(FORWARD)
+    assert held.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_a_torque_motor_exerts_nothing_until_its_first_command_arrives(rail: Make):
+    limp = rail(*ENDLESS, "robots.cart.apply.motor=drive * 1 N", "messages.to_robot={latency: 100 ms}", type="torque_motor")
+    torque = limp.engine.joint_torques("cart", ("slider",))
+    limp.reset(seed=0)
+    found = []
+    for _ in range(6):
+        limp.step(FORWARD)
+        found.append(torque()[0])
+    assert found == [0.0] * 5 + [1.0]
+
+
 def test_the_target_of_a_spring_jumps_unless_the_scenario_bounds_how_fast_it_moves():
     servo = ["robots.cart.apply.motor=drive * 0.2 m", "robots.cart.actuators.motor={type: position_motor, joint: slider}"]
     spring = [*servo, "robots.cart.actuators.motor.stiffness=50 N/m"]

@@ -60,6 +60,27 @@ def test_the_size_of_a_message_is_what_its_codec_makes(format):
         assert message_size(layout, format) == len(codec(layout, format).encode(*[0.5] * len(layout.fields)))
 
 
+def test_inspect_prints_where_the_hand_of_an_arm_is_and_how_it_is_turned_at_the_start(deepbots):
+    ran = deepbots("inspect", "panda_push", "--json")
+    (pose,) = json.loads(ran.out)["poses"]
+    assert (pose["robot"], pose["link"]) == ("panda", "panda_grasptarget")
+    assert [pose["x_m"], pose["y_m"], pose["z_m"]] == pytest.approx([0.33, 0, 0.03], abs=1e-3)
+    assert [pose["roll_deg"], pose["pitch_deg"], pose["yaw_deg"]] == pytest.approx([180, 0, 0], abs=0.1)
+
+
+def test_without_sensors_and_hands_the_end_that_the_reset_sets_has_a_pose(deepbots):
+    (pose,) = inspected(deepbots)["poses"]
+    assert (pose["robot"], pose["link"]) == ("cart", "tip")
+    assert abs(pose["pitch_deg"]) < 1.0
+
+
+def test_what_cannot_begin_is_inspected_without_poses(deepbots):
+    ran = deepbots("inspect", "cartpole", "--json", "--set", "termination.failure.fallen=age(cart) < 1 s")
+    assert ran.code == 0
+    assert "poses" not in json.loads(ran.out)
+    assert "no poses are shown" in ran.err
+
+
 def test_without_messages_there_is_no_table_of_messages(deepbots):
     assert not {"messages", "message_fields"} & inspected(deepbots, "--set", "messages.format=none").keys()
 

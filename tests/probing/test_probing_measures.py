@@ -15,6 +15,7 @@ from deepbots_cli.probing.plan import idle, planned
 from deepbots_cli.source import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
 Probed = Callable[[str], list[Finding]]
 
 
@@ -46,6 +47,30 @@ def test_what_a_case_shows_is_no_constant(probed: Probed) -> None:
 def test_bodies_that_settle_are_looked_at_before_they_have(probed: Probed) -> None:
     found = probed("reset: {place: {cart: {z: 1 cm}}, settle: 3.2 s}\n")
     assert ("DB310", "cart") in [(finding.code, finding.span.text) for finding in found]
+
+
+def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> None:
+    far = [
+        "robots.panda.apply.hand=vector(0.6 m, 0.2 m, 0.3 m) + 2 m * reach",
+        "scripts={away: {reach: 1, open: 0}, stay: {reach: 0, open: 1}}",
+    ]
+    (found,) = probe(api.load(str(ARM), sets=far)).findings
+    assert found.code == "DB315"
+    assert "the script `away`" in found.notes[0]
+    assert probe(api.load(str(ARM), sets=[far[0], "scripts={stay: {reach: 0, open: 1}}"])).findings == []
+
+
+def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(probed: Probed) -> None:
+    strong = "stiffness: 100_000 N*m/rad, damping: 100_000 N*m*s/rad"
+    found = probed(
+        "robots:\n  cart:\n    actuators:\n"
+        f"      spring: {{type: position_motor, joint: pole_hinge, {strong}}}\n"
+        "    apply: {spring: 5 deg}\n"
+        "  arm:\n    urdf: package://pybullet_data/kuka_iiwa/model.urdf\n    base: fixed\n    pose: {y: 2 m}\n    emit: []\n"
+        "    actuators: {hand: {type: cartesian, link: lbr_iiwa_link_7, joints: [lbr_iiwa_joint_*]}}\n"
+        '    apply: {hand: "vector(5 m, 2 m, 0.4 m)"}\n'
+    )
+    assert [finding.code for finding in found] == ["DB309", "DB315"]
 
 
 def test_of_a_group_one_pair_is_told(probed: Probed) -> None:

@@ -13,10 +13,11 @@ from deepbots_cli.cli import anatomy, robot_file, terminal
 from deepbots_cli.cli import picture as drawing
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.tables import pairs, table
-from deepbots_cli.errors import ScenarioError
+from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, ScenarioError
 
 _CAPTIONS = {
     "observation": "low .. high becomes what the policy sees; values beyond are clipped",
+    "poses": "of the ends of robots at the start of the episode with seed 0, world frame",
     "timing": "in step n of the agent; n counts from 0, physics steps from 1",
 }
 
@@ -36,7 +37,8 @@ def command(
 ) -> None:
     """Show what a scenario means: spaces, messages, reward, timing. Or what a robot file holds: links, joints, what is odd.
 
-    Figures are in SI units. The table of timing tells from which physics step an action acts and how old each observation is.
+    Figures are in SI units. The table of poses tells where the ends of robots are when an episode begins, if the simulator is installed.
+    The table of timing tells from which physics step an action acts and how old each observation is.
 
     \b
       deepbots inspect cartpole
@@ -56,16 +58,35 @@ def command(
     compiled = api.compile(checked)
     tables = anatomy.sections(compiled.ir, compiled.digest, root)
     terminal.mention(compiled.findings, scenario)
-    if picture is not None:
-        with closing(api.make(compiled, render_mode="rgb_array")) as environment:
-            environment.reset(seed=0)
-            picture.write_bytes(drawing.png(environment.render()))
+    tables = {**tables, **_start(compiled, picture)}
     if as_json:
         terminal.show_json(tables)
     else:
         _show(tables)
     if picture is not None:
         terminal.note(f"the world is drawn in {picture}")
+
+
+def _start(compiled: api.Compiled, picture: Path | None) -> anatomy.Sections:
+    """Where the ends of robots are at the start of an episode, if the simulator is installed; draws the world if a picture is asked for."""
+    links = anatomy.end_links(compiled.ir)
+    if picture is None and not links:
+        return {}
+    try:
+        with closing(api.make(compiled, render_mode="rgb_array" if picture else None)) as environment:
+            environment.reset(seed=0)
+            if picture is not None:
+                picture.write_bytes(drawing.png(environment.render()))
+            rows = anatomy.poses(environment, links)
+            return {"poses": rows} if rows else {}
+    except MissingExtraError:
+        if picture is not None:
+            raise
+    except (EngineError, EvaluationError) as error:
+        if picture is not None:
+            raise
+        terminal.note(f"no poses are shown, since no episode can begin: {error}")
+    return {}
 
 
 def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:

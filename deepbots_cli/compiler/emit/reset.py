@@ -20,7 +20,7 @@ from deepbots_cli.lang.scalar import Const, Name, Scalar, World
 
 
 def begin(space: Workspace) -> list[str]:
-    """Draws in order of dependency, then variations, places, joints; the actuators hold while the world settles."""
+    """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
     scenario, reset = space.scenario, space.scenario.reset
     printer = _printer(space)
     printer.line('"""Draw what this episode varies, and put the world where it begins."""')
@@ -43,9 +43,9 @@ def begin(space: Workspace) -> list[str]:
         _print_joints(reset, printer)
         printer.lines += _forgetting(space)
     print_first_pushes(space, printer)
+    printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Driving(scenario, robot).has_any]
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
-        printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Driving(scenario, robot).has_any]
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
     method = block("def _begin(self) -> None:", printer.lines)
     return [*method, *_arrange(space)] if is_arranged(scenario) else method

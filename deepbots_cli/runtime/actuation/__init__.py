@@ -5,7 +5,7 @@ motors.py    motors with a strength and a response
 cartesian.py arms that are told where to bring their hand
 thrust.py    rotors
 pushes.py    disturbances
-hold.py      what keeps a robot where it is while its world settles
+hold.py      what keeps a robot where it is from a reset to its first command
 """
 
 from deepbots_cli.runtime.actuation.cartesian import Cartesian

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from deepbots_cli.frames import Triple
 from deepbots_cli.port import Engine
 from deepbots_cli.runtime.actuation.motors import Figures, Motor
 from deepbots_cli.urdf.rotation import quaternion
@@ -33,11 +34,16 @@ class Cartesian(Motor):
     ) -> None:
         """`rpy` (rad) is the attitude that the link keeps; without, it may have any."""
         self._solve = engine.inverse_kinematics((robot, link), joints)
-        self._attitude = None if rpy is None else quaternion(*rpy)
+        self.attitude = None if rpy is None else quaternion(*rpy)
+        self.watch: Callable[[Triple, Sequence[float]], object] | None = None
+        """Called with the position of each command (m, world frame) and the joint positions computed for it (rad or m)."""
         super().__init__(
             engine, "position_motor", robot, joints, max_torque, strength=strength, substep=substep, delay=delay, lag=lag, rates=rates
         )
 
     def __call__(self, targets: Sequence[float]) -> None:
         x, y, z = targets
-        super().__call__(self._solve((x, y, z), self._attitude))
+        solution = self._solve((x, y, z), self.attitude)
+        if self.watch is not None:
+            self.watch((x, y, z), solution)
+        super().__call__(solution)

@@ -1,4 +1,4 @@
-"""What keeps a robot where it is while its world settles."""
+"""What keeps a robot where it is from a reset to its first command."""
 
 from __future__ import annotations
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import asin, atan2
 
 from deepbots_cli.footprint import Patch, Spot
-from deepbots_cli.frames import Quaternion, Triple
+from deepbots_cli.frames import Quaternion, Triple, roll_pitch_yaw
 from deepbots_cli.ir import CompiledScenario, ObjectBody
 from deepbots_cli.port import Engine, Part, PoseReader
 from deepbots_cli.runtime.placement import Arrangement
@@ -68,7 +67,7 @@ class Ways:
     def patch(self, thing: ObjectBody, pose: tuple[Triple, Quaternion]) -> Patch | None:
         """What an object covers where it is; nothing if it does not rise above the ground."""
         (x, y, z), turn = pose
-        rpy = _angles(turn)
+        rpy = roll_pitch_yaw(turn)
         if self.forms.top(thing.name, z, rpy) <= _LEVEL:
             return None
         return self.forms.footprint(thing.name, rpy).at(x, y, rpy[2])
@@ -136,11 +135,3 @@ class Way:
             self._chart, self._shown = Chart(*shown), shown
         self.is_current = True
         return self._chart
-
-
-def _angles(q: Quaternion) -> Triple:
-    """Roll, pitch and yaw (rad) of a unit quaternion."""
-    x, y, z, w = q
-    roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
-    return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
