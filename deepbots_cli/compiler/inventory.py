@@ -33,6 +33,7 @@ _OF_ROBOTS = {
 _ORIGINS = {
     "robot": (Origin.ROBOT,),
     "line": (Origin.LINE,),
+    "object": (Origin.OBJECT,),
     "setting": (Origin.PARAMETER,),
     "parameter or signal": (Origin.PARAMETER, Origin.SIGNAL),
 }

@@ -12,7 +12,14 @@ from deepbots_cli.lang.typed import Pick, Reference, Typed
 from deepbots_cli.lang.types import SPACE, Context, Kind, Report, Scope, Subject, shown
 
 # What is asked most often of a part of the world that is no place.
-_ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.WALLS: "collided", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
+_ASKED = {
+    Kind.JOINT: "joint_position",
+    Kind.JOINTS: "joint_position",
+    Kind.WALLS: "collided",
+    Kind.LINE: "length",
+    Kind.SENSOR: "age",
+    Kind.CAMERA: "age",
+}
 
 # Where a name may still have to be given that is missing, besides what is known there.
 _NAMED = {"pi": "half a turn is `180 deg`"}

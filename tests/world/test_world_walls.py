@@ -126,4 +126,6 @@ def test_editors_offer_walls_and_the_arena_and_lead_to_where_they_stand(tmp_path
     assert not {"bay", "arena"} & {found.name for found in names(checked, "body", ("reset", "place"))}
     for name in ("bay", "arena"):
         found = definition(checked, name)
-        assert found is not None and found.span is not None and found.span.text == name
+        assert found is not None
+        assert found.span is not None
+        assert found.span.text == name
