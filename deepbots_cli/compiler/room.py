@@ -73,6 +73,8 @@ def _check_top(
     while below is not None and below.body not in stack:
         stack.append(below.body)
         below = standing.get(below.spot.of) if isinstance(below.spot, ir.Top) else None
+    if below is not None and below.body != next(body for body in standing if body in stack):
+        return  # the circle is reported once, of the first of its bodies
     if below is not None and below.body == place.body:
         notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
         add("DB207", span, f"`{place.body}` stands on itself", help="let one of them stand on the ground", notes=notes)
@@ -88,7 +90,12 @@ def _check_top(
     if kinds and not any(_fits(top, kind, turns, margin) for kind in kinds) and not _is_tilted(place):
         edge = f" and keeps {margin:.3g} m from its edge" if margin else ""
         covers = f"`{place.body}`, which covers {_size(min(kinds, key=lambda kind: kind.area))}{edge}"
-        add("DB105", span, f"the top of `{spot.of}`, {_size(top)}, is too small for {covers}", help="give a larger top, or less clearance")
+        ways = [
+            *(["less clearance"] if margin else []),
+            *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
+        ]
+        help = " or ".join(["give a larger top", *ways])
+        add("DB105", span, f"the top of `{spot.of}`, {_size(top)}, is too small for {covers}", help=help)
     elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
         headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
         add("DB105", span, headline, help="give a larger top, or fewer copies")
