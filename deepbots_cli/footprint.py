@@ -74,6 +74,16 @@ class Patch(NamedTuple):
         across = abs(self.cos * dy - self.sin * dx) - self.half[1]
         return hypot(max(0.0, along), max(0.0, across))
 
+    def holds(self, other: Patch, margin: float) -> bool:
+        """Whether another patch lies within this one, at least `margin` m from its edge."""
+        if self.half is not None:
+            dx, dy = other.x - self.x, other.y - self.y
+            axes = ((self.cos, self.sin, self.half[0]), (-self.sin, self.cos, self.half[1]))
+            return all(abs(c * dx + s * dy) + (_along(other, c, s) if other.half else other.radius) + margin <= half for c, s, half in axes)
+        if other.half is None:
+            return hypot(other.x - self.x, other.y - self.y) + other.radius + margin <= self.radius
+        return all(hypot(x - self.x, y - self.y) + margin <= self.radius for x, y in other.corners())
+
     def corners(self) -> Iterator[Spot]:
         """Of a rectangle."""
         a, b = self.half or (0.0, 0.0)

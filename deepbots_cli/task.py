@@ -162,7 +162,7 @@ class Placement:
     angular_velocity: Valued | None = None
     rests: bool = False
     heading: float = 0.0
-    spot: ir.Region | ir.Cells | None = None
+    spot: ir.Region | ir.Cells | ir.Top | None = None
     clearance: float = 0.0
     at_most: int | None = None
     spacing: tuple[float, float] = (0.0, 0.0)

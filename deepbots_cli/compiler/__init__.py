@@ -52,7 +52,7 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
 from deepbots_cli.compiler.scripts import scripts
 from deepbots_cli.compiler.starts import joint_starts
-from deepbots_cli.compiler.strokes import lines
+from deepbots_cli.compiler.strokes import lines, pieces
 from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
@@ -199,6 +199,12 @@ class _Pass:
                 namespace.groups |= {name: found} if found else {}
                 if found is None:
                     self.values.lose(name)
+        for name, wall in spec.world.walls.items():
+            namespace.define(name, Origin.WALL, ("world", "walls", name))
+            if namespace.origin(name) is Origin.WALL:
+                namespace.walls[name] = pieces(name, wall)
+        if spec.world.arena is not None:
+            namespace.walls["arena"] = ir.ARENA_WALLS
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         self.lines = lines(spec, namespace)

@@ -33,6 +33,7 @@ _OF_ROBOTS = {
 _ORIGINS = {
     "robot": (Origin.ROBOT,),
     "line": (Origin.LINE,),
+    "object": (Origin.OBJECT,),
     "setting": (Origin.PARAMETER,),
     "parameter or signal": (Origin.PARAMETER, Origin.SIGNAL),
 }
@@ -67,6 +68,7 @@ def _of_robots(namespace: Namespace, kind: str, path: Path) -> Iterator[Named]:
         robot = None
     if kind == "bodies or links":  # what a touch sensor feels
         yield Named("ground", "the ground")
+        yield from _defined(namespace, namespace.walls)
     yield from _parts(namespace, robot, _OF_ROBOTS[kind])
 
 
@@ -121,8 +123,8 @@ def _on_board(namespace: Namespace, robot: str | None, name: str) -> Named | Non
 
 
 def _anywhere(namespace: Namespace, name: str) -> Named | None:
-    if name in namespace.definitions:
-        return _defined(namespace, [name])[0]
+    if name in namespace.definitions or name in namespace.walls:
+        return _one_defined(namespace, name)
     robot, _, rest = name.partition(".")
     if not rest:
         return None
@@ -132,7 +134,15 @@ def _anywhere(namespace: Namespace, name: str) -> Named | None:
 
 def _defined(namespace: Namespace, known: Iterable[str]) -> list[Named]:
     """Names of the namespace; those that the language gives stand nowhere."""
-    return [_by_definition(namespace, name) if name in namespace.definitions else Named(name, "built in") for name in dict.fromkeys(known)]
+    return [_one_defined(namespace, name) for name in dict.fromkeys(known)]
+
+
+def _one_defined(namespace: Namespace, name: str) -> Named:
+    if name in namespace.definitions:
+        return _by_definition(namespace, name)
+    if name in namespace.walls:  # the arena, whose name the language gives
+        return _keyed(namespace, ("world", name), "the walls of the arena")
+    return Named(name, "built in")
 
 
 def _by_definition(namespace: Namespace, name: str) -> Named:

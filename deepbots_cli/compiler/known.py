@@ -27,6 +27,7 @@ _PLACES: Mapping[str, Path] = {
     "robot": ("agent", "each"),
     "group": ("action",),
     "line": ("reset", "place"),
+    "object": ("reset", "place"),
     "layout": ("reset", "layout"),
     "setting": ("curriculum",),
     "action": ("scripts",),

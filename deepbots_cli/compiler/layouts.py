@@ -130,7 +130,7 @@ class Layouts:
         self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: Path, *, used: bool
     ) -> Placement:
         """The body on the spots of its letters, in the attitude of its own `pose`."""
-        if body == _WALL and self._namespace.origin(_WALL) is None:
+        if body == _WALL and self._namespace.origin(_WALL) not in (Origin.ROBOT, Origin.OBJECT):
             name = f"{layout} wall"
             if used:
                 self._build(name, cell, len(spots))

@@ -37,6 +37,7 @@ class Origin(Enum):
     GOAL = "a part of the goal"
     ROBOT = "a robot"
     OBJECT = "an object"
+    WALL = "a wall"
     LINE = "a line"
 
 
@@ -67,6 +68,8 @@ class Namespace:
         self.robots: dict[str, RobotScene | None] = {}
         self.lengths: dict[str, float] = {}
         """Of painted lines, m."""
+        self.walls: dict[str, tuple[str, ...]] = {}
+        """The bodies that each wall consists of; those of `arena` among them, where there is one."""
         self.groups: dict[str, TaskGroup] = {}
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
@@ -154,7 +157,7 @@ class Namespace:
         return [name for name, definition in self.definitions.items() if definition.origin in origins]
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The part of the world called `name`: a robot, one of its parts, an object, the ground."""
+        """The part of the world called `name`: a robot, one of its parts, an object, a wall, the ground."""
         if name == "ground":
             return Subject(name, Kind.GROUND)
         if self.is_broken(name):
@@ -165,6 +168,9 @@ class Namespace:
             return robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
         if head in self.groups and not rest:
             return Subject(head, Kind.OBJECTS, self.groups[head].copies)
+        if head in self.walls and not rest:
+            pieces = self.walls[head]
+            return Subject(head, Kind.WALLS if len(pieces) > 1 else Kind.WALL, link=pieces[0], pieces=pieces)
         if definition is not None and definition.origin in _WHOLE and not rest:
             length = self.lengths.get(head)
             return Subject(head, _WHOLE[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))
@@ -177,6 +183,7 @@ class Namespace:
                 yield name
             if robot is not None:
                 yield from (f"{name}.{part}" for part in robot.parts)
+        yield from self.walls
 
     def is_broken(self, name: str) -> bool:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import atan2
 
-from deepbots_cli import ir
+from deepbots_cli import footprint, ir
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.room import check_room
+from deepbots_cli.compiler.room import check_room, has_top
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
 from deepbots_cli.lang.intervals import exact
@@ -66,12 +66,14 @@ class Places:
             angular_velocity=self._vector("angular_velocity", pose.angular_velocity, path, ANGLE / TIME),
         )
         place = self._on_line(place, pose.line, path) if pose.line else place
-        if pose.region is not None:
+        if pose.on is not None:
+            place = replace(place, spot=self._top(pose.on, pose, path))
+        elif pose.region is not None:
             place = replace(place, spot=self._region(pose, path))
-            self._check_spots(place.spot, path)
         elif pose.grid is not None:
             span = self._values.key_span((*path, "grid"))
             self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
+        self._check_spots(place.spot, path)
         if isinstance(place.spot, ir.Region) and used:
             check_room(place, place.spot, self._world, self._namespace, path)
         self._check_copies(place, path, used=used)
@@ -134,6 +136,21 @@ class Places:
         here = {axis: Coordinate(owner_of(path), _length(first[index])) for index, axis in enumerate(PLANE)}
         return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
 
+    def _top(self, name: str, pose: PlacementSpec, path: Path) -> ir.Top | None:
+        """The top of the object called `name`, for the body at `path` to stand on."""
+        span = self._values.span((*path, "on"))
+        flat = [thing.name for thing in self._world.objects if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT]
+        if self._namespace.origin(name) is None:
+            self._values.unknown(span, "object", name, flat)
+        elif name not in flat and not self._values.is_lost(name):
+            headline = f"`{name}` has no flat top that a body could stand on"
+            help = f"name a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}"
+            self._values.findings.add("DB203", span, headline, help=help)
+        if name not in flat or (pose.region is not None and (region := self._region(pose, path)) is None):
+            return None
+        mesh = self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed) if pose.grid is not None else None
+        return ir.Top(name, region if pose.region is not None else None, mesh)
+
     def _region(self, pose: PlacementSpec, path: Path) -> ir.Region | None:
         mesh = None
         if pose.grid is not None and (mesh := self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed)) is None:
@@ -156,7 +173,10 @@ class Places:
             return ir.Region((-half_x, -half_y), (half_x, half_y), mesh)
         return None
 
-    def _check_spots(self, spot: ir.Region | ir.Cells | None, path: Path) -> None:
+    def _check_spots(self, spot: ir.Region | ir.Cells | ir.Top | None, path: Path) -> None:
+        if isinstance(spot, ir.Top):
+            reach = next(footprint.of_shape(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
+            spot = ir.Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, ir.Region) and spot.spots > ir.MOST_SPOTS:
             headline = f"a region of {spot.spots:.0f} cells, more than {ir.MOST_SPOTS:_}"
             self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
@@ -176,7 +196,7 @@ class Places:
 
     def _check_spread(self, place: Placement, most: int, path: Path) -> None:
         """DB105 where up to `most` copies stand at the same coordinates."""
-        if any(self._values.stands((*path, way)) for way in ("region", "line", "grid")):
+        if any(self._values.stands((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(coordinate.typed is not None and constant(coordinate.typed) is not None for coordinate in known)

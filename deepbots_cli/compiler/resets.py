@@ -8,6 +8,7 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.layouts import Layouts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.places import Places
+from deepbots_cli.compiler.room import check_surroundings
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.typed import Invocation, Typed, children
@@ -37,6 +38,7 @@ def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> tu
     common += [places.at_home(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
     completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
     _require_places(spec, namespace)
+    check_surroundings(common, completed, world, namespace)
     beginning = Beginnings(tuple(common), completed, _requirement(spec, namespace), spec.reset.attempts)
     return beginning, tuple(layouts.walls)
 

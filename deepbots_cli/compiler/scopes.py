@@ -34,7 +34,7 @@ class ParameterScope(NamedTuple):
         if name in self.poses:
             return self.poses[name]
         origin = self.namespace.origin(name)
-        if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.LINE):
+        if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.symbol(name)
         return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
 

@@ -22,7 +22,7 @@ from deepbots_cli.schema.sensors import Camera, ContactSensor, Fan, JointSensor,
 from deepbots_cli.source.nodes import Path
 
 _LINKS = frozenset({Kind.LINK})
-_FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS})
+_FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
 
 
 class Sensing:
@@ -147,7 +147,7 @@ class Sensing:
         for index, name in enumerate([given] if isinstance(given, str) else given):
             subject = self._namespace.subject(name, _LINKS)
             if subject is not None and subject.kind in _FELT:
-                found += subject.members or (subject.name,)
+                found += subject.members or subject.pieces or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
                 span = self._values.span((*place, "against") if isinstance(given, str) else (*place, "against", index))
                 self._values.unknown(span, "body or link", name, [*self._felt(), "ground"])

@@ -67,16 +67,22 @@ def walls(spec: Scenario, namespace: Namespace) -> tuple[ir.ObjectBody, ...]:
     return tuple(box for name, wall in spec.world.walls.items() for box in _wall(name, wall, namespace, scope))
 
 
+def pieces(name: str, spec: WallSpec) -> tuple[str, ...]:
+    """The names of the boxes of a wall; the blank keeps them apart from every object."""
+    return tuple(f"{name} {number}" for number in range(1, len(spec.through) + (1 if spec.closed else 0)))
+
+
 def _wall(name: str, spec: WallSpec, namespace: Namespace, scope: ParameterScope) -> Sequence[ir.ObjectBody]:
     path: Path = ("world", "walls", name)
     points = _points(spec, path, namespace, scope)
     height = namespace.values.number((*path, "height"), spec.height, LENGTH, scope)
     thickness = namespace.values.number((*path, "thickness"), spec.thickness, LENGTH, scope)
     ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
-    names = tuple(f"{name} {number}" for number in range(1, len(ends) + 1))  # the blank keeps them apart from every object
+    names = pieces(name, spec)
     drawn = ParameterScope(namespace, Context.FIELD)
     friction = figure(namespace, (*path, "friction"), spec.friction, NUMBER, drawn, "walls_friction", names)
     if points is None or height is None or thickness is None or friction is None:
+        namespace.values.lose(name)
         return ()
     paint = colour(namespace, (*path, "colour"), spec.colour) or ir.WALL_COLOUR
     boxes = []

@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.ir.actuation import Actuator, Cartesian, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.disturbances import NOTHING, Disturbance
-from deepbots_cli.ir.resets import MOST_SPOTS, Cells, Group, Layout, Place, Region, Reset, SetJoint, Variation
+from deepbots_cli.ir.resets import MOST_SPOTS, Cells, Group, Layout, Place, Region, Reset, SetJoint, Top, Variation
 from deepbots_cli.ir.robots import (
     Direction,
     Field,
@@ -194,6 +194,7 @@ __all__ = [
     "Terrain",
     "Thrust",
     "Timing",
+    "Top",
     "Training",
     "Truncation",
     "Variant",

@@ -35,13 +35,26 @@ class Cells:
 
 
 @dataclass(frozen=True)
+class Top:
+    """The level top of the object `of`, wherever that stands: the body is drawn so that it stands on it as a whole.
+
+    With a `region` (world frame) only what of it lies on the top; with a `mesh` (m) from the middles of cells of that size.
+    """
+
+    of: str
+    region: Region | None = None
+    mesh: float | None = None
+
+
+@dataclass(frozen=True)
 class Place:
     """Where a body, or each present copy of a group, begins: the pose of its root link's origin, and how that moves.
 
     x, y, z in m; roll, pitch, yaw in rad; velocities in m/s and rad/s in the world frame, or nothing for rest. What
-    `rests` has its z counted from where it would lie on the ground. With a `spot`, x and y are drawn from there, by the
-    stream of that name: within the arena's walls and clear of what has a place already, `clearance` m at least. Of a group,
-    `at_most` so many copies are placed, and each stands `spacing` (m along x and y) from the one before.
+    `rests` has its z counted from where it would lie on the ground, or on the top of an object where the `spot` is one. With a
+    `spot`, x and y are drawn from there, by the stream of that name: within the arena's walls and clear of what has a place
+    already, `clearance` m at least. Of a group, `at_most` so many copies are placed, and each stands `spacing` (m along x and y)
+    from the one before.
     """
 
     body: str
@@ -50,7 +63,7 @@ class Place:
     velocity: tuple[Scalar, ...] = ()
     angular_velocity: tuple[Scalar, ...] = ()
     rests: bool = False
-    spot: Region | Cells | None = None
+    spot: Region | Cells | Top | None = None
     clearance: float = 0.0
     at_most: int | None = None
     spacing: tuple[float, float] = (0.0, 0.0)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from itertools import product
 
 from deepbots_cli.lang import geometry
 from deepbots_cli.lang.fold import op
@@ -106,7 +108,8 @@ class Lowering:
             return tuple(World(function, (names[0][0],), component) for component in components or ())
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
-        return tuple(_world(function, pair) for pair in pairs)
+        pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
+        return tuple(_of_pieces(function, pair, pieces) for pair in pairs)
 
     def _place(self, value: Invocation, index: int) -> str:
         components = value.type.components
@@ -139,6 +142,12 @@ def _named(subject: Subject, function: str) -> tuple[str, ...]:
     if subject.members:
         return subject.members
     return (subject.link if subject.link is not None and function in _OF_LINKS else subject.name,)
+
+
+def _of_pieces(function: str, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
+    """The least gap to any piece of a wall; whether any of its pieces is touched or seen."""
+    found = [_world(function, each) for each in product(*(pieces.get(name, (name,)) for name in names))]
+    return found[0] if len(found) == 1 else op("min" if function == "gap" else "or", *found)
 
 
 def _world(function: str, names: tuple[str, ...]) -> Scalar:

@@ -12,7 +12,14 @@ from deepbots_cli.lang.typed import Pick, Reference, Typed
 from deepbots_cli.lang.types import SPACE, Context, Kind, Report, Scope, Subject, shown
 
 # What is asked most often of a part of the world that is no place.
-_ASKED = {Kind.JOINT: "joint_position", Kind.JOINTS: "joint_position", Kind.LINE: "length", Kind.SENSOR: "age", Kind.CAMERA: "age"}
+_ASKED = {
+    Kind.JOINT: "joint_position",
+    Kind.JOINTS: "joint_position",
+    Kind.WALLS: "collided",
+    Kind.LINE: "length",
+    Kind.SENSOR: "age",
+    Kind.CAMERA: "age",
+}
 
 # Where a name may still have to be given that is missing, besides what is known there.
 _NAMED = {"pi": "half a turn is `180 deg`"}
@@ -131,7 +138,7 @@ def _asked_of_a_body(node: syntax.Name, scope: Scope) -> str | None:
     for length in range(len(node.parts) - 1, 0, -1):
         body, (asked, *rest) = ".".join(node.parts[:length]), node.parts[length:]
         subject = scope.subject(body) if Family.WORLD in ALLOWED[scope.context] else None
-        if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT):
+        if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL):
             function = FUNCTIONS.get(asked)
             if function is not None and function.family is Family.WORLD and len(function.params) == 1:
                 return ".".join([f"{asked}({body})", *rest])
@@ -145,4 +152,7 @@ def _known(names: list[str]) -> str:
 
 def _one_of(kinds: frozenset[Kind]) -> str:
     named = [kind.words for kind in Kind if kind in kinds]
+    if kinds >= {Kind.WALL, Kind.WALLS}:
+        named.remove(Kind.WALLS.words)
+        named[named.index(Kind.WALL.words)] = "a wall"
     return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} or {named[-1]}"

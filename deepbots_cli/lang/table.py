@@ -51,15 +51,17 @@ _PLAIN = Param("x", dimension=NUMBER)
 _TURN = Param("angle", dimension=ANGLE)
 _RANGE = Param("range", Form.RANGE)
 
-_PLACED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
+_PLACED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL})
 _PLACES = _PLACED | {Kind.LINKS, Kind.OBJECTS}
 _BODY = Param("body", Form.SUBJECT, kinds=_PLACED)
-_BODIES = Param("body", Form.SUBJECT, kinds=_PLACES)
+_BODIES = Param("body", Form.SUBJECT, kinds=_PLACES | {Kind.WALLS})
 _OTHER = Param("other", Form.SUBJECT, kinds=_PLACES)
-_TOUCHED = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.GROUND})
+_SURFACE = Param("body", Form.SUBJECT, kinds=_PLACED | {Kind.WALLS})
+_OTHER_SURFACE = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.WALLS})
+_TOUCHED = Param("other", Form.SUBJECT, kinds=_PLACES | {Kind.WALLS, Kind.GROUND})
 _JOINT = Param("joint", Form.SUBJECT, kinds=frozenset({Kind.JOINT, Kind.JOINTS}))
 _LINE = Param("line", Form.SUBJECT, kinds=frozenset({Kind.LINE}))
-_SEEN = Param("body", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS}))
+_SEEN = Param("body", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.WALL, Kind.WALLS}))
 _CAMERA = Param("camera", Form.SUBJECT, kinds=frozenset({Kind.CAMERA}))
 _EMITTER = Param("robot", Form.SUBJECT, kinds=frozenset({Kind.ROBOT}))
 _SENDER = Param("sender", Form.SUBJECT, kinds=frozenset({Kind.ROBOT, Kind.SENSOR, Kind.CAMERA}))
@@ -186,7 +188,7 @@ _WORLD = (
         _ANGLE,
         interval=_known(iv.TURN),
     ),
-    Function("gap", Family.WORLD, (_BODY, _OTHER), "How far apart two surfaces are.", _LENGTH, interval=_known(iv.POSITIVE)),
+    Function("gap", Family.WORLD, (_SURFACE, _OTHER_SURFACE), "How far apart two surfaces are.", _LENGTH, interval=_known(iv.POSITIVE)),
     Function(
         "path_distance",
         Family.WORLD,

@@ -91,6 +91,8 @@ class Kind(StrEnum):
     JOINTS = "group of joints"
     OBJECT = "object"
     OBJECTS = "group of objects"
+    WALL = "wall of one piece"
+    WALLS = "wall of several pieces"
     LINE = "line"
     SENSOR = "sensor"
     CAMERA = "camera"
@@ -106,7 +108,8 @@ class Subject(NamedTuple):
     """A part of the world that functions may ask about.
 
     `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the
-    link whose pose stands for it: a robot's base link. For joints, `dimension` is that of their
+    link whose pose stands for it: a robot's base link. `pieces` are the bodies that a wall consists of;
+    what is asked of the wall is asked of each piece. For joints, `dimension` is that of their
     position (angle or length) and `interval` its limits. The kind `BROKEN` marks one whose own
     definition had findings: using it is no further fault.
     """
@@ -117,6 +120,7 @@ class Subject(NamedTuple):
     link: str | None = None
     dimension: Dimension = NUMBER
     interval: Interval = EVERYTHING
+    pieces: tuple[str, ...] = ()
 
     @property
     def components(self) -> Components | None:

@@ -244,7 +244,9 @@ def hidden_state_reward(checked: Checked) -> Iterator[Finding]:
         entry.value.typed.type.picture for entry in task.observation
     )
     drawn = {value.name for value in task.parameters}
-    bodies = set() if feels else {thing.name for thing in task.world.objects} | {robot.name for robot in task.world.robots}
+    walls = set(checked.namespace.walls) if checked.namespace else set()  # their pieces, such as `bay 1`, are in the same place always
+    things = {thing.name for thing in task.world.objects if thing.name.partition(" ")[0] not in walls}
+    bodies = set() if feels else things | {robot.name for robot in task.world.robots}
     for term in task.reward:
         if term.foreign is None:
             hidden = sorted((book.told(book.scalars(term)[0]) - seen) & (drawn | bodies))

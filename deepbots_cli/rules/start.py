@@ -91,11 +91,16 @@ class AtStart(Reach):
         return (place for place in placements if place.body == body)
 
     def _coordinate(self, place: Placement, key: str) -> Interval:
+        if key == "z" and isinstance(place.spot, ir.Top):
+            return EVERYTHING
         if key in _PLANE and place.spot is not None:
             axis = _PLANE.index(key)
-            if isinstance(place.spot, ir.Region):
-                return Interval(place.spot.low[axis], place.spot.high[axis])
-            return hull([exact(spot[axis]) for spot in place.spot.spots])
+            region = place.spot.region if isinstance(place.spot, ir.Top) else place.spot
+            if region is None:
+                return EVERYTHING
+            if isinstance(region, ir.Region):
+                return Interval(region.low[axis], region.high[axis])
+            return hull([exact(spot[axis]) for spot in region.spots])
         coordinate = place.coordinates.get(key)
         if coordinate is None:
             return EVERYTHING if key == "z" and place.rests else exact(0.0)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
-from deepbots_cli.ir import CompiledScenario, Picture, Pit, Place, Region, WorldModel
+from deepbots_cli.ir import CompiledScenario, ObjectBody, Picture, Pit, Place, Region, Top, WorldModel
 from deepbots_cli.lang.scalar import Const, Draw, Scalar
 from deepbots_cli.port import STILL, View
 from deepbots_cli.runtime.share import offset
@@ -74,17 +74,22 @@ def _robots(scenario: CompiledScenario, places: dict[str, Place]) -> Iterator[Bo
     copies = scenario.agent.each
     shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
     for robot in scenario.world.robots:
-        low, high = _placed(_all_round(bounds(robot.model)), robot.pose.xyz, places.get(robot.name))
+        low, high = _placed(_all_round(bounds(robot.model)), robot.pose.xyz, places.get(robot.name), scenario.world, places)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
 
 
 def _objects(world: WorldModel, places: dict[str, Place]) -> Iterator[Bounds]:
     """Objects, wherever they may stand when an episode begins."""
     for thing in world.objects:
-        place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
-        for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
-            low, high = bounds_of_shape(shape)
-            yield _placed(_all_round((low, high)) if thing.pose.rpy[2] else (low, high), thing.pose.xyz, place)
+        yield from _object(thing, world, places)
+
+
+def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Place]) -> Iterator[Bounds]:
+    """An object in each of its forms, wherever it may stand."""
+    place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
+    for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
+        low, high = bounds_of_shape(shape)
+        yield _placed(_all_round((low, high)) if thing.pose.rpy[2] else (low, high), thing.pose.xyz, place, world, places)
 
 
 def _all_round(box: Bounds) -> Bounds:
@@ -94,12 +99,17 @@ def _all_round(box: Bounds) -> Bounds:
     return (-reach, -reach, low[2]), (reach, reach, high[2])
 
 
-def _placed(box: Bounds, home: Triple, place: Place | None) -> Bounds:
+def _placed(box: Bounds, home: Triple, place: Place | None, world: WorldModel, places: dict[str, Place]) -> Bounds:
     low, high = box
     if place is None:
         return add(low, home), add(high, home)
     ends = [_ends(scalar) for scalar in place.xyz]
-    if isinstance(place.spot, Region):
+    if isinstance(place.spot, Top):
+        support = next(thing for thing in world.objects if thing.name == place.spot.of)
+        (x, y, _), (x_end, y_end, top) = next(_object(support, world, places))
+        ends = [(x, x_end), (y, y_end), (ends[2][0] + top, ends[2][1] + top)]
+        low, high = (0.0, 0.0, low[2]), (0.0, 0.0, high[2])  # it stands within the top
+    elif isinstance(place.spot, Region):
         ends[:2] = list(zip(place.spot.low, place.spot.high, strict=True))
     elif place.spot is not None:
         ends[:2] = [(min(along), max(along)) for along in zip(*place.spot.spots, strict=True)]

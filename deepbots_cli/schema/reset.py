@@ -34,13 +34,21 @@ class Placement(Pose):
     needs: ClassVar[tuple[Keys, ...]] = (
         *Pose.needs,
         Keys(("region", "line", "xyz")),
-        *(Keys((way, axis)) for way in ("region", "line") for axis in ("x", "y")),
+        *(Keys((way, axis)) for way in ("region", "line", "on") for axis in ("x", "y")),
+        *(Keys(("on", way)) for way in ("line", "xyz")),
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = field(
         default=None, description="Draws a free spot: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."
     )
-    clearance: Length = field(default=0, description="Least gap to all other bodies, m, and of what can move to the walls of the arena.")
+    on: Annotated[str, Reference("object")] | None = field(
+        default=None,
+        description="Draws a free spot on the flat top of this object, a box or a cylinder: anywhere on it, or where `region` lies on it.",
+    )
+    clearance: Length = field(
+        default=0,
+        description="Least gap to other bodies, m, and of what can move to the arena and to the edge of the top that it stands on.",
+    )
     grid: Thickness | None = field(default=None, description="Draws the spot from a grid with this mesh, m.")
     line: Annotated[str, Reference("line")] | None = field(
         default=None, description="Stands at the beginning of this painted line, along it."

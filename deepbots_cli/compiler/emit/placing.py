@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import Cells, Group, Place, Region
+from deepbots_cli.ir import Cells, Group, Place, Region, Top
 from deepbots_cli.lang.scalar import Scalar
 
 
@@ -18,10 +18,20 @@ def is_sought(place: Place) -> bool:
 
 def place_lines(places: Sequence[Place], space: Workspace, printer: Printer) -> list[str]:
     """The statements of one layout: first what has coordinates, then what stands in cells, then what looks for a spot."""
-    ranks = {Region: 2, Cells: 1}
     groups = {group.name: group for group in space.scenario.reset.groups}
-    order = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
-    return [line for place in order for line in _lines(place, groups.get(place.body), printer)]
+    return [line for place in _ordered(places) for line in _lines(place, groups.get(place.body), printer)]
+
+
+def _ordered(places: Sequence[Place]) -> list[Place]:
+    """By how they are placed, then in their own order, but what stands on another body after that body."""
+    ranks = {Region: 2, Top: 2, Cells: 1}
+    waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
+    found: list[Place] = []
+    while waiting:
+        bodies = {place.body for place in waiting}
+        ready = (index for index, place in enumerate(waiting) if not (isinstance(place.spot, Top) and place.spot.of in bodies))
+        found.append(waiting.pop(next(ready, 0)))
+    return found
 
 
 def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
@@ -31,10 +41,12 @@ def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
     # A call in the head of a loop could not be cut into lines.
     head = [f"copies = bodies.copies({quoted(place.body)}, {count}{at_most})", "for body in copies:"] if group else []
     match place.spot:
-        case Region(low, high, mesh):
+        case Region() | Top() as spot:
             pose = f"lambda: ({_triple(place.xyz, printer)}, {_triple(place.rpy, printer)})"
-            area = tuple_code([repr(end) for end in (*low, *high)])
-            options = _options(place, printer) + (f", mesh={mesh!r}" if mesh else "")
+            region = spot if isinstance(spot, Region) else spot.region
+            area = tuple_code([repr(end) for end in (*region.low, *region.high)]) if region else "None"
+            options = _options(place, printer) + (f", mesh={spot.mesh!r}" if spot.mesh else "")
+            options += f", on={quoted(spot.of)}" if isinstance(spot, Top) else ""
             return [*head, f"{pad}bodies.find({body}, {area}, {quoted(place.stream)}, {pose}{options})"]
         case Cells(spots):
             table = tuple_code([tuple_code([repr(x), repr(y)]) for x, y in spots])

@@ -15,6 +15,8 @@ from deepbots_cli.lang.scalar import Scalar, World, walk
 
 _FOLLOWED = ("beside", "along")
 """What is told of a body and a line; a follower computes it from the body's pose."""
+_AND = "\0"
+"""Between two parts of the world that one reader is about: no name holds it, and those of the pieces of walls hold blanks."""
 _XYZ = {"x": 0, "y": 1, "z": 2, "w": 3}
 _METHODS = {"joints": "joint_states", "torques": "joint_torques", "pose": "pose", "velocity": "velocity"}
 _OF_LINKS = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
@@ -70,11 +72,11 @@ class Reads:
             for subject, joints in self._needed[what].items()
         ]
         readers += [
-            f"self.read_{self._local(subject, what)} = {code.format(*map(_part, subject.split(' ')))}"
+            f"self.read_{self._local(subject, what)} = {code.format(*map(_part, subject.split(_AND)))}"
             for what, code in _TOLD.items()
             for subject in self._needed[what]
         ]
-        lines = [quoted(subject.partition(" ")[2]) for subject in self._needed["line"]]
+        lines = [quoted(subject.partition(_AND)[2]) for subject in self._needed["line"]]
         followed = zip(self._followers, lines, strict=True)
         readers += [f"{follower} = Follower(self.scenario.world.line({line}))" for follower, line in followed]
         return [*readers, *(f"self.read_{self._local(subject, 'sight')} = {_sight(subject)}" for subject in self._needed["sight"])]
@@ -95,7 +97,7 @@ class Reads:
     def call_lines(self, expressions: Iterable[Scalar]) -> list[str]:
         """Statements that read once what these expressions need."""
         needed = {_reader(leaf) for leaf in _facts(expressions)}
-        needed |= {(subject.partition(" ")[0], "pose") for subject, what in needed if what == "line"}
+        needed |= {(subject.partition(_AND)[0], "pose") for subject, what in needed if what == "line"}
         ordered = [(subject, what) for what, table in self._needed.items() for subject in table if (subject, what) in needed]
         return [line for reader in ordered for line in self._call(*reader)]
 
@@ -108,7 +110,7 @@ class Reads:
 
     def _argument(self, subject: str, what: str) -> str:
         """What a reader is given in every tick: a follower the position of the body, the others nothing."""
-        return self.code(_place_of(subject.partition(" ")[0])).removesuffix("[0]") if what == "line" else ""
+        return self.code(_place_of(subject.partition(_AND)[0])).removesuffix("[0]") if what == "line" else ""
 
     def code(self, leaf: World) -> str:
         """The code of one number, after its reader was called."""
@@ -138,17 +140,17 @@ def _reader(leaf: World) -> tuple[str, str]:
     if leaf.function in _OF_LINKS:
         return subject, _OF_LINKS[leaf.function]
     if leaf.function in _TOLD:
-        return " ".join(leaf.subjects), leaf.function
+        return _AND.join(leaf.subjects), leaf.function
     if leaf.function in _FOLLOWED:
-        return f"{subject} {leaf.subjects[1]}", "line"
+        return _AND.join(leaf.subjects), "line"
     if leaf.function == "visible":
-        return f"{subject} {leaf.subjects[1]}", "sight"
+        return _AND.join(leaf.subjects), "sight"
     return subject.split(".", 1)[0], "torques" if leaf.function == "joint_torque" else "joints"
 
 
 def _sight(subject: str) -> str:
     """What tells whether a camera sees a body; `subject` names both."""
-    camera, _, body = subject.partition(" ")
+    camera, _, body = subject.partition(_AND)
     robot, _, sensor = camera.partition(".")
     return f"self.robot_{robot}.sees({quoted(sensor)}, {quoted(body)})"
 

@@ -15,7 +15,7 @@ from deepbots_cli.footprint import Patch, Spot
 from deepbots_cli.frames import Triple
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.port import STILL, Engine
-from deepbots_cli.runtime.placement.floor import TOUCHING, Area, Floor, anywhere, on_grid
+from deepbots_cli.runtime.placement.floor import EVERYWHERE, TOUCHING, Area, Floor, Surface, anywhere, cut, on_grid
 from deepbots_cli.runtime.placement.forms import Forms
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.terrain.relief import height
@@ -41,7 +41,8 @@ class Arrangement:
         self._height = height(world.terrain)
         self.forms = Forms(world)
         self._floor = Floor(world.arena.size if world.arena else None)
-        self._built_in = [self.forms.at_home(thing.name) for thing in world.objects if not thing.pooled and thing.name not in placed]
+        built_in = [thing.name for thing in world.objects if not thing.pooled and thing.name not in placed]
+        self._built_in = [(self.forms.at_home(name), self.forms.top_at_home(name)) for name in built_in]
         self._capacity = {group.name: group.capacity for group in scenario.reset.groups}
         self._poses: dict[str, tuple[Triple, ...]] = {}
         self._rank: dict[str, float] = {}
@@ -73,8 +74,8 @@ class Arrangement:
     def _forget(self) -> None:
         self._poses.clear()
         self._floor.clear()
-        for patch in self._built_in:
-            self._floor.take(patch, 0.0)
+        for patch, top in self._built_in:
+            self._floor.take(patch, 0.0, top)
         self.forms.chosen.clear()
         self.present.update(dict.fromkeys(self.present, 0))
 
@@ -126,12 +127,12 @@ class Arrangement:
         if spacing != (0.0, 0.0):
             x, y = x + self._rank[body] * spacing[0], y + self._rank[body] * spacing[1]
         patch = self.forms.footprint(body, rpy).at(x, y, rpy[2])
-        self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance)
+        self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance, self._height(x, y))
 
     def find(
         self,
         body: str,
-        area: Area,
+        area: Area | None,
         stream: str,
         pose: Callable[[], Pose],
         velocity: Triple = STILL,
@@ -140,28 +141,49 @@ class Arrangement:
         rests: bool = False,
         clearance: float = 0.0,
         mesh: float = 0.0,
+        on: str = "",
     ) -> None:
         """Place a body on a free spot, all of which are alike likely; `pose` draws its height and attitude.
+
+        `on` names the object on whose top it stands, which has its place already; `area` None is then the whole top.
 
         Raises:
             NoPlaceError: None was found.
         """
         generator = self._streams[stream]
+        area, surface, base = area or EVERYWHERE, None, -inf
+        if on:
+            surface = self._surface(on, body)
+            area, base = cut(area, surface.area), surface.height
         for number in range(ROUNDS):
             if number or body not in self.forms.chosen:
                 self.forms.draw(body, self._streams)
             (_, _, z), rpy = pose()
             covered = self.forms.footprint(body, rpy)
-            within = self._floor.within(area, covered, rpy[2], 0.0 if self.forms.is_fixed(body) else clearance)
+            margin = 0.0 if self.forms.is_fixed(body) else clearance
+            within = self._floor.within(area, covered, rpy[2], margin)
+            within = surface.within(within, covered, rpy[2], margin) if surface else within
             spots = on_grid(area, within, mesh, generator) if mesh else anywhere(within, TRIES, generator)
             if number:
-                spots = self._floor.hopeful(spots, covered, rpy[2], clearance)
+                spots = self._floor.hopeful(spots, covered, rpy[2], clearance, base)
             for x, y in spots:
                 patch = covered.at(x, y, rpy[2])
-                if self._floor.is_free(patch, clearance):
-                    self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance)
+                if (surface is None or surface.holds(patch, margin)) and self._floor.is_free(patch, clearance, base):
+                    ground = surface.height if surface else self._height(x, y)
+                    self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance, ground)
                     return
         raise NoPlaceError(body)
+
+    def _surface(self, support: str, body: str) -> Surface:
+        """The top of an object as it stands in this episode.
+
+        Raises:
+            NoPlaceError: It has no place yet, so that `body` finds none.
+        """
+        if support not in self._poses or support not in self.forms.things:
+            raise NoPlaceError(body)
+        (x, y, z), rpy, *_ = self._poses[support]
+        return Surface(self.forms.footprint(support, rpy).at(x, y, rpy[2]), self.forms.top(support, z, rpy))
 
     def choose(self) -> None:
         """Let bodies of several kinds take the kind that was drawn."""
@@ -183,11 +205,14 @@ class Arrangement:
         angular_velocity: Triple,
         rests: bool,
         clearance: float,
+        ground: float,
     ) -> None:
+        """Note the place of a body whose height counts from `ground` (m)."""
         x, y, z = xyz
-        z += self._height(x, y) + (self.forms.resting(body, rpy) if rests else 0.0)
-        if self.forms.top(body, z, rpy) > self._height(x, y) + TOUCHING:  # a table top level with the ground is nothing to keep clear of
-            self._floor.take(patch, clearance)
+        z += ground + (self.forms.resting(body, rpy) if rests else 0.0)
+        top = self.forms.top(body, z, rpy)
+        if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
+            self._floor.take(patch, clearance, top)
         moving = velocity is not STILL or angular_velocity is not STILL
         self._poses[body] = ((x, y, z), rpy, *((velocity, angular_velocity) if moving else ()))
 

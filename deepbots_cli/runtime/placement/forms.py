@@ -62,6 +62,11 @@ class Forms:
         """How high an object reaches whose origin is at `z`; infinite for a robot."""
         return z + footprint.resting(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
 
+    def top_at_home(self, body: str) -> float:
+        """How high an object reaches that stands where the world model has it."""
+        pose = self.things[body].pose
+        return self.top(body, pose.xyz[2], pose.rpy)
+
     def at_home(self, body: str) -> Patch:
         """What an object covers that stands where the world model has it."""
         (x, y, _), rpy = self.things[body].pose.xyz, self.things[body].pose.rpy

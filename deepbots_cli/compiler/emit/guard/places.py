@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 
+from deepbots_cli import footprint
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
-from deepbots_cli.ir import MOST_BODIES, MOST_SPOTS, Cells, CompiledScenario, Place, Region
+from deepbots_cli.ir import MOST_BODIES, MOST_SPOTS, Cells, CompiledScenario, Place, Region, Top
 from deepbots_cli.lang.scalar import State, World
+from deepbots_cli.urdf.model import Box, Cylinder
 
 MOST_ATTEMPTS = 100_000
 
@@ -37,7 +39,7 @@ def require_places(scenario: CompiledScenario) -> None:
             raise CanonicalError(f"'{place.body[:40]}' is placed by impossible figures")
         if any(len(triple) not in (0, 3) for triple in (place.velocity, place.angular_velocity)):
             raise CanonicalError(f"'{place.body[:40]}' moves in {len(place.velocity)} directions")
-        _require_spot(place)
+        _require_spot(place, scenario)
 
 
 def _require_copies(scenario: CompiledScenario, groups: Mapping[str, int]) -> None:
@@ -50,19 +52,25 @@ def _require_copies(scenario: CompiledScenario, groups: Mapping[str, int]) -> No
                 raise CanonicalError(f"'{node.subjects[0][:40]}' is a copy that there is not")
 
 
-def _require_spot(place: Place) -> None:
+def _require_spot(place: Place, scenario: CompiledScenario) -> None:
     match place.spot:
-        case Region(low, high, mesh):
-            sides = [end - start for start, end in zip(low, high, strict=True)]
-            if (
-                not all(0.0 <= side < math.inf for side in sides)
-                or (mesh is not None and not mesh > 0.0)
-                or not place.spot.spots <= MOST_SPOTS
-            ):
+        case Region() as region if not _is_sound(region):
+            raise CanonicalError(f"'{place.body[:40]}' is placed in an impossible region")
+        case Top(of, region, mesh):
+            thing = next((thing for thing in scenario.world.objects if thing.name == of and not thing.pooled), None)
+            if thing is None or not isinstance(thing.shape, (Box, Cylinder)) or of == place.body:
+                raise CanonicalError(f"'{place.body[:40]}' is placed on nothing with a flat top")
+            reach = footprint.of_shape(thing.shape).radius
+            if not all(map(_is_sound, (region or Region((0.0, 0.0), (0.0, 0.0)), Region((-reach, -reach), (reach, reach), mesh)))):
                 raise CanonicalError(f"'{place.body[:40]}' is placed in an impossible region")
         case Cells(spots):
             if not spots or not all(math.isfinite(end) for spot in spots for end in spot):
                 raise CanonicalError(f"'{place.body[:40]}' is placed in impossible cells")
+
+
+def _is_sound(region: Region) -> bool:
+    sides = [end - start for start, end in zip(region.low, region.high, strict=True)]
+    return all(0.0 <= side < math.inf for side in sides) and (region.mesh is None or region.mesh > 0.0) and region.spots <= MOST_SPOTS
 
 
 def _places(scenario: CompiledScenario) -> Iterator[Place]:

@@ -1,0 +1,131 @@
+"""Walls and the arena as bodies with names: what expressions, sensors and cameras know of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler.inventory import definition, names
+from deepbots_cli.runtime import Supervisor
+
+# The puck is 4 cm high and 2 cm in radius; the faces of `bay` are at x = 0.39 and 0.41 m, those of the arena at 1 m.
+YARD = """
+deepbots: 1
+name: Yard
+summary: A puck between walls.
+world:
+  timestep: 32 ms
+  arena: {size: 2 2 m}
+  walls:
+    bay:  {through: [0.4 -0.3 m, 0.4 0.3 m], thickness: 2 cm, height: 20 cm}
+    nook: {through: [-0.4 -0.3 m, -0.4 0.3 m, -0.1 0.3 m], thickness: 2 cm}
+objects:
+  puck: {shape: cylinder, radius: 2 cm, height: 4 cm, mass: 0.1 kg, friction: 0}
+robots:
+  stand:
+    urdf: cartpole_rail
+    base: fixed
+    pose: {x: 5 m}
+action: {idle: -1 .. 1}
+augment:
+  to_bay:   gap(puck, bay)
+  to_nook:  gap(nook, puck)
+  to_arena: gap(puck, arena)
+  middle:   position(bay)
+  touched:  contact(puck, bay)
+  bumped:   collided(bay)
+  fenced:   contact(arena, puck)
+observation: {to_bay: 0 .. 2 m, to_nook: 0 .. 2 m, to_arena: 0 .. 2 m, middle: -1 .. 1 m, touched: auto, bumped: auto, fenced: auto}
+reward: {idle: idle}
+truncation: {max_steps: 50}
+reset: {place: {puck: {x: 0.2 m, y: 0.25 m}}}
+"""
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
+    opened: list[Supervisor] = []
+
+    def make_one(*sets: str) -> Supervisor:
+        file = tmp_path / "yard.yaml"
+        file.write_text(YARD, encoding="utf-8")
+        opened.append(api.make(file, sets=sets))
+        return opened[-1]
+
+    yield make_one
+    for environment in opened:
+        environment.close()
+
+
+def seen(environment: Supervisor) -> dict[str, float]:
+    """What the observation shows, in m and as truth values."""
+    entries = environment.scenario.observation
+    shown = environment.get_observations()
+    return {
+        f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low + (value + 1) / 2 * (entry.high - entry.low)
+        for entry, value in zip(entries, shown.tolist(), strict=True)
+    }
+
+
+def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(make: Callable[..., Supervisor]) -> None:
+    environment = make()
+    environment.reset(seed=0)
+    told = seen(environment)
+    assert told["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
+    assert told["to_nook"] == pytest.approx(math.hypot(0.29, 0.04) - 0.02, abs=2e-3)  # to the corner of the nearer of its two pieces
+    assert told["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
+
+
+def test_a_wall_of_one_piece_has_a_position(make: Callable[..., Supervisor]) -> None:
+    environment = make()
+    environment.reset(seed=0)
+    told = seen(environment)
+    assert [told[f"middle.{axis}"] for axis in "xyz"] == pytest.approx([0.4, 0.0, 0.1], abs=1e-6)
+
+
+def test_contact_and_collided_know_which_wall_is_touched(make: Callable[..., Supervisor]) -> None:
+    environment = make("reset.place.puck.velocity=2 0 0 m/s")
+    environment.reset(seed=0)
+    touched = set()
+    for _ in range(10):
+        environment.step([0.0])
+        told = seen(environment)
+        assert told["touched"] == told["bumped"]
+        touched |= {name for name in ("touched", "fenced") if told[name] > 0.5}
+    assert touched == {"touched"}
+
+
+def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Callable[..., Supervisor]) -> None:
+    environment = make("reset.place.puck.velocity=0 4 0 m/s")
+    environment.reset(seed=0)
+    touched = set()
+    for _ in range(15):
+        environment.step([0.0])
+        touched |= {name for name in ("touched", "fenced") if seen(environment)[name] > 0.5}
+    assert touched == {"fenced"}
+
+
+def test_a_touch_sensor_feels_a_wall_that_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "yard.yaml"
+    sensors = "    sensors: {bump: {type: touch, link: pole, against: [nook, arena]}}\n    emit: [bump]\n"
+    file.write_text(YARD.replace("    pose: {x: 5 m}\n", f"    pose: {{x: 5 m}}\n{sensors}"), encoding="utf-8")
+    (sensor,) = api.compile(file).ir.robots[0].sensors
+    assert sensor.against == ("nook 1", "nook 2", "front wall", "back wall", "left wall", "right wall")
+
+
+def test_editors_offer_walls_and_the_arena_and_lead_to_where_they_stand(tmp_path: Path) -> None:
+    file = tmp_path / "yard.yaml"
+    file.write_text(YARD, encoding="utf-8")
+    checked = api.load(file)
+    felt = [found.name for found in names(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))]
+    assert {"bay", "nook", "arena"} <= set(felt)
+    assert not {"bay", "arena"} & {found.name for found in names(checked, "body", ("reset", "place"))}
+    for name in ("bay", "arena"):
+        found = definition(checked, name)
+        assert found is not None
+        assert found.span is not None
+        assert found.span.text == name
