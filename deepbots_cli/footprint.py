@@ -194,14 +194,40 @@ Bounds = tuple[Triple, Triple]
 """The least and the greatest coordinates of a box."""
 
 
-def bounds(model: RobotModel) -> Bounds:
-    """Of the box around all that is seen of a robot or touches, in the frame of its root, with all joints at 0."""
-    where = link_frames(model)
-    parts = [(where[link.name], part) for link in model.links for part in (*link.visuals, *link.collisions)]
+def bounds(model: RobotModel, positions: Mapping[str, float] | None = None, *, solid: bool = False) -> Bounds:
+    """Of the box around all that is seen of a robot or touches, in the frame of its root; `positions` as in `link_frames`.
+
+    With `solid`, of what touches alone, or of the root's origin where nothing does.
+    """
+    where = link_frames(model, positions)
+    parts = [(where[link.name], part) for link in model.links for part in (*(() if solid else link.visuals), *link.collisions)]
     boxes = [_bounds(part.shape, frames.inside(link, frames.frame(part.origin))) for link, part in parts]
-    boxes += [(origin, origin) for origin, _ in where.values()]
+    if not solid or not boxes:
+        boxes += [(origin, origin) for origin, _ in where.values()]
     lows, highs = (list(zip(*corners, strict=True)) for corners in zip(*boxes, strict=True))
     return (min(lows[0]), min(lows[1]), min(lows[2])), (max(highs[0]), max(highs[1]), max(highs[2]))
+
+
+def feet(model: RobotModel, thickness: float) -> list[Spot]:
+    """Where a robot touches level ground with all joints at 0, in the frame of its root: what ends within `thickness` of the lowest."""
+    where = link_frames(model)
+    placed = [(part.shape, frames.inside(where[link.name], frames.frame(part.origin))) for link in model.links for part in link.collisions]
+    lowest = min((_bounds(shape, frame)[0][2] for shape, frame in placed), default=0.0)
+    return [foot for shape, frame in placed if _bounds(shape, frame)[0][2] <= lowest + thickness for foot in _feet(shape, frame, thickness)]
+
+
+def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
+    x, y, _ = frame[0]
+    axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
+    match shape:
+        case Sphere():
+            yield x, y
+        case Cylinder(_, length) | Capsule(_, length) if abs(axis[2]) < 0.1:  # a wheel touches along a line
+            yield from ((x + end * axis[0], y + end * axis[1]) for end in (-length / 2, length / 2))
+        case _:
+            corners = list(_corners(shape, frame))
+            lowest = min(corner[2] for corner in corners)
+            yield from ((corner[0], corner[1]) for corner in corners if corner[2] <= lowest + thickness)
 
 
 def bounds_of_shape(shape: Shape) -> Bounds:

@@ -90,6 +90,14 @@ class AtStart(Reach):
         placements = (*begins.placements, *(place for layout in begins.layouts for place in layout.placements))
         return (place for place in placements if place.body == body)
 
+    def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
+        """Each way in which a body or the copies of a group are put, before the world settles: x, y, z in m, roll, pitch, yaw in rad.
+
+        The z of what rests on the ground is anything.
+        """
+        for place in self._places(body.partition("#")[0]):
+            yield place, {key: self._coordinate(place, key) for key in (*_PLANE, "z", *_TURNS)}
+
     def _coordinate(self, place: Placement, key: str) -> Interval:
         if key in _PLANE and place.spot is not None:
             axis = _PLANE.index(key)
