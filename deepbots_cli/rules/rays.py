@@ -12,7 +12,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.frames import Frame
 from deepbots_cli.lang.dimensions import LENGTH
 from deepbots_cli.lang.intervals import Interval, exact
-from deepbots_cli.rules.meaning import Book
+from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import figure
 from deepbots_cli.task import Task
@@ -67,12 +67,13 @@ def rays_meet_nothing(checked: Checked) -> Iterator[Finding]:
     task = checked.task
     if task is None:
         return
-    heights = [Heights(each) for each in (task, *(case.task for case in task.cases), *(stage.task for stage in task.curriculum))]
+    variants = (*(case.task for case in task.cases), *(stage.task for stage in task.curriculum))
+    here = Heights(task)
     for robot in task.robots:
         for sensor in robot.sensors:
-            aims = [found.over_all(robot.name, sensor.name) for found in heights] if _casts_rays(sensor) else []
-            if aims and aims[0] is not None and None not in aims:
-                yield _finding(checked, robot.name, sensor.name, aims[0])
+            aim = here.over_all(robot.name, sensor.name) if _casts_rays(sensor) else None
+            if aim is not None and all(Heights(variant).over_all(robot.name, sensor.name) for variant in variants):
+                yield _finding(checked, robot.name, sensor.name, aim)
 
 
 def _casts_rays(sensor: ir.Sensor) -> bool:
@@ -84,7 +85,7 @@ class Heights:
 
     def __init__(self, task: Task) -> None:
         self._task = task
-        self._start = AtStart(Book(task))
+        self._start = AtStart(book_of(task))
 
     def over_all(self, robot: str, sensor: str) -> Aim | None:
         """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a body, or it is not known."""
@@ -95,11 +96,15 @@ class Heights:
         body = next((body for body in world.robots if body.name == robot), None)
         found = next((found for each in self._task.robots if each.name == robot for found in each.sensors if found.name == sensor), None)
         lowest = self._lowest(body, found) if body is not None and found is not None else None
-        tops = self._tops(robot) if lowest is not None else {}
-        if lowest is None or not tops:
+        if lowest is None:
             return None
-        tallest = max(tops, key=lambda name: tops[name])
-        return Aim(lowest, tops[tallest], tallest) if lowest > tops[tallest] + _CLEAR else None
+        tallest, highest = "", -inf
+        for name, top in self._tops(robot):
+            if top + _CLEAR >= lowest:
+                return None  # before meshes of other robots are read
+            if top > highest:
+                tallest, highest = name, top
+        return Aim(lowest, highest, tallest) if tallest else None
 
     def _lowest(self, body: ir.RobotBody, sensor: ir.Sensor) -> float | None:
         """The lowest point of any ray within its range, m above the ground; None where it is not known or a ray meets the ground."""
@@ -136,16 +141,18 @@ class Heights:
                 return None
         return found.pop() if len(found) == 1 else None
 
-    def _tops(self, robot: str) -> dict[str, float]:
-        """The top of everything solid but the robot by name, m; infinite where it is not known."""
+    def _tops(self, robot: str) -> Iterator[tuple[str, float]]:
+        """The name and the top of everything solid but the robot, m; infinite where it is not known."""
         world = self._task.world
+        if world.arena is not None:
+            yield _ARENA, world.arena.wall_height
         is_still = all(_keeps(each.model, _HIGHEST) for each in world.robots)
-        tops = {_ARENA: world.arena.wall_height} if world.arena is not None else {}
-        tops |= {thing.name: self._top(thing, may_be_lifted=not is_still) for thing in world.objects if thing.solid}
-        tops |= {
-            other.name: self._top_of_robot(other) for other in world.robots if other.name != robot or self._task.agent.each is not None
-        }
-        return tops
+        for thing in world.objects:
+            if thing.solid:
+                yield thing.name, self._top(thing, may_be_lifted=not is_still)
+        for other in world.robots:
+            if other.name != robot or self._task.agent.each is not None:
+                yield other.name, self._top_of_robot(other)
 
     def _top(self, thing: ir.ObjectBody, *, may_be_lifted: bool) -> float:
         """Of an object that moves, with its longest side upright."""
@@ -171,7 +178,7 @@ class Heights:
         root = self._root(body)
         if root is None or root[1] != frames.UPRIGHT or not _keeps(body.model, _HIGHEST):
             return inf
-        return root[0][2] + footprint.bounds(body.model, solid=True)[1][2]
+        return root[0][2] + footprint.bounds(body.model)[1][2]
 
 
 def _is_level(pose: dict[str, Interval]) -> bool:
@@ -202,23 +209,20 @@ def _at(joint: Joint, share: float) -> float:
 
 
 def _keeps(model: RobotModel, end: int) -> bool:
-    """Whether no joint moves the lowest (0) or the highest (1) point of what touches: wheels do not, legs move both, arms the highest."""
-    known, *others = [footprint.bounds(model, positions, solid=True)[end][2] for positions in _attitudes(model)]
+    """Whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs move both, arms the highest.
+
+    Meshes do not count.
+    """
+    plain = footprint.without_meshes(model)
+    known, *others = [footprint.bounds(plain, positions)[end][2] for positions in _attitudes(model)]
     return all(abs(other - known) <= _SAME for other in others)
 
 
 def _stands_at(model: RobotModel) -> float | None:
     """The height (m) of the root's origin of a robot on level ground; None for one that joints raise, or that has to balance."""
-    if any(isinstance(part.shape, Mesh) and extent(part.shape) is None for link in model.links for part in link.collisions):
-        return None
     feet, centre = footprint.feet(model, _FOOT), _centre_of_mass(model)
-    if (
-        not feet
-        or not _keeps(model, _LOWEST)
-        or not all(min(foot[axis] for foot in feet) < centre[axis] < max(foot[axis] for foot in feet) for axis in (0, 1))
-    ):
-        return None
-    return 0.0 - footprint.bounds(model, solid=True)[0][2]
+    stands = feet and all(min(foot[axis] for foot in feet) < centre[axis] < max(foot[axis] for foot in feet) for axis in (0, 1))
+    return footprint.resting(model) if stands and _keeps(model, _LOWEST) else None
 
 
 def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
