@@ -240,6 +240,11 @@ def without_meshes(model: RobotModel) -> RobotModel:
     return replace(model, links=links)
 
 
+def sides(box: Bounds) -> Triple:
+    """The lengths of a box along x, y and z."""
+    return frames.subtract(box[1], box[0])
+
+
 def bounds_of_shape(shape: Shape) -> Bounds:
     """Of the box around a shape, in its own frame."""
     return _bounds(shape, frames.HERE)

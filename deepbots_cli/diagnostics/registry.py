@@ -106,6 +106,7 @@ _CATALOGUE = (
     Rule("DB504", "degrees-as-radians", "warning", "a value in radians that was probably meant in degrees"),
     Rule("DB505", "implausible-magnitude", "warning", "a figure far outside what its field usually holds"),
     Rule("DB506", "angle-jumps", "warning", "a heading whose change or difference jumps by a full turn", preview=True),
+    Rule("DB507", "odd-scale", "warning", "an object whose size or mass is out of all proportion"),
     Rule("DB601", "observation-unbounded", "warning", "an observation that is not clipped, and that nothing bounds", preview=True),
     Rule("DB602", "bounds-mismatch", "error", "a value that can never lie in its range"),
     Rule("DB603", "saturates-before-termination", "warning", "the policy sees the same value long before that value ends the episode"),

@@ -11,13 +11,12 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.frames import Frame
 from deepbots_cli.lang.dimensions import LENGTH
-from deepbots_cli.lang.intervals import Interval, exact
 from deepbots_cli.rules.meaning import book_of
-from deepbots_cli.rules.start import AtStart
+from deepbots_cli.rules.start import AtStart, is_level
 from deepbots_cli.rules.wording import figure
 from deepbots_cli.task import Task
 from deepbots_cli.urdf.mesh import extent
-from deepbots_cli.urdf.model import Joint, Mesh, RobotModel, Shape
+from deepbots_cli.urdf.model import Joint, Mesh, RobotModel
 from deepbots_cli.urdf.rotation import quaternion
 
 _CLEAR = 0.001
@@ -135,7 +134,7 @@ class Heights:
             known = [pose[key] for key in ("z", "roll", "pitch")]
             if body.fixed_base and all(interval.single for interval in known):
                 found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
-            elif height is not None and _is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
+            elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
                 found.add(((0.0, 0.0, height), frames.UPRIGHT))
             else:
                 return None
@@ -161,17 +160,17 @@ class Heights:
             return inf
         top = -inf
         for shape, fixed in kinds:
-            size = _size(shape)
+            size = footprint.sides(footprint.bounds_of_shape(shape))
             top = max(top, -inf if fixed else max(size))
             high = footprint.bounds_of_shape(shape)[1][2]
             poses = list(self._start.poses(thing.name))
             if not poses:  # a wall
                 top = max(top, size[2], thing.pose.xyz[2] + high)
             for place, pose in poses:
-                if place.velocity is not None or place.angular_velocity is not None or (fixed and not _is_level(pose)):
+                if place.velocity is not None or place.angular_velocity is not None or (fixed and not is_level(pose)):
                     return inf  # it may fly, or robots may drive up on it
-                reach = high if _is_level(pose) else hypot(*size)
-                top = max(top, (size[2] if _is_level(pose) else reach) if place.rests else pose["z"].high + reach)
+                reach = high if is_level(pose) else hypot(*size)
+                top = max(top, (size[2] if is_level(pose) else reach) if place.rests else pose["z"].high + reach)
         return top
 
     def _top_of_robot(self, body: ir.RobotBody) -> float:
@@ -179,15 +178,6 @@ class Heights:
         if root is None or root[1] != frames.UPRIGHT or not _keeps(body.model, _HIGHEST):
             return inf
         return root[0][2] + footprint.bounds(body.model)[1][2]
-
-
-def _is_level(pose: dict[str, Interval]) -> bool:
-    return pose["roll"] == pose["pitch"] == exact(0.0)
-
-
-def _size(shape: Shape) -> tuple[float, float, float]:
-    low, high = footprint.bounds_of_shape(shape)
-    return high[0] - low[0], high[1] - low[1], high[2] - low[2]
 
 
 def _looks(ray: Frame) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import cos, sin
 
 from deepbots_cli import ir
@@ -136,6 +136,11 @@ class AtStart(Reach):
                 return args[3]
             case _:
                 return args[0]
+
+
+def is_level(pose: Mapping[str, Interval]) -> bool:
+    """Whether a pose, as from `AtStart.poses`, is neither rolled nor pitched."""
+    return pose["roll"] == pose["pitch"] == exact(0.0)
 
 
 def _through(function: object, angle: Interval) -> Interval:
