@@ -245,9 +245,9 @@ def sides(box: Bounds) -> Triple:
     return frames.subtract(box[1], box[0])
 
 
-def bounds_of_shape(shape: Shape) -> Bounds:
-    """Of the box around a shape, in its own frame."""
-    return _bounds(shape, frames.HERE)
+def bounds_of_shape(shape: Shape, frame: Frame = frames.HERE) -> Bounds:
+    """Of the box around a shape, in the frame that `frame` is given in."""
+    return _bounds(shape, frame)
 
 
 def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:

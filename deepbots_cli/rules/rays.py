@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint, frames, ir
 from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.frames import Frame
 from deepbots_cli.lang.dimensions import LENGTH
@@ -19,7 +20,7 @@ from deepbots_cli.urdf.mesh import extent
 from deepbots_cli.urdf.model import Joint, Mesh, RobotModel
 from deepbots_cli.urdf.rotation import quaternion
 
-_CLEAR = 0.001
+CLEAR = 0.001
 """m; engines let bodies sink in by less, and round what rays meet."""
 _SAME = 1e-4
 """m; two heights that differ by less are one."""
@@ -31,7 +32,7 @@ _ATTITUDES = 12
 """Positions of all joints together that are tried."""
 _ROOM = 1.2
 _LOWEST, _HIGHEST = 0, 1
-_ARENA = "arena walls"
+ARENA = "arena walls"
 """With a blank, which no name of an object has."""
 
 
@@ -64,18 +65,18 @@ def rays_meet_nothing(checked: Checked) -> Iterator[Finding]:
         observation: {cart.ahead: auto}
     """
     task = checked.task
-    if task is None:
+    if task is None or checked.namespace is None:
         return
     variants = (*(case.task for case in task.cases), *(stage.task for stage in task.curriculum))
     here = Heights(task)
     for robot in task.robots:
         for sensor in robot.sensors:
-            aim = here.over_all(robot.name, sensor.name) if _casts_rays(sensor) else None
+            aim = here.over_all(robot.name, sensor.name) if casts_rays(sensor) else None
             if aim is not None and all(Heights(variant).over_all(robot.name, sensor.name) for variant in variants):
-                yield _finding(checked, robot.name, sensor.name, aim)
+                yield over_all(checked.namespace.values, robot.name, sensor.name, aim)
 
 
-def _casts_rays(sensor: ir.Sensor) -> bool:
+def casts_rays(sensor: ir.Sensor) -> bool:
     return sensor.beams is not None and sensor.beams.reach > 0.0
 
 
@@ -92,23 +93,32 @@ class Heights:
         gravity = world.gravity
         if world.ground is None or gravity[0] or gravity[1] or gravity[2] >= 0.0:
             return None
-        body = next((body for body in world.robots if body.name == robot), None)
-        found = next((found for each in self._task.robots if each.name == robot for found in each.sensors if found.name == sensor), None)
-        lowest = self._lowest(body, found) if body is not None and found is not None else None
+        lowest = self._lowest(robot, sensor)
         if lowest is None:
             return None
         tallest, highest = "", -inf
         for name, top in self._tops(robot):
-            if top + _CLEAR >= lowest:
+            if top + CLEAR >= lowest:
                 return None  # before meshes of other robots are read
             if top > highest:
                 tallest, highest = name, top
         return Aim(lowest, highest, tallest) if tallest else None
 
-    def _lowest(self, body: ir.RobotBody, sensor: ir.Sensor) -> float | None:
+    def is_left_to_simulation(self, robot: str, sensor: str) -> bool:
+        """Whether the text does not tell how high the rays are, and nobody flies or may lift an object above them later."""
+        loose = any(thing.solid and not kind.fixed for thing in self._task.world.objects for kind in (thing.variants or (thing,)))
+        return not (self._flies or (loose and _can_lift(self._task.world))) and self._lowest(robot, sensor) is None
+
+    @property
+    def _flies(self) -> bool:
+        return any(isinstance(command.actuator, ir.Thrust) for each in self._task.robots for command in each.commands)
+
+    def _lowest(self, robot: str, name: str) -> float | None:
         """The lowest point of any ray within its range, m above the ground; None where it is not known or a ray meets the ground."""
-        root = self._root(body)
-        if root is None or sensor.beams is None:
+        body = next((body for body in self._task.world.robots if body.name == robot), None)
+        sensor = next((found for each in self._task.robots if each.name == robot for found in each.sensors if found.name == name), None)
+        root = self._root(body) if body is not None else None
+        if body is None or root is None or sensor is None or sensor.beams is None:
             return None
         mount = frames.frame(sensor.mount)
         rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
@@ -126,7 +136,7 @@ class Heights:
 
     def _root(self, body: ir.RobotBody) -> Frame | None:
         """The frame of a robot's root, turned by no yaw: of one with a fixed base, or of one that stands level on the ground."""
-        if any(isinstance(command.actuator, ir.Thrust) for each in self._task.robots for command in each.commands):
+        if self._flies:
             return None
         height = None if body.fixed_base else _stands_at(body.model)
         found: set[Frame] = set()
@@ -144,11 +154,11 @@ class Heights:
         """The name and the top of everything solid but the robot, m; infinite where it is not known."""
         world = self._task.world
         if world.arena is not None:
-            yield _ARENA, world.arena.wall_height
-        is_still = all(_keeps(each.model, _HIGHEST) for each in world.robots)
+            yield ARENA, world.arena.wall_height
+        may_be_lifted = _can_lift(world)
         for thing in world.objects:
             if thing.solid:
-                yield thing.name, self._top(thing, may_be_lifted=not is_still)
+                yield thing.name, self._top(thing, may_be_lifted=may_be_lifted)
         for other in world.robots:
             if other.name != robot or self._task.agent.each is not None:
                 yield other.name, self._top_of_robot(other)
@@ -208,6 +218,10 @@ def _keeps(model: RobotModel, end: int) -> bool:
     return all(abs(other - known) <= _SAME for other in others)
 
 
+def _can_lift(world: ir.WorldModel) -> bool:
+    return not all(_keeps(robot.model, _HIGHEST) for robot in world.robots)
+
+
 def _stands_at(model: RobotModel) -> float | None:
     """The height (m) of the root's origin of a robot on level ground; None for one that joints raise, or that has to balance."""
     feet, centre = footprint.feet(model, _FOOT), _centre_of_mass(model)
@@ -229,12 +243,12 @@ def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
     return sum(weight * at[0] for weight, at in known) / mass, sum(weight * at[1] for weight, at in known) / mass
 
 
-def _finding(checked: Checked, robot: str, sensor: str, aim: Aim) -> Finding:
-    assert checked.namespace is not None  # there is a task
-    values, base = checked.namespace.values, aim.tallest.partition("#")[0]
+def over_all(values: Values, robot: str, sensor: str, aim: Aim, notes: tuple[str, ...] = ()) -> Finding:
+    """The finding, at the sensor."""
+    base = aim.tallest.partition("#")[0]
     height, top, lower = (figure(length, LENGTH) for length in (aim.lowest, aim.top, aim.lowest - aim.top))
     help = f"lower the `pose` of the sensor by more than {lower}"
-    if aim.tallest == _ARENA:
+    if aim.tallest == ARENA:
         named, place = "the walls of the arena", ("world", "arena", "wall_height")
         span = values.span(place) if values.stands(place) else values.key_span(place[:2])
         help = f"write `wall_height: {figure(float(f'{_ROOM * aim.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
@@ -246,7 +260,7 @@ def _finding(checked: Checked, robot: str, sensor: str, aim: Aim) -> Finding:
     headline = (
         f"the rays of `{sensor}` meet nothing: they stay {height} above the ground or higher, and the tallest thing, {named}, ends at {top}"
     )
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, also=also)
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, also=also)
 
 
 RULES = (rays_meet_nothing,)
