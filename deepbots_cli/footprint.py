@@ -7,13 +7,14 @@ its links as they are with all joints at 0. Lengths in m, angles in rad.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from math import cos, hypot, sin
 from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.urdf.mesh import extent
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Joint, Mesh, RobotModel, Shape, Sphere
+from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Geometry, Joint, Mesh, RobotModel, Shape, Sphere
 from deepbots_cli.urdf.rotation import quaternion
 
 Spot = tuple[float, float]
@@ -204,9 +205,9 @@ Bounds = tuple[Triple, Triple]
 """The least and the greatest coordinates of a box."""
 
 
-def bounds(model: RobotModel) -> Bounds:
-    """Of the box around all that is seen of a robot or touches, in the frame of its root, with all joints at 0."""
-    where = link_frames(model)
+def bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
+    """Of the box around all that is seen of a robot or touches, in the frame of its root; `positions` as in `link_frames`."""
+    where = link_frames(model, positions)
     parts = [(where[link.name], part) for link in model.links for part in (*link.visuals, *link.collisions)]
     boxes = [_bounds(part.shape, frames.inside(link, frames.frame(part.origin))) for link, part in parts]
     boxes += [(origin, origin) for origin, _ in where.values()]
@@ -214,9 +215,49 @@ def bounds(model: RobotModel) -> Bounds:
     return (min(lows[0]), min(lows[1]), min(lows[2])), (max(highs[0]), max(highs[1]), max(highs[2]))
 
 
-def bounds_of_shape(shape: Shape) -> Bounds:
-    """Of the box around a shape, in its own frame."""
-    return _bounds(shape, frames.HERE)
+def feet(model: RobotModel, thickness: float) -> list[Spot]:
+    """Where a robot touches level ground with all joints at 0, in the frame of its root.
+
+    That is where a shape ends within `thickness` (m) of the lowest; meshes do not count.
+    """
+    where, lowest = link_frames(model), -resting(model)
+    parts = [(link.name, part) for link in model.links for part in link.collisions if not isinstance(part.shape, Mesh)]
+    placed = [(part.shape, frames.inside(where[link], frames.frame(part.origin))) for link, part in parts]
+    return [foot for shape, frame in placed if _bounds(shape, frame)[0][2] <= lowest + thickness for foot in _feet(shape, frame, thickness)]
+
+
+def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
+    x, y, _ = frame[0]
+    axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
+    match shape:
+        case Sphere():
+            yield x, y
+        case Cylinder(_, length) | Capsule(_, length) if abs(axis[2]) < 0.1:  # a wheel touches along a line
+            yield from ((x + end * axis[0], y + end * axis[1]) for end in (-length / 2, length / 2))
+        case _:
+            corners = list(_corners(shape, frame))
+            lowest = min(corner[2] for corner in corners)
+            yield from ((corner[0], corner[1]) for corner in corners if corner[2] <= lowest + thickness)
+
+
+def without_meshes(model: RobotModel) -> RobotModel:
+    """The robot without the shapes that have to be read from files, which may take seconds."""
+
+    def plain(parts: tuple[Geometry, ...]) -> tuple[Geometry, ...]:
+        return tuple(part for part in parts if not isinstance(part.shape, Mesh))
+
+    links = tuple(replace(link, visuals=plain(link.visuals), collisions=plain(link.collisions)) for link in model.links)
+    return replace(model, links=links)
+
+
+def sides(box: Bounds) -> Triple:
+    """The lengths of a box along x, y and z."""
+    return frames.subtract(box[1], box[0])
+
+
+def bounds_of_shape(shape: Shape, frame: Frame = frames.HERE) -> Bounds:
+    """Of the box around a shape, in the frame that `frame` is given in."""
+    return _bounds(shape, frame)
 
 
 def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:

@@ -10,6 +10,7 @@ report.py    what it told, as data
 probed.py    scenario and report together, what rules read; blame.py which expression had no value
 physics.py   DB309, DB310, DB315   seen.py   DB607, DB608, DB611
 paid.py      DB702 to DB708        ended.py  DB806, DB808
+rays.py      DB615, with what it measures
 
 Only `child`, `rolls`, `reach` and `speeds` import a simulator, and only in the other process.
 """
@@ -23,7 +24,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.probing import ended, paid, physics, seen
+from deepbots_cli.probing import ended, paid, physics, rays, seen
 from deepbots_cli.probing.limits import Limits
 from deepbots_cli.probing.plan import planned
 from deepbots_cli.probing.probed import Probed
@@ -35,7 +36,7 @@ Rule = Callable[[Probed], Iterator[Finding]]
 
 USUAL = Limits()
 
-RULES: dict[str, Rule] = {**physics.RULES, **seen.RULES, **paid.RULES, **ended.RULES}
+RULES: dict[str, Rule] = {**physics.RULES, **seen.RULES, **rays.RULES, **paid.RULES, **ended.RULES}
 
 _CAUSES = frozenset({"DB315"})
 """Warnings that may explain an error: an arm that cannot reach its target contorts."""

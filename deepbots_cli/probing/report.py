@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
+from deepbots_cli.rules.rays import Aim
+
 End = Literal["success", "failure", "limit", "left"]
 """How an episode ended: by the task, by a limit, or left because enough was seen."""
 
@@ -110,6 +112,7 @@ class Report:
     measured: dict[str, Measured] = field(default_factory=dict)
     still: tuple[int, ...] = ()
     silent: tuple[int, ...] = ()
+    over: dict[tuple[str, str], Aim] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
     done: bool = False
@@ -146,6 +149,8 @@ class Report:
                 self.measured = {by: _measured(row) for by, row in rows.items()}
             case {"still": still, "silent": silent}:
                 self.still, self.silent = tuple(still), tuple(silent)
+            case {"over": rows}:
+                self.over = {(robot, sensor): Aim(*aim) for robot, sensor, *aim in rows}
             case {"stop": Mapping() as stop}:
                 self.stop = stop
             case {"done": True}:

@@ -21,6 +21,7 @@ from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
 from deepbots_cli.ir import Case, Choices, CompiledScenario, Stage, viewed
 from deepbots_cli.probing.plan import HELD, HOLD, IDLE, RANDOM, Roll, idle, planned, planned_for_variant
+from deepbots_cli.probing.rays import Overlooking
 from deepbots_cli.probing.reach import Reaches
 from deepbots_cli.probing.speeds import Speeds
 from deepbots_cli.runtime import Supervisor
@@ -55,6 +56,7 @@ class Rolls:
         self._plan = planned(ir)
         self._discount = _discount(ir)
         self.measures: dict[str, Measure] = {}
+        self._overlooking = Overlooking(ir)
 
     def run(self) -> None:
         """All of it, until something stops it."""
@@ -71,6 +73,7 @@ class Rolls:
             return
         self._say({"measured": {by: measure.told() for by, measure in self.measures.items() if by != _VARIANTS}})
         self._say({"still": self._still(), "silent": self._silent()})
+        self._say({"over": [[*both, *aim] for both, aim in self._overlooking.aims.items()]})
 
     def _made(self, ir: CompiledScenario) -> Supervisor:
         self._say({"at": ["build", 0]})
@@ -168,13 +171,14 @@ class Rolls:
 
     def _episode(self, environment: Supervisor, roll: Roll, measure: Measure, *, tell: bool) -> None:
         environment.reset(seed=roll.seed)
-        chosen, speeds = _actions(environment, roll), Speeds(environment)
+        chosen, speeds, look = _actions(environment, roll), Speeds(environment), self._overlooking.watch(environment.engine)
         rewards: list[float] = []
         for number in range(1, roll.steps + 1):
             self._step(number)
             observation, reward, terminated, truncated, info = environment.step(next(chosen))
             rewards.append(reward)
             measure.take(observation, info["reward_terms"])
+            look()
             violent = speeds.look(number * environment.scenario.period)
             if speeds.news:
                 self._say({"fast": speeds.news})

@@ -7,8 +7,8 @@ the reference: after the code what is found and why it matters, an example, and 
 names.py        definitions that nothing uses
 commands.py     what robots are told to do
 equality.py     measures that are asked to be a figure
-turns.py        angles that jump by a full turn
-observation.py  what the policy sees; saturation.py values at the end of their range
+turns.py        angles that jump by a full turn; scale.py sizes and masses out of proportion
+observation.py  what the policy sees; saturation.py values at the end of their range; rays.py rays that pass over everything
 reward.py       the size of a reward and its terms; progress.py its direction; peril.py where it leads into failures
 endings.py      when episodes end; variety.py whether they differ
 lateness.py     what would come after that; requirement.py what has to hold as they begin
@@ -108,6 +108,14 @@ def _requires(task: Task) -> bool:
     return task.beginnings.require is not None
 
 
+def _holds_objects(task: Task) -> bool:
+    return bool(task.world.objects)
+
+
+def _casts_rays(task: Task) -> bool:
+    return any(sensor.beams is not None for robot in task.robots for sensor in robot.sensors)
+
+
 def _waits(task: Task) -> bool:
     """Whether there is a time that could be too long."""
     routes = task.to_robot.latency is not None or task.from_robot.latency is not None
@@ -129,8 +137,10 @@ _MODULES: dict[str, Callable[[Task], bool]] = {
     "commands": _always,
     "equality": _asks_for_equality,
     "turns": _always,
+    "scale": _holds_objects,
     "observation": _always,
     "saturation": _always,
+    "rays": _casts_rays,
     "reward": _may_cost,
     "progress": _may_cost,
     "endings": _ends,

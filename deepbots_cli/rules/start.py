@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import cos, sin
 
 from deepbots_cli import ir
@@ -90,6 +90,14 @@ class AtStart(Reach):
         placements = (*begins.placements, *(place for layout in begins.layouts for place in layout.placements))
         return (place for place in placements if place.body == body)
 
+    def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
+        """Each way in which a body or the copies of a group are put, before the world settles: x, y, z in m, roll, pitch, yaw in rad.
+
+        The z of what rests on the ground is anything.
+        """
+        for place in self._places(body.partition("#")[0]):
+            yield place, {key: self._coordinate(place, key) for key in (*_PLANE, "z", *_TURNS)}
+
     def _coordinate(self, place: Placement, key: str) -> Interval:
         if key == "z" and isinstance(place.spot, ir.Top):
             return EVERYTHING
@@ -133,6 +141,11 @@ class AtStart(Reach):
                 return args[3]
             case _:
                 return args[0]
+
+
+def is_level(pose: Mapping[str, Interval]) -> bool:
+    """Whether a pose, as from `AtStart.poses`, is neither rolled nor pitched."""
+    return pose["roll"] == pose["pitch"] == exact(0.0)
 
 
 def _through(function: object, angle: Interval) -> Interval:
