@@ -40,7 +40,8 @@ class Compiled:
 
     `inputs` maps a relative path for the copy of every file that was read to its bytes, the scenario
     first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
-    of those copies; `findings` is what `lint` says of it: warnings only; `allow_code` whether its terms in Python may run.
+    of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `allow_code` whether its terms
+    in Python may run.
     """
 
     ir: CompiledScenario
@@ -156,7 +157,7 @@ def compile(
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
-    if checked.task is None or any(finding.severity == "error" for finding in findings):
+    if checked.task is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
         raise ScenarioError(findings)
     ir = lower(checked.task)
     inputs = checked.inputs

@@ -80,7 +80,7 @@ class Measured:
 
 @dataclass
 class Report:
-    """Filled line by line; `done` says whether the plan was gone through to its end."""
+    """Filled line by line; `done` says whether the plan was gone through to its end, `fault` which exception of deepbots ended it."""
 
     where: Where = Where("build", 0, 0)
     fastest: tuple[str, float] | None = None
@@ -92,6 +92,7 @@ class Report:
     silent: tuple[int, ...] = ()
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
+    fault: str | None = None
     done: bool = False
 
     @property
@@ -126,6 +127,8 @@ class Report:
                 self.still, self.silent = tuple(still), tuple(silent)
             case {"stop": Mapping() as stop}:
                 self.stop = stop
+            case {"fault": str() as fault}:
+                self.fault = fault
             case {"done": True}:
                 self.done = True
 
