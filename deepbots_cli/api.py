@@ -80,7 +80,7 @@ def load(
     source: str | Path,
     *,
     sets: Sequence[str] = (),
-    allow_paths: Iterable[Path] = (),
+    allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     drafts: Drafts = NO_DRAFTS,
 ) -> Checked:
@@ -101,7 +101,7 @@ def load(
 
 
 def lint(
-    source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False, preview: bool = False
+    source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = False, preview: bool = False
 ) -> list[Finding]:
     """All findings of a scenario, sorted; suppressed ones are left out, and those of rules in preview unless they are asked for.
 
@@ -143,7 +143,7 @@ def _told(found: list[Finding]) -> list[Finding]:
 
 
 def compile(
-    source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False
+    source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = False
 ) -> Compiled:
     """Compile a scenario: text to intermediate representation to generated Python.
 
@@ -170,7 +170,7 @@ def make(
     source: str | Path | Checked | Compiled | CompiledScenario,
     *,
     sets: Sequence[str] = (),
-    allow_paths: Iterable[Path] = (),
+    allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     engine: str = "pybullet",
     render_mode: str | None = None,
