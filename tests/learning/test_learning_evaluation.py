@@ -33,7 +33,7 @@ def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(trained: Trai
 
 
 def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="does not end in .mp4"):
+    with pytest.raises(UsageError, match=r"does not end in \.mp4"):
         evaluate(str(trained.run), episodes=1, video_to=str(tmp_path / "first.gif"), build=stand_in.build)
     assert evaluate(str(trained.run), episodes=1, build=stand_in.build) == evaluate(trained.run, episodes=1, build=stand_in.build)
     assert evaluate_cases(str(trained.run), build=stand_in.build) == ()

@@ -141,7 +141,7 @@ def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
     first = short(str(tmp_path / "many"), build=stand_in.build)  # type: ignore[arg-type]
     assert first.run.parent == tmp_path / "many"
     assert short(tmp_path, run=str(tmp_path / "one"), build=stand_in.build).run == tmp_path / "one"
-    assert resume(str(first.run), total_timesteps=first.timesteps + 1, build=stand_in.build).run == first.run
+    assert resume(str(first.run), total_timesteps=first.steps + 1, build=stand_in.build).run == first.run
 
 
 def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: TrainingResult) -> None:
