@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import rules
 from deepbots_cli.compiler import Checked, check
@@ -40,7 +40,8 @@ class Compiled:
 
     `inputs` maps a relative path for the copy of every file that was read to its bytes, the scenario
     first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
-    of those copies; `findings` is what `lint` says of it: warnings only; `allow_code` whether its terms in Python may run.
+    of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `allow_code` whether its terms
+    in Python may run; `fixed` are the parameters that no episode draws.
     """
 
     ir: CompiledScenario
@@ -51,6 +52,7 @@ class Compiled:
     resolved: str
     findings: tuple[Finding, ...]
     allow_code: bool = False
+    fixed: tuple[str, ...] = ()
 
 
 def locate(source: str | Path) -> tuple[Path, str]:
@@ -79,7 +81,7 @@ def load(
     source: str | Path,
     *,
     sets: Sequence[str] = (),
-    allow_paths: Iterable[Path] = (),
+    allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     drafts: Drafts = NO_DRAFTS,
 ) -> Checked:
@@ -100,7 +102,7 @@ def load(
 
 
 def lint(
-    source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False, preview: bool = False
+    source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = False, preview: bool = False
 ) -> list[Finding]:
     """All findings of a scenario, sorted; suppressed ones are left out, and those of rules in preview unless they are asked for.
 
@@ -142,7 +144,7 @@ def _told(found: list[Finding]) -> list[Finding]:
 
 
 def compile(
-    source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[Path] = (), allow_code: bool = False
+    source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = False
 ) -> Compiled:
     """Compile a scenario: text to intermediate representation to generated Python.
 
@@ -156,12 +158,21 @@ def compile(
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
-    if checked.task is None or any(finding.severity == "error" for finding in findings):
+    if checked.task is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
         raise ScenarioError(findings)
     ir = lower(checked.task)
     inputs = checked.inputs
+    drawn = {entry.name for entry in ir.parameters}
     return Compiled(
-        ir, emit(ir), digest(ir), checked.document.path, inputs.contents(), inputs.resolved(), tuple(findings), checked.document.allow_code
+        ir,
+        emit(ir),
+        digest(ir),
+        checked.document.path,
+        inputs.contents(),
+        inputs.resolved(),
+        tuple(findings),
+        checked.document.allow_code,
+        tuple(name for name in checked.spec.parameters if name not in drawn) if checked.spec else (),
     )
 
 
@@ -169,7 +180,7 @@ def make(
     source: str | Path | Checked | Compiled | CompiledScenario,
     *,
     sets: Sequence[str] = (),
-    allow_paths: Iterable[Path] = (),
+    allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     engine: str = "pybullet",
     render_mode: str | None = None,
@@ -189,12 +200,41 @@ def make(
     if isinstance(source, (str, Path, Checked)):
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
-        return build(source.ir, engine=engine, render_mode=render_mode, allow_code=allow_code or source.allow_code)
+        allowed = allow_code or source.allow_code
+        return build(source.ir, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
     return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
 
 
-def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | None = None, allow_code: bool = False) -> Supervisor:
-    """The environment of a compiled scenario; see `make`."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Builder:
+    """Makes environments of a compiled scenario: in the `spec` of one, and where one is copied to another process.
+
+    Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of characters.
+    """
+
+    ir: CompiledScenario
+    allow_code: bool
+    fixed: tuple[str, ...]
+
+    def __call__(self, **options: Any) -> Supervisor:
+        """The environment; `options` are the engine and the render mode."""
+        return build(self.ir, allow_code=self.allow_code, fixed=self.fixed, **options)
+
+    def __repr__(self) -> str:
+        from deepbots_cli.canonical import digest
+
+        return f"<deepbots scenario {self.ir.name} {digest(self.ir)[:12]}>"
+
+
+def build(
+    ir: CompiledScenario,
+    *,
+    engine: str = "pybullet",
+    render_mode: str | None = None,
+    allow_code: bool = False,
+    fixed: tuple[str, ...] = (),
+) -> Supervisor:
+    """The environment of a compiled scenario; see `make`. `fixed` are the parameters that no episode draws."""
     if ir.foreign and not allow_code:
         names = ", ".join(map(str, ir.foreign))
         raise UsageError(f"{ir.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
@@ -213,7 +253,8 @@ def build(ir: CompiledScenario, *, engine: str = "pybullet", render_mode: str | 
     name = class_name(ir.name)
     module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(ir)[:12]}>")
     environment = assemble(vars(module)[f"{name}Supervisor"], ir, partial(engines.create, engine), render_mode)
-    environment.rebuild = partial(build, ir, engine=engine, render_mode=render_mode, allow_code=allow_code)
-    made = partial(build, ir, allow_code=allow_code)
-    environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=made, kwargs={"engine": engine, "render_mode": render_mode})
+    environment.fixed = fixed
+    builder = Builder(ir, allow_code, fixed)
+    environment.rebuild = partial(builder, engine=engine, render_mode=render_mode)
+    environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=builder, kwargs={"engine": engine, "render_mode": render_mode})
     return environment

@@ -1,6 +1,7 @@
-"""Registers the shipped scenarios with Gymnasium.
+"""Registers scenarios with Gymnasium: the shipped ones by their names, and any other by its path.
 
     gymnasium.make("deepbots_cli.envs:deepbots/CartPole-v1")
+    gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml", sets=["fall_angle=10deg"])
 
 Importing this module is all it takes. A scenario limits its own episodes, so no time limit is wrapped
 around it.
@@ -8,20 +9,43 @@ around it.
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import gymnasium
 
+from deepbots_cli.api import make
+from deepbots_cli.errors import UsageError
+from deepbots_cli.runtime import Supervisor
 from deepbots_cli.source import Scalar, load, shipped
+
+ANY = "deepbots/Scenario-v1"
+
+
+def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervisor:
+    """The environment of `scenario`, a path or the name of a shipped one; `options` are the other arguments of `deepbots_cli.make`.
+
+    Raises:
+        UsageError: No scenario is named; else as for `deepbots_cli.make`.
+    """
+    if scenario is None:
+        raise UsageError(f'{ANY} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY}", scenario="my.yaml")')
+    return make(scenario, **options)
 
 
 def _register() -> None:
+    _register_one(ANY, "deepbots_cli.envs:make_scenario", {})
     for short in shipped.scenario_names():
         path = shipped.scenario_path(short)
         root = load(path).root if path else None
         name = root.get("name") if root else None
         if isinstance(name, Scalar):
-            identifier = f"deepbots/{name.text}-v1"
-            if identifier not in gymnasium.registry:
-                gymnasium.register(identifier, entry_point="deepbots_cli.api:make", kwargs={"source": short})
+            _register_one(f"deepbots/{name.text}-v1", "deepbots_cli.api:make", {"source": short})
+
+
+def _register_one(identifier: str, entry_point: str, options: dict[str, Any]) -> None:
+    if identifier not in gymnasium.registry:
+        gymnasium.register(identifier, entry_point=entry_point, kwargs=options)
 
 
 _register()

@@ -17,6 +17,8 @@ from deepbots_cli.cli.outlets import outlets
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 
 FAILED, WRONG, FAULT, INTERRUPTED = 1, 2, 3, 130
+"""The same for every verb: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
+`lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
 
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 

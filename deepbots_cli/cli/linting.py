@@ -13,7 +13,9 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.folders import scenarios_in
 from deepbots_cli.cli.settings import Settings
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics import Finding, Source
+from deepbots_cli.diagnostics.finding import failure
+from deepbots_cli.errors import DeepbotsError
 
 STDIN = "-"
 _NAMELESS = "<stdin>"
@@ -61,7 +63,7 @@ class Look:
         found = api.review(checked, preview=self.preview)
         if not self.deep:
             return found
-        if any(finding.severity == "error" for finding in found):
+        if any(finding.severity == "error" and not finding.is_fault for finding in found):
             terminal.note(f"{called}: not simulated, since it has errors")
             return found
         from deepbots_cli.probing import probe
@@ -107,7 +109,13 @@ def findings_of(names: Sequence[str], look: Look, jobs: int = 1) -> list[Finding
 
 
 def _look_at(look: Look, name: str) -> list[Finding]:
-    return look.findings(name)
+    """The findings of one scenario. An exception that is a fault of deepbots becomes the only one, so that the others are linted."""
+    try:
+        return look.findings(name)
+    except (DeepbotsError, OSError):
+        raise
+    except Exception as error:  # noqa: BLE001  # a fault of ours
+        return [failure("the compiler", Source(look.called(name), ""), error)]
 
 
 def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: int) -> list[list[Finding]]:

@@ -24,6 +24,7 @@ from deepbots_cli.diagnostics.finding import (
     Source,
     Span,
     TooManyFindings,
+    shielded,
 )
 from deepbots_cli.diagnostics.registry import RETIRED, RULES, Rule, rule
 
@@ -43,4 +44,5 @@ __all__ = [
     "Span",
     "TooManyFindings",
     "rule",
+    "shielded",
 ]

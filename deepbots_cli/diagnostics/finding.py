@@ -6,9 +6,10 @@ position inside a scalar is as easy to name as a whole line. Rendering lives els
 
 from __future__ import annotations
 
+import os
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -149,9 +150,50 @@ class Finding:
         return rule(self.code).name
 
     @property
+    def is_fault(self) -> bool:
+        """Whether it reports a fault of deepbots (DB903), which says nothing about the scenario."""
+        return self.code == "DB903"
+
+    @property
     def sort_key(self) -> tuple[str, int, int, str, str]:
         return (self.span.source.name, self.span.start, self.span.end, self.code, self.headline)
 
+
+def shielded(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
+    """The findings of `find`; if it raises an exception, the last of them says so (see `failure`)."""
+    try:
+        yield from find()
+    except Exception as error:  # noqa: BLE001  # a fault of ours, which must not hide other findings
+        yield failure(what, source, error)
+
+
+def failure(what: str, source: Source, error: Exception) -> Finding:
+    """A DB903 at the start of `source` that says which exception `what` raised; with DEEPBOTS_DEBUG=1 it is raised again."""
+    if os.environ.get("DEEPBOTS_DEBUG") == "1":
+        raise error
+    return fault(what, source, described(error))
+
+
+def fault(what: str, source: Source, description: str) -> Finding:
+    """The DB903 for `what`, such as `the rule DB705`; the description is that of `described`."""
+    help = "this is a fault of deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
+    return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
+
+
+def described(error: BaseException) -> str:
+    """Type and message of an exception on one line, and the innermost place in deepbots that it passed: `module:line`."""
+    place, trace = "", error.__traceback__
+    while trace is not None:
+        module = str(trace.tb_frame.f_globals.get("__name__"))
+        if not place or module.startswith("deepbots"):
+            place = f"{module}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    message = " ".join(str(error)[:_LONGEST_MESSAGE].split())
+    return f"{type(error).__name__}{f': {message}' if message else ''} ({place})"
+
+
+_LONGEST_MESSAGE = 200
+"""Characters of the message of an exception, which may quote a whole file."""
 
 MOST_FINDINGS = 500
 """Of one scenario. Nobody reads more, and a file of a megabyte may be wrong in 30 000 places, which took half a minute to word."""

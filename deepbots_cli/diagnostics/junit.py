@@ -1,7 +1,7 @@
 """Findings as a report of tests in the format of JUnit: a suite for each file, a case for each finding.
 
 An error is a failure. A warning is one where warnings are said to fail, and a case that passes with a word to it
-elsewhere. A file without findings is a case that passes.
+elsewhere. A fault of deepbots (DB903) is an error of the test. A file without findings is a case that passes.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ def _named(findings: Sequence[Finding], files: Sequence[str]) -> list[str]:
 
 
 def _counts(findings: Sequence[Finding], failing: Collection[Severity], suites: Sequence[Sequence[Finding]]) -> dict[str, str]:
-    failed = sum(finding.severity in failing for finding in findings)
+    faults = sum(finding.is_fault for finding in findings)
+    failed = sum(finding.severity in failing and not finding.is_fault for finding in findings)
     cases = sum(len(suite) or 1 for suite in suites)
-    return {"tests": str(cases), "failures": str(failed), "errors": "0", "time": "0"}
+    return {"tests": str(cases), "failures": str(failed), "errors": str(faults), "time": "0"}
 
 
 def _case(suite: ElementTree.Element, file: str, finding: Finding, fails: bool) -> None:
@@ -43,8 +44,8 @@ def _case(suite: ElementTree.Element, file: str, finding: Finding, fails: bool) 
     # Programs take cases of one name for one case.
     name = f"{finding.code} {finding.name} at {line}:{column}: {said(finding.headline)}"
     case = ElementTree.SubElement(suite, "testcase", name=name, classname=safe(file), file=safe(file), line=str(line), time="0")
-    if fails:
-        inner = ElementTree.SubElement(case, "failure", type=finding.code, message=said(finding.headline))
+    if fails or finding.is_fault:
+        inner = ElementTree.SubElement(case, "error" if finding.is_fault else "failure", type=finding.code, message=said(finding.headline))
     else:
         inner = ElementTree.SubElement(case, "system-out")
     inner.text = told(finding)

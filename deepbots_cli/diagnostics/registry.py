@@ -53,7 +53,7 @@ FAMILIES = {
     "DB6": "observation",
     "DB7": "reward",
     "DB8": "endings",
-    "DB9": "comments",
+    "DB9": "linting",
 }
 
 _CATALOGUE = (
@@ -152,6 +152,7 @@ _CATALOGUE = (
         "warning",
         "a rule that does not run, in preview or for want of a simulation, is selected by itself",
     ),
+    Rule("DB903", "rule-failed", "error", "a rule or the compiler raised an exception on this file, which is a fault of deepbots"),
 )
 
 _RETIRED = (

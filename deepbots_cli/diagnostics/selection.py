@@ -50,9 +50,9 @@ class Selection:
         return self._select is None and not self._ignore
 
     def wants(self, finding: Finding) -> bool:
-        """Whether it is to be shown: it is selected, or it keeps the rest from being looked at."""
+        """Whether it is to be shown: it is selected, or it keeps the rest from being looked at, as a fault of deepbots does too."""
         unreadable = finding.severity == "error" and finding.code.startswith(_UNREADABLE)
-        return unreadable or self._has(finding.code)
+        return unreadable or finding.is_fault or self._has(finding.code)
 
     def doubts(self) -> list[Finding]:
         """A DB902 for each rule that is selected by itself, and does not run: it is in preview, or asks a simulation."""

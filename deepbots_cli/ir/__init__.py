@@ -102,6 +102,7 @@ from deepbots_cli.ir.world import (
     Variant,
     WorldModel,
 )
+from deepbots_cli.lang.scalar import is_drawn
 
 __all__ = [
     "ARENA_WALLS",
@@ -243,6 +244,12 @@ class CompiledScenario:
         """The functions of installed packages that its reward and its endings call."""
         named = [term.foreign for term in self.reward] + [ending.foreign for ending in self.endings]
         return tuple(function for function in named if function is not None)
+
+    @property
+    def settable(self) -> tuple[NamedValues, ...]:
+        """What an episode draws under a name, and `options` of `reset` may set: parameters, places and joints."""
+        drawn = (entry for entry in self.parameters if any(map(is_drawn, entry.values)))
+        return (*drawn, *self.reset.drawn)
 
     @property
     def seen(self) -> tuple[Observed | Pictured, ...]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.ir.values import NamedValues
+from deepbots_cli.lang.scalar import Scalar, is_drawn
 
 MOST_SPOTS = 1_000_000  # of a region with a grid
 
@@ -128,3 +130,24 @@ class Reset:
     layouts: tuple[Layout, ...] = ()
     require: Scalar | None = None
     attempts: int = 100
+
+    @property
+    def drawn(self) -> Iterator[NamedValues]:
+        """The places and joints of which an episode draws something, by their paths in the scenario; copies of a group have none.
+
+        Coordinates and joints are single numbers (m, rad), velocities of bodies have three components (m/s, rad/s).
+        """
+        groups = {group.name for group in self.groups}
+        arranged = (("reset.place", self.places), *((f"reset.layouts.{layout.name}", layout.places) for layout in self.layouts))
+        found = [entry for path, places in arranged for place in places if place.body not in groups for entry in _of_place(path, place)]
+        for joint in self.joints:
+            path = f"reset.set.{joint.robot}.{joint.joint}"
+            found += [NamedValues(path, (), (joint.position,)), NamedValues(f"{path}.velocity", (), (joint.velocity,))]
+        yield from (entry for entry in found if any(map(is_drawn, entry.values)))
+
+
+def _of_place(path: str, place: Place) -> Iterator[NamedValues]:
+    for axis, value in zip(("x", "y", "z", "roll", "pitch", "yaw"), (*place.xyz, *place.rpy), strict=True):
+        yield NamedValues(f"{path}.{place.body}.{axis}", (), (value,))
+    for key, values in (("velocity", place.velocity), ("angular_velocity", place.angular_velocity)):
+        yield NamedValues(f"{path}.{place.body}.{key}", ("x", "y", "z"), values)

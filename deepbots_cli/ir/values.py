@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from deepbots_cli.lang.scalar import Scalar
@@ -14,6 +15,12 @@ class NamedValues:
     name: str
     components: tuple[str, ...]
     values: tuple[Scalar, ...]
+
+    @property
+    def numbers(self) -> Iterator[tuple[str, Scalar]]:
+        """The expression of each number, by the full name: `mark.x` of a vector."""
+        names = [f"{self.name}.{component}" for component in self.components] or [self.name]
+        return zip(names, self.values, strict=False)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 INF = math.inf
@@ -175,3 +175,60 @@ def length_of(parts: Sequence[Interval]) -> Interval:
     """The square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
     return Interval(guarded(math.hypot, *(s.low for s in sizes)), guarded(math.hypot, *(s.high for s in sizes)))
+
+
+NEVER, ALWAYS = exact(0.0), exact(1.0)
+"""Truth values as numbers: never true, and always."""
+
+
+def _sum(*terms: Interval) -> Interval:
+    total = terms[0]
+    for term in terms[1:]:
+        total = add(total, term)
+    return total
+
+
+def _angle(y: Interval, x: Interval) -> Interval:
+    """Of the point (x, y): all round, but for half planes that it cannot lie in."""
+    if y.low < 0.0:
+        return QUARTER_TURNS if x.low >= 0.0 else TURN
+    if y == NEVER and x.low >= 0.0:
+        return NEVER
+    return Interval(0.0, math.pi / 2) if x.low >= 0.0 else HALF_TURN
+
+
+def _truth(sure: bool, out: bool) -> Interval:
+    return ALWAYS if sure else NEVER if out else TRUTH
+
+
+def _less(a: Interval, b: Interval) -> Interval:
+    return _truth(a.high < b.low, a.low >= b.high)
+
+
+def _less_equal(a: Interval, b: Interval) -> Interval:
+    return _truth(a.high <= b.low, a.low > b.high)
+
+
+def _equal(a: Interval, b: Interval) -> Interval:
+    return _truth(a.single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)
+
+
+OPERATORS: Mapping[str, Callable[..., Interval]] = {
+    "neg": negate,
+    "add": _sum,
+    "sub": subtract,
+    "mul": multiply,
+    "div": divide,
+    "pow": power,
+    "atan2": _angle,
+    "less": _less,
+    "less_equal": _less_equal,
+    "greater": lambda a, b: _less(b, a),
+    "greater_equal": lambda a, b: _less_equal(b, a),
+    "equal": _equal,
+    "not_equal": lambda a, b: subtract(ALWAYS, _equal(a, b)),
+    "not": lambda a: subtract(ALWAYS, a),
+    "and": lambda *terms: lesser(terms),
+    "or": lambda *terms: greater(terms),
+}
+"""The operators of scalar trees that are no functions of the language."""

@@ -80,6 +80,11 @@ def names_in(scalar: Scalar) -> list[Name]:
     return [node for node in walk(scalar) if isinstance(node, Name)]
 
 
+def is_drawn(scalar: Scalar) -> bool:
+    """Whether a random draw is part of the tree itself; one behind a name does not count."""
+    return any(isinstance(node, Draw) for node in walk(scalar))
+
+
 def walk(scalar: Scalar) -> Iterator[Scalar]:
     """Every node, arguments before what is made of them: the order in which states must advance."""
     for child in children(scalar):

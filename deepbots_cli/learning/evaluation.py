@@ -20,7 +20,7 @@ from deepbots_cli.learning.intervals import Pair
 from deepbots_cli.learning.rollout import ROWS, OnEpisode, rollout
 from deepbots_cli.learning.run import Compiled, ModelName, Run
 from deepbots_cli.learning.summary import Summary
-from deepbots_cli.learning.training import default_build
+from deepbots_cli.learning.training import compiled_of, default_build
 from deepbots_cli.runtime.streams import derive
 
 
@@ -59,15 +59,15 @@ class EvaluationResult:
 
 
 def evaluate(
-    run: Path,
+    run: str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
     deterministic: bool = True,
     model: ModelName = "best",
-    scenario: Compiled | None = None,
+    scenario: Compiled | str | Path | None = None,
     case: str | None = None,
-    video_to: Path | None = None,
+    video_to: str | Path | None = None,
     copies: int = ROWS,
     allow_code: bool = False,
     build: BuildWorld | None = None,
@@ -85,7 +85,7 @@ def evaluate(
         seed: The root of the stream, from 0; the training's by default.
         deterministic: Whether the policy takes its likeliest action; else it samples, from seeded streams too.
         model: `best` by its trial during the training, or `last`.
-        scenario: Another scenario to evaluate in; its observation, action and messages must be those of the run.
+        scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
         case: One of the scenario's cases to evaluate in, by name.
         video_to: Where to write the first episode as mp4.
         copies: Worlds at a time, 1 to 8.
@@ -100,7 +100,7 @@ def evaluate(
     """
     torch.set_num_threads(1)
     known = Run.open(run)
-    ir = known.ir if scenario is None else _fitting(known, scenario.ir)
+    ir = known.ir if scenario is None else _fitting(known, compiled_of(scenario).ir)
     count = ir.evaluation.episodes if episodes is None else episodes
     if case is not None:
         chosen = ir.case(case)
@@ -108,6 +108,7 @@ def evaluate(
     root = known.record.seed if seed is None else seed
     if count < 1 or root < 0:
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
+    video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
         video.check(video_to)
     make = build or default_build(known.record.engine, allow_code=allow_code)
@@ -127,17 +128,18 @@ def evaluate(
 
 
 def evaluate_cases(
-    run: Path,
+    run: str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
     model: ModelName = "best",
-    scenario: Compiled | None = None,
+    scenario: Compiled | str | Path | None = None,
     allow_code: bool = False,
     build: BuildWorld | None = None,
     on_episode: OnEpisode | None = None,
 ) -> tuple[EvaluationResult, ...]:
     """Evaluate in every case of the scenario, in file order; arguments and errors as for `evaluate`."""
+    scenario = None if scenario is None else compiled_of(scenario)
     cases = (Run.open(run).ir if scenario is None else scenario.ir).cases
     return tuple(
         evaluate(

@@ -118,12 +118,13 @@ class Run:
         return Run(path, record, compiled.ir)
 
     @staticmethod
-    def open(path: Path) -> Run:
+    def open(path: str | Path) -> Run:
         """A run that exists.
 
         Raises:
             RunError: No run, damaged, changed after the training, or of a format that this deepbots does not know.
         """
+        path = Path(path)
         if not path.is_dir():
             raise RunError(f"{path} is not a run: {'it is a file' if path.exists() else 'there is no such directory'}")
         record = Record.read(path)
@@ -184,12 +185,13 @@ def _is_sound(ir: CompiledScenario) -> bool:
     return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows) and all(bodies)
 
 
-def new_directory(wanted: Path | None, parent: Path, scenario: str, seed: int) -> Path:
+def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int) -> Path:
     """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`.
 
     Raises:
         UsageError: `wanted` exists, or the directory cannot be made.
     """
+    wanted, parent = None if wanted is None else Path(wanted), Path(parent)
     try:
         if wanted is not None:
             wanted.mkdir(parents=True)

@@ -79,8 +79,8 @@ class TrainingResult:
 def train(
     scenario: Compiled | str | Path,
     *,
-    run: Path | None = None,
-    runs: Path = Path("runs"),
+    run: str | Path | None = None,
+    runs: str | Path = "runs",
     seed: int = 0,
     total_timesteps: int | None = None,
     stop_when_solved: bool = True,
@@ -113,7 +113,7 @@ def train(
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world failed; names step and cause.
     """
-    compiled = _compiled(scenario)
+    compiled = compiled_of(scenario)
     training = _training_of(compiled.ir, total_timesteps)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
@@ -153,7 +153,7 @@ def train(
 
 
 def resume(
-    run: Path,
+    run: str | Path,
     *,
     total_timesteps: int | None = None,
     stop_when_solved: bool | None = None,
@@ -179,10 +179,10 @@ def resume(
         RunError: No run, or one that is damaged; else as for `train`.
         UsageError: The run has already reached its goal, or another training is at work in it.
     """
-    Run.open(run)  # a folder that is no run is told so, whoever is at work in it
-    with sole_trainer(run):
+    path = Run.open(run).path  # a folder that is no run is told so, whoever is at work in it
+    with sole_trainer(path):
         # Only now: a training that has just ended in there has changed the record.
-        known = Run.open(run)
+        known = Run.open(path)
         build = build or default_build(known.record.engine, allow_code=allow_code)
         return _go_on(known, total_timesteps, stop_when_solved, reporter(progress), build)
 
@@ -214,7 +214,8 @@ def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | Non
     return _learn(known, training, Keeper(known, statistics, curriculum, Trials(build, record.seed, tried), best), build, told)
 
 
-def _compiled(scenario: Compiled | str | Path) -> Compiled:
+def compiled_of(scenario: Compiled | str | Path) -> Compiled:
+    """The scenario as it is, or compiled if a path or the name of a shipped one is given."""
     if not isinstance(scenario, (str, Path)):
         return scenario
     from deepbots_cli.api import compile  # as for `default_build`

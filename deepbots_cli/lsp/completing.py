@@ -207,7 +207,7 @@ def _codes(view: View) -> list[CompletionItem]:
     found = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
     if found is None:
         return []
-    warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "comments")
+    warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "linting")
     start = view.offset - len(found[1])
     return [_item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start) for rule in warnings]
 

@@ -19,11 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import RULES as CATALOGUE
-from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics import Finding, shielded
+from deepbots_cli.diagnostics.finding import fault
 from deepbots_cli.probing import ended, paid, physics, rays, seen
 from deepbots_cli.probing.limits import Limits
 from deepbots_cli.probing.plan import planned
@@ -53,15 +55,21 @@ class Probe:
 def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) -> Probe:
     """Simulate a scenario that has no errors, in a process of its own, and judge it.
 
-    Where that finds errors there are no warnings but those of `_CAUSES`: what episodes are like would follow from them.
+    Where that finds errors there are no warnings but those of `_CAUSES`: what episodes are like would follow from them. A rule that
+    raises an exception is a DB903 beside what the others find, and so is a simulation that fails by a fault of deepbots.
     """
     assert checked.task is not None  # it has no errors
     assert checked.namespace is not None
     scenario = lower(checked.task)
+    source = checked.document.source
     report = measured(scenario, limits, allow_code=checked.document.allow_code)
+    if report.fault is not None:
+        return Probe([fault("the simulation", source, report.fault)])
     probed = Probed(checked, checked.task, checked.namespace, scenario, planned(scenario), report)
-    found = [finding for code, rule in RULES.items() if preview or not CATALOGUE[code].deep_preview for finding in rule(probed)]
+    rules = [(code, rule) for code, rule in RULES.items() if preview or not CATALOGUE[code].deep_preview]
+    found = [finding for code, rule in rules for finding in shielded(f"the rule {code}", source, partial(rule, probed))]
     errors = [finding for finding in found if finding.severity == "error"]
+    if not all(finding.is_fault for finding in errors):
+        found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
     slow = report.halt is not None and report.halt.kind == "slow"
-    causes = [finding for finding in found if finding.code in _CAUSES]
-    return Probe([*errors, *causes] if errors else found, f"{probed.when()}, after {report.halt.what}" if slow and report.halt else None)
+    return Probe(found, f"{probed.when()}, after {report.halt.what}" if slow and report.halt else None)

@@ -29,8 +29,10 @@ def main(limits: Limits) -> None:
         _measure(request, out, limits.step)
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
-    except Exception:  # noqa: BLE001  # a fault of ours, which the parent tells
-        out.write(json.dumps({"fault": traceback.format_exc()}).encode() + b"\n")
+    except Exception as error:  # noqa: BLE001  # a fault of ours, which the parent tells
+        from deepbots_cli.diagnostics.finding import described
+
+        out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 
 
 def _measure(request: dict[str, Any], out: FileIO, most: float) -> None:

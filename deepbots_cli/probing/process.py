@@ -36,7 +36,7 @@ def measured(ir: CompiledScenario, limits: Limits, *, allow_code: bool = False) 
     """Simulate a scenario in a process of its own; whatever becomes of that, there is a report.
 
     Raises:
-        RuntimeError: The process failed by a fault of deepbots itself; holds its traceback.
+        RuntimeError: The process failed by a fault of deepbots itself, and DEEPBOTS_DEBUG is 1; holds its traceback.
     """
     request = json.dumps({"scenario": to_json(ir), "allow_code": allow_code})
     # -P, since modules in the working directory may be anyone's
@@ -77,8 +77,8 @@ def _read(out: bytes) -> Report:
         except ValueError:
             continue
         if isinstance(told, dict):
-            if "fault" in told:
-                raise RuntimeError(f"the simulation failed by a fault of deepbots\n{told['fault']}")
+            if "fault" in told and os.environ.get("DEEPBOTS_DEBUG") == "1":
+                raise RuntimeError(f"the simulation failed by a fault of deepbots\n{told.get('traceback')}")
             report.take(told)
     return report
 

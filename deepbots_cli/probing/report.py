@@ -101,7 +101,7 @@ class Measured:
 
 @dataclass
 class Report:
-    """Filled line by line; `done` says whether the plan was gone through to its end."""
+    """Filled line by line; `done` says whether the plan was gone through to its end, `fault` which exception of deepbots ended it."""
 
     where: Where = Where("build", 0, 0)
     fastest: tuple[str, float] | None = None
@@ -115,6 +115,7 @@ class Report:
     over: dict[tuple[str, str], Aim] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
+    fault: str | None = None
     done: bool = False
 
     @property
@@ -153,6 +154,8 @@ class Report:
                 self.over = {(robot, sensor): Aim(*aim) for robot, sensor, *aim in rows}
             case {"stop": Mapping() as stop}:
                 self.stop = stop
+            case {"fault": str() as fault}:
+                self.fault = fault
             case {"done": True}:
                 self.done = True
 

@@ -29,11 +29,12 @@ wording.py      figures in findings
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib import import_module
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import RULES as CATALOGUE
-from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics import Finding, shielded
 from deepbots_cli.rules.doubts import Doubts
 from deepbots_cli.task import Task
 
@@ -41,7 +42,10 @@ Rule = Callable[[Checked], Iterator[Finding]]
 
 
 def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
-    """The findings of all rules, those in preview only if asked for; none for a scenario that cannot be understood as a whole."""
+    """The findings of all rules, those in preview only if asked for; none for a scenario that cannot be understood as a whole.
+
+    A rule that raises an exception is a DB903, and the other rules run all the same.
+    """
     if checked.findings.errors or checked.task is None:
         return
     doubts = Doubts(checked)
@@ -51,10 +55,14 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
         for rule in rules_of(module) if concerns(checked.task) else ():
             code = code_of(rule)
             if preview or not CATALOGUE[code].preview:
-                try:
-                    yield from (finding for finding in rule(checked) if not doubts.explain(finding))
-                except RecursionError:  # definitions upon definitions, deeper than a rule can follow: nothing is said of them
-                    continue
+                yield from shielded(f"the rule {code}", checked.document.source, partial(_found, rule, checked, doubts))
+
+
+def _found(rule: Rule, checked: Checked, doubts: Doubts) -> Iterator[Finding]:
+    try:
+        yield from (finding for finding in rule(checked) if not doubts.explain(finding))
+    except RecursionError:  # definitions upon definitions, deeper than a rule can follow: nothing is said of them
+        return
 
 
 def rules_of(module: str) -> tuple[Rule, ...]:

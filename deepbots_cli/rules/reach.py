@@ -8,7 +8,7 @@ are 0 and 1, so that [0, 0] is never true and [1, 1] always. What is infinite is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -18,7 +18,7 @@ from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.rules.meaning import Book
 
-NEVER, ALWAYS = exact(0.0), exact(1.0)
+NEVER, ALWAYS = iv.NEVER, iv.ALWAYS
 _MANY = 64
 """Conditions that are held against each other."""
 _NOTHING: Mapping[str, Interval] = MappingProxyType({})
@@ -123,7 +123,7 @@ class Reach:
         if op == "and" and self._is_contradictory(args):
             return NEVER
         values = [self.of(arg) for arg in args]
-        rule = _OPERATORS.get(op)
+        rule = iv.OPERATORS.get(op)
         return rule(*values) if rule else FUNCTIONS[op].interval(values, 1)
 
     def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
@@ -189,55 +189,3 @@ class Supposing(Reach):
 
     def _of(self, node: Scalar) -> Interval:
         return self._anyhow.of(node) if self.book.names_behind(node).isdisjoint(self.given) else super()._of(node)
-
-
-def _sum(*terms: Interval) -> Interval:
-    total = terms[0]
-    for term in terms[1:]:
-        total = iv.add(total, term)
-    return total
-
-
-def _angle(y: Interval, x: Interval) -> Interval:
-    """Of the point (x, y): all round, but for half planes that it cannot lie in."""
-    if y.low < 0.0:
-        return iv.QUARTER_TURNS if x.low >= 0.0 else iv.TURN
-    if y == NEVER and x.low >= 0.0:
-        return NEVER
-    return Interval(0.0, math.pi / 2) if x.low >= 0.0 else iv.HALF_TURN
-
-
-def _truth(sure: bool, out: bool) -> Interval:
-    return ALWAYS if sure else NEVER if out else TRUTH
-
-
-def _less(a: Interval, b: Interval) -> Interval:
-    return _truth(a.high < b.low, a.low >= b.high)
-
-
-def _less_equal(a: Interval, b: Interval) -> Interval:
-    return _truth(a.high <= b.low, a.low > b.high)
-
-
-def _equal(a: Interval, b: Interval) -> Interval:
-    return _truth(a.single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)
-
-
-_OPERATORS: dict[str, Callable[..., Interval]] = {
-    "neg": iv.negate,
-    "add": _sum,
-    "sub": iv.subtract,
-    "mul": iv.multiply,
-    "div": iv.divide,
-    "pow": iv.power,
-    "atan2": _angle,
-    "less": _less,
-    "less_equal": _less_equal,
-    "greater": lambda a, b: _less(b, a),
-    "greater_equal": lambda a, b: _less_equal(b, a),
-    "equal": _equal,
-    "not_equal": lambda a, b: iv.subtract(ALWAYS, _equal(a, b)),
-    "not": lambda a: iv.subtract(ALWAYS, a),
-    "and": lambda *terms: iv.lesser(terms),
-    "or": lambda *terms: iv.greater(terms),
-}

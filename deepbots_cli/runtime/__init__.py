@@ -8,7 +8,7 @@ channel.py     the path of messages, radio.py one that is not perfect; messages.
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
 team.py        copies of a robot in one world, share.py what each sees of the engine
-streams.py     named random streams under one root seed
+streams.py     named random streams under one root seed; episode_options.py values that `reset` is given in place of draws
 album.py       the last pictures
 foreign.py     terms in Python
 hindsight.py   rewards for other goals, for hindsight replay

@@ -19,6 +19,7 @@ from deepbots_cli.port import STILL, Engine
 from deepbots_cli.runtime.actions import alike, composed, usual
 from deepbots_cli.runtime.album import Album
 from deepbots_cli.runtime.channel import channel
+from deepbots_cli.runtime.episode_options import episode_values
 from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import codec, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
@@ -85,6 +86,8 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.goal = np.zeros(2 * len(scenario.goal.low) if scenario.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
+        self.fixed: tuple[str, ...] = ()  # parameters that no episode draws
+        self.chosen: Mapping[str, float] = {}  # what `options` of the last reset set
         self._closed = False
         self._go_on: Callable[[Any], None] = self._refuse
         self._forget()
@@ -114,14 +117,21 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         """Begin an episode; a seed fixes this one and all that follow without one.
 
+        Args:
+            seed: The root of all random streams, a whole number from 0.
+            options: Values of this episode in place of draws, by name: drawn parameters (`mark`), and drawn places and joints by
+                their paths (`reset.place.block.x`). Numbers in SI units, vectors as sequences. Other draws stay as they are.
+
         Returns:
             The observation, float32 in the observation space, and the info of a step.
 
         Raises:
             EvaluationError: An expression has no value, or the episode would end before its first step; names it.
+            UsageError: `options` holds an unknown name, or a value that the episode could not have drawn. The episode goes on.
         """
         if self._closed:
             raise UsageError(_CLOSED)
+        self.chosen = episode_values(self.scenario, options, self.fixed) if options else {}
         super().reset(seed=seed)
         self._go_on = self._refuse
         if seed is not None:
@@ -273,6 +283,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
         That of a copy in a team is a generator, which waits wherever the world goes on.
         """
+
+    def given(self, name: str, drawn: float) -> float:
+        """The value of this episode: what `options` of `reset` set, or else what was drawn."""
+        return self.chosen.get(name, drawn)
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
         """Give a fault of a sensor the figures of this episode; of one that nothing reads there is no device."""

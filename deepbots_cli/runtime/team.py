@@ -72,6 +72,7 @@ class Team(Supervisor):
         self.engine.reset()
         for member in self.members:
             member._forget()
+            member.chosen = self.chosen
             member._begin()
         if self._shares[0].settling:
             self.engine.step(self._shares[0].settling)

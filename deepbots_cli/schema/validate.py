@@ -74,7 +74,7 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
             _prune(data, path, pruned)
     _advise(root, data, findings)
 
-    earlier = tuple(findings)
+    earlier = findings.errors  # a warning leaves its value in place, so nothing is missing because of it
     troubles = list(islice(_key_troubles(data), findings.most))
     for round_number in range(_ROUNDS):
         scenario, refusals = check(Scenario, data, lenient=round_number > 0)

@@ -67,7 +67,7 @@ def load(
     sets: Texts[str] = (),
     *,
     display: str | None = None,
-    allow_paths: Iterable[Path] = (),
+    allow_paths: Iterable[str | Path] = (),
     drafts: Drafts = NO_DRAFTS,
 ) -> Document:
     """Read the scenario at `path`, with the assignments `sets` (`path=value`) made.
@@ -100,35 +100,35 @@ def load(
 def loads(
     text: str,
     name: str = "<text>",
-    base: Path | None = None,
+    base: str | Path | None = None,
     sets: Texts[str] = (),
     *,
-    allow_paths: Iterable[Path] = (),
+    allow_paths: Iterable[str | Path] = (),
 ) -> Document:
     """The same for a text; paths in it are relative to `base`, by default the working directory."""
-    base = (base or Path.cwd()).resolve()
+    base = Path(base or Path.cwd()).resolve()
     reader = _Reader(_roots(base, sets, allow_paths))
     source, readable = files.decode(text.encode("utf-8", "surrogatepass"), name, reader.findings)
     return reader.document(source, base, sets, base, (), readable=readable)
 
 
-def _roots(folder: Path, sets: Texts[str], allowed: Iterable[Path]) -> tuple[Path, ...]:
+def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path]) -> tuple[Path, ...]:
     # A path typed on the command line is the user's own, and relative to where they stand.
     own = [roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
     return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
 
 
-def allowed_folders(paths: Iterable[Path]) -> tuple[Path, ...]:
+def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
     """What `--allow-path` names, links followed.
 
     Raises:
         UsageError: One of them is no folder.
     """
-    paths = tuple(paths)
-    for path in paths:
-        if not path.is_dir():
-            raise UsageError(f"there is no folder {path} that could be read from; --allow-path names a folder outside the project")
-    return tuple(path.resolve() for path in paths)
+    folders = [Path(path) for path in ((paths,) if isinstance(paths, (str, Path)) else paths)]
+    for folder in folders:
+        if not folder.is_dir():
+            raise UsageError(f"there is no folder {folder} that could be read from; --allow-path names a folder outside the project")
+    return tuple(folder.resolve() for folder in folders)
 
 
 class _Reader:

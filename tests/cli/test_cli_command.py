@@ -124,7 +124,7 @@ def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypa
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
-    ran = deepbots("lint", "cartpole")
+    ran = deepbots("compile", "cartpole")
     assert ran.code == 3
     assert "ZeroDivisionError" in ran.err
     assert "Traceback" not in ran.err
@@ -138,7 +138,7 @@ def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
     monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
     monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
-        deepbots("lint", "cartpole")
+        deepbots("compile", "cartpole")
 
 
 def test_a_file_that_cannot_be_written_is_one_line(deepbots, tmp_path):

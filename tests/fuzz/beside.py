@@ -25,7 +25,7 @@ from deepbots_cli.source.layout import tidy
 from deepbots_cli.source.nodes import to_data
 from deepbots_cli.source.parse import parse
 from tests.fuzz.mutations import CORPUS, PIECES, READS, ROOT, Case, case, damaged
-from tests.fuzz.workbench import FailedError, Workbench
+from tests.fuzz.workbench import FailedError, Workbench, check_rules
 from tests.lsp.client import Client, edited
 
 SESSION = 100
@@ -112,7 +112,9 @@ def session(client: Client, folder: Path, chance: random.Random) -> int:
         else:
             answers += _ask(client, uri, chance)
     for uri in uris:
-        _check_places(client.texts[uri], client.findings(uri))
+        found = client.findings(uri)
+        _check_places(client.texts[uri], found)
+        check_rules([one["message"] for one in found if one.get("code") == "DB903"])
         client.close(uri)
     if client.logged:
         raise FailedError(f"the language server says: {client.logged}")

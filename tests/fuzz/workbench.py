@@ -1,8 +1,8 @@
 """What must hold of every file, however damaged, and a folder to try it in.
 
-No exception leaves `lint`, no file takes more than a second of CPU, and the process never more than 300 MB. Findings lie inside of
-their texts, and are the same when asked for again, also under another hash seed. The exit code is 1 if there is an error and 0 if not,
-in every format. What has no error compiles to Python. Nothing outside of the project is opened.
+No exception leaves `lint`, no rule fails (DB903), no file takes more than a second of CPU, and the process never more than 300 MB. Findings
+lie inside of their texts, and are the same when asked for again, also under another hash seed. The exit code is 1 if there is an error and
+0 if not, in every format. What has no error compiles to Python. Nothing outside of the project is opened.
 """
 
 from __future__ import annotations
@@ -89,6 +89,7 @@ class Workbench:
         with self.laid_out(damaged):
             findings = self._linted(damaged)
             _check_places(findings)
+            check_rules([finding.headline for finding in findings if finding.is_fault])
             if number % 100 == 0:
                 self._check_exit_code(damaged, findings, FORMATS[number // 100 % len(FORMATS)])
             if number % 100 == 1 and digest(self._linted(damaged)) != digest(findings):
@@ -153,6 +154,12 @@ def _check_places(findings: Sequence[Finding]) -> None:
         for span in (finding.span, *(label.span for label in finding.also)):
             if not 0 <= span.start <= span.end <= len(span.source.text):
                 raise FailedError(f"{finding.code} lies outside of its text: {span.start}..{span.end} of {len(span.source.text)}")
+
+
+def check_rules(faults: Sequence[str]) -> None:
+    """Raises `FailedError` if there are any: the headlines of findings that report a fault of deepbots (DB903)."""
+    if faults:
+        raise FailedError(f"deepbots fails: {'; '.join(faults)}")
 
 
 def digest(findings: Sequence[Finding]) -> str:

@@ -32,6 +32,18 @@ def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(trained: Trai
     assert results[0]["least_return"] != results[0]["greatest_return"]
 
 
+def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"does not end in \.mp4"):
+        evaluate(str(trained.run), episodes=1, video_to=str(tmp_path / "first.gif"), build=stand_in.build)
+    assert evaluate(str(trained.run), episodes=1, build=stand_in.build) == evaluate(trained.run, episodes=1, build=stand_in.build)
+    assert evaluate_cases(str(trained.run), build=stand_in.build) == ()
+
+
+def test_evaluate_takes_another_scenario_by_its_path_as_train_does(trained: TrainingResult) -> None:
+    with pytest.raises(RunError, match="was trained for another observation"):
+        evaluate(trained.run, episodes=1, scenario="cartpole", build=stand_in.build)
+
+
 def test_other_seeds_are_other_starts(trained: TrainingResult) -> None:
     assert figures(trained, episodes=20, seed=0) != figures(trained, episodes=20, seed=1)
     assert figures(trained, episodes=20, seed=0) == figures(trained, episodes=20, seed=0)

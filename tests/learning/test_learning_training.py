@@ -137,6 +137,13 @@ def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(run_c
     assert record["status"] == "finished"
 
 
+def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
+    first = short(str(tmp_path / "many"), build=stand_in.build)  # type: ignore[arg-type]
+    assert first.run.parent == tmp_path / "many"
+    assert short(tmp_path, run=str(tmp_path / "one"), build=stand_in.build).run == tmp_path / "one"
+    assert resume(str(first.run), total_timesteps=first.steps + 1, build=stand_in.build).run == first.run
+
+
 def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: TrainingResult) -> None:
     def stop(ir: Any, *, render_mode: str | None = None) -> Any:
         raise DeepbotsError("no world today")

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.probing import Limits, Probe, probe
+from deepbots_cli.probing.process import measured
 from deepbots_cli.source import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
@@ -97,6 +101,14 @@ def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
     found = only(probe(checked("fail"), limits=TIGHT))
     assert (found.code, found.span.text) == ("DB707", "hostile:fail")
     assert "ZeroDivisionError" in found.notes[1]
+
+
+def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked) -> None:
+    """Here a compiled scenario whose name is no text."""
+    scenario = replace(lower(checked().task), name=3)
+    report = measured(scenario, TIGHT)
+    assert report.fault is not None
+    assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault)
 
 
 def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> None:

@@ -181,6 +181,13 @@ def test_an_allowed_path_may_be_read(tmp_path: Path) -> None:
     assert data(load(path, allow_paths=[tmp_path / "shared"])) == {"a": 1}
 
 
+def test_allowed_paths_may_be_text_and_a_single_one(tmp_path: Path) -> None:
+    path = write(tmp_path / "project", main="extends: ../shared/base.yaml\n")
+    write(tmp_path / "shared", base="a: 1\n")
+    for allowed in ([str(tmp_path / "shared")], str(tmp_path / "shared"), tmp_path / "shared"):
+        assert data(load(str(path), allow_paths=allowed)) == {"a": 1}
+
+
 def test_the_project_is_the_nearest_folder_with_a_marker(tmp_path: Path) -> None:
     (tmp_path / "deepbots.toml").touch()
     path = write(tmp_path / "deep" / "down", main="extends: ../../base.yaml\n")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.exits import FAILED, FAULT
 from deepbots_cli.cli.linting import STDIN, Look, findings_of, named
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets
 from deepbots_cli.cli.reports import report
@@ -109,6 +109,8 @@ def command(
             _sum_up(shown, names, selection, fixed=fix, deep=deep)
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.wants(finding)]
     _confess(hidden)
+    if any(finding.is_fault for finding in shown):
+        raise typer.Exit(FAULT)
     if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
 

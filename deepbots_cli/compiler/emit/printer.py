@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
@@ -12,20 +13,26 @@ from deepbots_cli.lang.state import advance_lines, reset_lines
 
 Resolve = Callable[[Name | World], str]
 
+NOTHING: Mapping[int, str] = MappingProxyType({})
+
 
 class Printer:
     """Lines of Python for one method body.
 
     `starting` says that the method runs right after a reset: stateful functions then take their first
-    value instead of advancing.
+    value instead of advancing. `settable` has the names of draws that `options` of `reset` may set, by the identity of
+    their expressions: to compare trees is to walk them.
     """
 
-    def __init__(self, resolve: Resolve, names: Names, timestep: float, *, starting: bool = False) -> None:
+    def __init__(
+        self, resolve: Resolve, names: Names, timestep: float, *, starting: bool = False, settable: Mapping[int, str] = NOTHING
+    ) -> None:
         self.lines: list[str] = []
         self.names = names
         self._resolve = resolve
         self._timestep = repr(timestep)
         self.starting = starting
+        self._settable = settable
         self._hoisted: dict[State, str] = {}
 
     def line(self, text: str) -> None:
@@ -33,7 +40,9 @@ class Printer:
 
     def value(self, expression: Scalar) -> str:
         """The code of an expression; what must happen first has been printed."""
-        return python(expression, self._leaf)
+        code = python(expression, self._leaf)
+        name = self._settable.get(id(expression))
+        return code if name is None else f"self.given({quoted(name)}, {code})"
 
     def assign(self, target: str, expression: Scalar) -> None:
         self.line(f"{target} = {self.value(expression)}")

@@ -104,7 +104,7 @@ def _forgetting(space: Workspace) -> list[str]:
 
 
 def _printer(space: Workspace) -> Printer:
-    return Printer(lambda leaf: _at_reset(space, leaf), space.names, space.scenario.world.timestep)
+    return Printer(lambda leaf: _at_reset(space, leaf), space.names, space.scenario.world.timestep, settable=space.settable)
 
 
 def _at_reset(space: Workspace, leaf: Name | World) -> str:

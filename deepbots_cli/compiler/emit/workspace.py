@@ -9,7 +9,7 @@ from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import ARRIVALS, Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
 from deepbots_cli.ir import Choices, CompiledScenario, Robot, own_action
-from deepbots_cli.lang.scalar import Name, Scalar, World, names_in
+from deepbots_cli.lang.scalar import Name, Scalar, World, is_drawn, names_in
 
 
 class Workspace:
@@ -38,6 +38,7 @@ class Workspace:
         self.variables = [variable for part in scenario.action for variable in action_variables(part)]
         self._used = {leaf.name for expression in (*self.evaluated, *self.scripted) for leaf in names_in(expression)}
         self._parameters = {entry.name for entry in scenario.parameters}
+        self.settable = {id(value): full for entry in scenario.settable for full, value in entry.numbers if is_drawn(value)}
 
     @property
     def repeats(self) -> bool:
@@ -109,7 +110,7 @@ class Workspace:
     def printer(self, *, starting: bool = False, between: bool = False) -> Printer:
         """One for a method that runs in a tick: the first one (`starting`), any other, or `between` two steps."""
         resolve = self._resolve_between if between else self._resolve
-        return Printer(resolve, self.names, self.scenario.world.timestep, starting=starting)
+        return Printer(resolve, self.names, self.scenario.world.timestep, starting=starting, settable=self.settable)
 
     def _resolve_between(self, leaf: Name | World) -> str:
         """Between two steps the reward of the last one is known."""

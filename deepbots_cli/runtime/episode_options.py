@@ -1,0 +1,112 @@
+"""What `options` of `reset` sets: values that an episode draws, by the names that the scenario gives them.
+
+A name is that of a drawn parameter, or the path of a drawn place or joint, such as `reset.place.block.x`. Setting a value changes
+no other draw: its stream is drawn from all the same, and every other draw has a stream of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.errors import UsageError
+from deepbots_cli.ir import CompiledScenario, NamedValues
+from deepbots_cli.lang.intervals import EVERYTHING, OPERATORS, Interval, exact, hull
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar
+from deepbots_cli.lang.table import FUNCTIONS
+
+_ROUNDING = 1e-6
+"""Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is 0.60000002."""
+
+
+def episode_values(scenario: CompiledScenario, options: Mapping[str, Any], fixed: Collection[str] = ()) -> dict[str, float]:
+    """The numbers (SI units) that an episode takes in place of draws, by full names such as `mark.x`.
+
+    Args:
+        options: A number for a single value, a sequence with a number per component for a vector.
+        fixed: The parameters that no episode draws.
+
+    Raises:
+        UsageError: A name is unknown, or a value has the wrong type or shape, is not finite or outside its range.
+    """
+    known = {entry.name: entry for entry in scenario.settable}
+    found: dict[str, float] = {}
+    for given, value in options.items():
+        name = str(given).removeprefix("parameters.")
+        entry = known.get(name)
+        if entry is None:
+            raise UsageError(f"reset cannot set {name!r}: {_why_not(name, scenario, list(known), fixed)}")
+        for (full, expression), number in zip(entry.numbers, _numbers(entry, value), strict=True):
+            found[full] = _checked(full, number, expression, scenario)
+    return found
+
+
+def _why_not(name: str, scenario: CompiledScenario, known: list[str], fixed: Collection[str]) -> str:
+    if name in fixed:
+        return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by sets=['{name}=...']"
+    if any(name == entry.name for entry in scenario.parameters):
+        return "it is computed from other parameters; set those"
+    near = nearest(name, known)
+    hint = f"did you mean {near!r}? " if near else ""
+    return f"{hint}{scenario.name} draws {', '.join(map(repr, known)) or 'nothing that has a name'}"
+
+
+def _numbers(entry: NamedValues, value: Any) -> list[float]:
+    wanted = f"{len(entry.components)} numbers ({', '.join(entry.components)})" if entry.components else "a single number"
+    try:
+        array = np.asarray(value)
+    except ValueError:  # sequences of different lengths
+        array = np.asarray(None)
+    if array.dtype.kind not in "iuf" or array.shape != ((len(entry.components),) if entry.components else ()):
+        raise UsageError(f"reset cannot set {entry.name!r} to {str(value)[:80]}: it is {wanted}, in SI units")
+    return [float(number) for number in array.ravel()]
+
+
+def _checked(full: str, number: float, expression: Scalar, scenario: CompiledScenario) -> float:
+    """The number, moved to the limit that it lies beyond by rounding."""
+    if not math.isfinite(number):
+        raise UsageError(f"reset cannot set {full!r} to {number}: it is not finite")
+    options = _options(expression)
+    if options:
+        near = min(options, key=lambda option: abs(option - number))
+        if abs(near - number) > _ROUNDING * abs(near):
+            raise UsageError(f"reset cannot set {full!r} to {number:g}: it is one of {', '.join(f'{option:g}' for option in options)}")
+        return near
+    low, high = _interval(expression, scenario)
+    near = min(max(number, low), high)
+    if abs(near - number) > _ROUNDING * abs(near):
+        raise UsageError(f"reset cannot set {full!r} to {number:g}: it is drawn from {low:g} to {high:g} (SI units)")
+    if isinstance(expression, Draw) and expression.distribution == "integer" and not near.is_integer():
+        raise UsageError(f"reset cannot set {full!r} to {number:g}: it is a whole number from {low:g} to {high:g}")
+    return near
+
+
+def _options(expression: Scalar) -> list[float]:
+    """The values of a choice among numbers."""
+    if isinstance(expression, Draw) and expression.distribution == "choice":
+        return [float(option.value) for option in expression.args if isinstance(option, Const)]
+    return []
+
+
+def _interval(node: Scalar, scenario: CompiledScenario) -> Interval:
+    """How far the values of an expression reach, whatever is drawn."""
+    match node:
+        case Const(value):
+            return exact(float(value))
+        case Name(name, component):
+            full = name if component is None else f"{name}.{component}"
+            numbers = (pair for entry in scenario.parameters if entry.name == name for pair in entry.numbers)
+            return next((_interval(value, scenario) for other, value in numbers if other == full), EVERYTHING)
+        case Draw(distribution, args):
+            return FUNCTIONS[distribution].interval([_interval(arg, scenario) for arg in args], 1)
+        case Op("where", (_, *cases)):
+            return hull([_interval(case, scenario) for case in cases])
+        case Op(op, args):
+            values = [_interval(arg, scenario) for arg in args]
+            return OPERATORS[op](*values) if op in OPERATORS else FUNCTIONS[op].interval(values, 1)
+        case _:
+            return EVERYTHING

@@ -1,0 +1,120 @@
+"""A rule or the compiler that raises an exception on one file: a finding of that file, and everything else is linted all the same."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from deepbots_cli import api, probing
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding, Source
+from deepbots_cli.lsp.analysing import analyse
+from deepbots_cli.lsp.diagnosing import diagnostics
+from deepbots_cli.lsp.documents import Document
+from deepbots_cli.probing.probed import Probed
+from deepbots_cli.rules import endings
+
+
+def breaking(checked: Checked) -> Iterator[Finding]:
+    """DB801: fails on the scenario that is named Broken."""
+    if checked.task is not None and checked.task.name == "Broken":
+        raise IndexError("tuple index\nout of range")
+    yield from ()
+
+
+def breaking_too(probed: Probed) -> Iterator[Finding]:
+    raise KeyError(probed.checked.document.path.name)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two scenarios, each with a warning; a rule fails on the first."""
+    (tmp_path / "a.yaml").write_text(scenario("Broken"))
+    (tmp_path / "b.yaml").write_text(scenario("Whole"))
+    monkeypatch.setattr(endings, "RULES", (breaking, *endings.RULES))
+    return tmp_path
+
+
+def scenario(name: str) -> str:
+    text = api.locate("cartpole")[0].read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+    return text.replace("name: CartPole", f"name: {name}") + "\nsignals: {spare: abs(x)}\n"
+
+
+def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots, folder) -> None:
+    ran = deepbots("lint", ".", "--format", "concise")
+    assert ran.code == 3
+    told = [line.split()[:3] for line in ran.out.splitlines()]
+    assert told == [
+        ["a.yaml:1:1:", "error", "DB903[rule-failed]"],
+        [told[1][0], "warning", "DB205[unused-definition]"],
+        [told[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
+    ]
+    assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
+    assert re.search(r" \(deepbots_cli\.rules:\d+\)", ran.out), "the innermost place in deepbots"
+    assert "Traceback" not in ran.out + ran.err
+
+
+@pytest.mark.parametrize("words", [("--select", "DB7"), ("--ignore", "DB903"), ("--exit-zero",), ("--jobs", "2")])
+def test_no_option_hides_a_rule_that_failed(deepbots, folder, words) -> None:
+    ran = deepbots("lint", ".", *words)
+    assert ran.code == 3
+    assert "DB903" in ran.out
+
+
+def test_those_who_debug_get_the_exception_of_a_rule(deepbots, folder, monkeypatch) -> None:
+    monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
+    with pytest.raises(IndexError):
+        deepbots("lint", "a.yaml")
+
+
+def test_every_format_tells_a_rule_that_failed_as_a_fault_at_the_start_of_the_file(deepbots, folder) -> None:
+    (found, _) = json.loads(deepbots("lint", "a.yaml", "--json").out)["findings"]
+    assert (found["code"], found["severity"], found["start"]) == ("DB903", "error", {"line": 1, "column": 1})
+    assert "report this message" in found["help"]
+    assert deepbots("lint", "a.yaml", "--format", "github").out.startswith("::error title=DB903 rule-failed,file=a.yaml,line=1,")
+    (run,) = json.loads(deepbots("lint", "a.yaml", "--format", "sarif").out)["runs"]
+    assert [(result["ruleId"], result["level"]) for result in run["results"]] == [("DB903", "error"), ("DB205", "warning")]
+    report = ElementTree.fromstring(deepbots("lint", "a.yaml", "--format", "junit").out)
+    assert (report.get("errors"), report.get("failures")) == ("1", "0")
+    assert [error.get("type") for error in report.iter("error")] == ["DB903"]
+
+
+def test_an_exception_of_the_compiler_on_one_file_is_a_finding_of_it(deepbots, folder, monkeypatch) -> None:
+    load = api.load
+    monkeypatch.setattr(api, "load", lambda name, **options: load(name, **options) if "b" in name else 1 // 0)
+    ran = deepbots("lint", ".", "--format", "concise")
+    assert ran.code == 3
+    assert ran.out.startswith("a.yaml:1:1: error DB903[rule-failed] the compiler failed on this file: ZeroDivisionError")
+    assert "b.yaml" in ran.out
+
+
+def test_a_scenario_on_which_a_rule_fails_still_compiles(folder) -> None:
+    compiled = api.compile(folder / "a.yaml")
+    assert [finding.code for finding in compiled.findings] == ["DB903", "DB205"]
+
+
+def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) -> None:
+    path = folder / "a.yaml"
+    document = Document(path.as_uri(), 1, path.read_text(encoding="utf-8"), path)
+    (found, _) = diagnostics(analyse(document, {}), {})[path.as_uri()]
+    assert (found.code, found.range.start.line, found.range.start.character) == ("DB903", 0, 0)
+
+
+@pytest.mark.slow
+def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(deepbots, folder, monkeypatch) -> None:
+    monkeypatch.setitem(probing.RULES, "DB702", breaking_too)
+    ran = deepbots("lint", "b.yaml", "--deep", "--preview", "--set", "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}")
+    assert ran.code == 3
+    assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out
+    assert "DB611" in ran.out or "DB608" in ran.out
+
+
+def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
+    from deepbots_cli.diagnostics.finding import failure
+
+    assert len(failure("the rule DB801", Source("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300
