@@ -1,4 +1,4 @@
-"""Named values, and how often they are drawn."""
+"""Named values, their noise, and how often they are drawn."""
 
 from __future__ import annotations
 
@@ -14,6 +14,21 @@ class NamedValues:
     name: str
     components: tuple[str, ...]
     values: tuple[Scalar, ...]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Gaussian noise: its standard deviation, in the unit of the value or as a share of the value."""
+
+    deviation: Scalar
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class Measured(NamedValues):
+    """A named value with noise, one per component, drawn once per tick for everything that reads the name."""
+
+    noise: tuple[Noise, ...] = ()
 
 
 @dataclass(frozen=True)
