@@ -121,7 +121,11 @@ class Book:
 
     def definition(self, node: Name) -> Scalar | None:
         """One name further; None for a leaf."""
-        if node.name not in self._defined or self._defined[node.name][0].foreign is not None or self.is_noisy(node.name):
+        return None if self.is_noisy(node.name) else self.measured(node)
+
+    def measured(self, node: Name) -> Scalar | None:
+        """The same, where noise does not count: the exact value that a name is measured from."""
+        if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
             return None
         if node.name not in self._scalars:
             value, robot = self._defined[node.name]
