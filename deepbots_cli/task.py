@@ -20,7 +20,7 @@ class Valued:
     """A named expression; `text` is what the user wrote, `owner` its place in the scenario, such as `reward.alive`.
 
     `redraw` says how often its draws are repeated within an episode, None for not at all. Of a `foreign` one, which is a
-    function of Python, the tree tells the type only.
+    function of Python, the tree tells the type only. With `noise`, the name has a noisy value, which is drawn once per tick.
     """
 
     name: str
@@ -30,6 +30,7 @@ class Valued:
     owner: str
     redraw: Redraw | None = None
     foreign: ir.Foreign | None = None
+    noise: TaskNoise | None = None
 
     @property
     def components(self) -> Components:
@@ -61,8 +62,8 @@ class TaskRobot:
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedNoise:
-    """The standard deviation of what is added to an entry, per component or for all; `relative` to the value or in its unit."""
+class TaskNoise:
+    """The standard deviation of the noise on a value, per component or for all; `relative` to the value or in its unit."""
 
     deviation: Valued
     relative: bool
@@ -89,7 +90,7 @@ class ObservedValue:
     high: tuple[float, ...]
     history: int = 1
     clip: bool = True
-    noise: ObservedNoise | None = None
+    noise: TaskNoise | None = None
 
 
 @dataclass(frozen=True, eq=False)

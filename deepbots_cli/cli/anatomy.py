@@ -20,6 +20,7 @@ from deepbots_cli.ir import (
     CompiledScenario,
     Field,
     Interval,
+    Measured,
     MessageFormat,
     MessageLayout,
     Pictured,
@@ -55,7 +56,7 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
         "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
         "action": [_action(part) for part in scenario.action],
         "signals": _signals(scenario, root),
-        "goal": {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range")} if scenario.goal else {},
+        "goal": _goal(root) if scenario.goal else {},
         "observation": _observation(scenario),
         "timing": timing(scenario),
         "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.reward],
@@ -333,17 +334,24 @@ def _action(part: Choices | Interval) -> Row:
     return {"action": part.name, "kind": "choice", "options": " | ".join(options)}
 
 
+def _goal(root: Node) -> Row:
+    texts = {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range", "noise")}
+    return {key: text for key, text in texts.items() if text}
+
+
 def _signals(scenario: CompiledScenario, root: Node) -> list[Row]:
     observed = {entry.full_name.partition(".")[0] for entry in scenario.observation}
+    has_noise = any(isinstance(entry, Measured) for entry in scenario.signals)
     return [
         {
             "signal": entry.name,
             "components": list(entry.components),
             "is": text,
+            **({"noise": wording(root, "augment", entry.name, "noise")} if has_noise else {}),
             "policy_may_see_it": bool(granted) or entry.name in observed,
         }
         for entry in scenario.signals
-        for granted in (wording(root, "augment", entry.name),)
+        for granted in (wording(root, "augment", entry.name, "value") or wording(root, "augment", entry.name),)
         for text in (granted or wording(root, "signals", entry.name),)
     ]
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import GOAL_IS_LATE, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Text
+from deepbots_cli.compiler.variations import noise
 from deepbots_cli.lang.expect import ANY_SHAPE, expect
 from deepbots_cli.lang.functions import Family
 from deepbots_cli.lang.table import FUNCTIONS
@@ -88,7 +89,11 @@ class Goals:
         if typed is None:
             return Symbol(name, None)
         text = self._text(name)
-        self._valued[name] = Valued(name, text.span, text.text, typed, f"goal.{name}")
+        added = None
+        if self._spec.goal is not None and name == "achieved" and "noise" in self._spec.goal.given:
+            scope = ParameterScope(self._namespace, Context.FIELD)
+            added = noise(self._values, ("goal", "noise"), self._spec.goal.noise, typed, scope)
+        self._valued[name] = Valued(name, text.span, text.text, typed, f"goal.{name}", noise=added)
         return Symbol(name, typed.type._replace(stage=Stage.STEP))
 
     def _reached(self, context: Context) -> Symbol:

@@ -16,13 +16,13 @@ from deepbots_cli.task import (
     Command,
     Coordinate,
     JointStart,
-    ObservedNoise,
     ObservedValue,
     Pick,
     Placement,
     Push,
     Task,
     TaskGoal,
+    TaskNoise,
     TaskRobot,
     TaskRoute,
     TaskScript,
@@ -47,7 +47,7 @@ def _compiled(task: Task) -> ir.CompiledScenario:
         task.timing,
         tuple(_parameter(value) for value in task.parameters),
         _action(task),
-        tuple(_named(value) for value in task.order),
+        tuple(_signal(value) for value in task.order),
         tuple(entry for observed in task.observation if not observed.value.typed.type.picture for entry in _observed(observed)),
         tuple(ir.Term(term.name, _scalars(term)[0], term.foreign) for term in task.reward),
         tuple(ir.Ending(ending.value.name, ending.outcome, _scalars(ending.value)[0], ending.value.foreign) for ending in task.endings),
@@ -86,6 +86,11 @@ def _named(value: Valued) -> ir.NamedValues:
     return ir.NamedValues(value.name, value.components, _scalars(value))
 
 
+def _signal(value: Valued) -> ir.NamedValues:
+    noise = _noise(value.noise, value.components or None)
+    return ir.Measured(value.name, value.components, _scalars(value), noise) if noise else _named(value)
+
+
 def _parameter(value: Valued) -> ir.Parameter:
     return ir.Parameter(value.name, value.components, _scalars(value), _redraw(value, value.owner))
 
@@ -103,7 +108,9 @@ def _goal(goal: TaskGoal | None) -> ir.Goal | None:
     achieved, components = _scalars(goal.achieved), goal.achieved.components
     desired = _scalars(goal.desired)
     unit = str(goal.achieved.typed.type.dimension)
-    return ir.Goal(components, achieved, desired * (len(achieved) // len(desired)), goal.low, goal.high, goal.within, unit)
+    figures = components, achieved, desired * (len(achieved) // len(desired)), goal.low, goal.high, goal.within, unit
+    noise = _noise(goal.achieved.noise, components or None)
+    return ir.MeasuredGoal(*figures, noise) if noise else ir.Goal(*figures)
 
 
 def _action(task: Task) -> tuple[ir.Choices | ir.Interval, ...]:
@@ -135,8 +142,8 @@ def _observed(observed: ObservedValue) -> list[ir.Observed]:
     value = observed.value
     known = value.typed.type
     components = known.components or (None,)
-    noise = _noise(observed.noise, known.components)
-    rows = zip(components, _scalars(value), observed.low, observed.high, noise or (None,) * len(components), strict=True)
+    noise = _noise(observed.noise, known.components) or (None,) * len(components)
+    rows = zip(components, _scalars(value), observed.low, observed.high, noise, strict=True)
     unit, history, clip = str(known.dimension), observed.history, observed.clip
     return [
         ir.Observed(value.name, component, scalar, low, high, unit, known.boolean, history, clip, added)
@@ -149,7 +156,7 @@ def _pictured(observed: ObservedValue) -> ir.Pictured:
     return ir.Pictured(value.name, _scalars(value)[0], value.typed.type.picture or (), observed.history)
 
 
-def _noise(noise: ObservedNoise | None, components: tuple[str, ...] | None) -> tuple[ir.Noise, ...]:
+def _noise(noise: TaskNoise | None, components: tuple[str, ...] | None) -> tuple[ir.Noise, ...]:
     """One for each component; a deviation that is drawn is drawn anew for each."""
     if noise is None:
         return ()

@@ -8,15 +8,14 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Text
+from deepbots_cli.compiler.variations import noise
 from deepbots_cli.lang import syntax
-from deepbots_cli.lang.dimensions import NUMBER
-from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.typed import Typed, zero
-from deepbots_cli.lang.types import Context, Stage
+from deepbots_cli.lang.typed import Typed
+from deepbots_cli.lang.types import Context
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import Observed
 from deepbots_cli.source.nodes import Path
-from deepbots_cli.task import ObservedNoise, ObservedValue, Valued
+from deepbots_cli.task import ObservedValue, Valued
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -50,10 +49,11 @@ class Observations:
                 self._values.range(range_text, ParameterScope(self._namespace, Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)
-        noise = self._noise(typed, place, spec)
+        scope = ParameterScope(self._namespace, Context.FIELD)
+        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.given else None
         if bounds is None:
             return None
-        return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, noise)
+        return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, added)
 
     def _observed(self, text: Text) -> Typed | None:
         tree = self._values.parsed(text)
@@ -91,28 +91,6 @@ class Observations:
         components = typed.type.components or None
         ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
         return (ends.low, ends.high) if ends else None
-
-    def _noise(self, typed: Typed, place: Path, spec: Observed) -> ObservedNoise | None:
-        """Its standard deviation: in the unit of the value, or a share of the value, which is written with `%`."""
-        if "noise" not in spec.given:
-            return None
-        path: Path = (*place, "noise")
-        text = self._values.text(path, spec.noise)
-        if typed.type.boolean or typed.type.picture:
-            self._values.findings.add(
-                "DB403", text.span, f"noise on {typed.type.words}", help="take it out, or observe the number behind it"
-            )
-            return None
-        scope = ParameterScope(self._namespace, Context.FIELD)
-        components = typed.type.components
-        noise = self._values.quantity(text, "the noise", scope, None, components, Stage.EPISODE)
-        if noise is None or zero(noise):
-            return None
-        relative = noise.type.dimension == NUMBER and (typed.type.dimension != NUMBER or "%" in text.text)
-        if not relative:
-            noise = expect(noise, self._values.report(text), "the noise", dimension=typed.type.dimension, components=components)
-        owner = ".".join(map(str, path))
-        return ObservedNoise(Valued("noise", text.span, text.text, noise, owner), relative) if noise else None
 
     def _check_size(self, entries: tuple[ObservedValue, ...]) -> None:
         stack = self._spec.agent.stack

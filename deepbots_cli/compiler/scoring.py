@@ -10,12 +10,14 @@ from deepbots_cli.compiler.foreign import foreign
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.variations import noise
 from deepbots_cli.lang.dimensions import NUMBER, TIME
 from deepbots_cli.lang.expect import expect
+from deepbots_cli.lang.intervals import EVERYTHING
 from deepbots_cli.lang.typed import Typed
-from deepbots_cli.lang.types import Context, Symbol
+from deepbots_cli.lang.types import Context, Stage, Symbol
 from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import PythonTerm
+from deepbots_cli.schema.task import Measured, PythonTerm
 from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskEnding, Valued
 
@@ -71,14 +73,18 @@ class Signals:
         if isinstance(given, PythonTerm):
             self.valued[name] = foreign(name, given, place, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)
+        added = None
+        whole, place = place, (*place, "value") if isinstance(given, Measured) else place
         text = self._values.text(place, given)
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
             typed = expect(typed, self._values.report(text), "an ending", boolean=True)
+        if typed is not None and isinstance(given, Measured) and "noise" in given.given:
+            added = noise(self._values, (*whole, "noise"), given.noise, typed, ParameterScope(self._namespace, Context.FIELD))
         if typed is None:
             return Symbol(name, None)
-        self.valued[name] = Valued(name, text.span, text.text, typed, ".".join(map(str, place)))
-        return Symbol(name, typed.type)
+        self.valued[name] = Valued(name, text.span, text.text, typed, ".".join(map(str, place)), noise=added)
+        return Symbol(name, typed.type._replace(interval=EVERYTHING, stage=Stage.STEP) if added else typed.type)
 
     def ordered(self) -> tuple[Valued, ...]:
         """Augmentation and signals, each after those that it is made of."""

@@ -1,4 +1,4 @@
-"""Figures that a scenario may draw anew in every episode: the nominal value now, an expression for each reset."""
+"""Figures that a scenario may draw anew in every episode: the nominal value now, an expression for each reset; and noise."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.values import Text, Values
-from deepbots_cli.lang.dimensions import Dimension
+from deepbots_cli.lang.dimensions import NUMBER, Dimension
+from deepbots_cli.lang.expect import expect
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.typed import Typed
+from deepbots_cli.lang.typed import Typed, zero
 from deepbots_cli.lang.types import Components, Scope, Stage
 from deepbots_cli.schema.fields import Quantity
 from deepbots_cli.source.nodes import Path
-from deepbots_cli.task import Valued, Varied
+from deepbots_cli.task import TaskNoise, Valued, Varied
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace
@@ -62,6 +63,26 @@ def figures(
     owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
     namespace.variations.append(Varied(what, of, Valued(str(path[-1]), text.span, text.text, typed, owner), components, spread))
     return (_middle(typed.type.interval),) * count
+
+
+def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) -> TaskNoise | None:
+    """The noise on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of the value.
+
+    None for a deviation of 0, and after a finding.
+    """
+    text = values.text(path, given)
+    if of.type.boolean or of.type.picture:
+        help = "take it out, or give it to the number behind it"
+        values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
+        return None
+    components = of.type.components
+    deviation = values.quantity(text, "the noise", scope, None, components, Stage.EPISODE)
+    if deviation is None or zero(deviation):
+        return None
+    relative = deviation.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
+    if not relative:
+        deviation = expect(deviation, values.report(text), "the noise", dimension=of.type.dimension, components=components)
+    return TaskNoise(Valued("noise", text.span, text.text, deviation, ".".join(map(str, path))), relative) if deviation else None
 
 
 def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:

@@ -122,6 +122,7 @@ _CATALOGUE = (
     Rule("DB613", "case-changes-interface", "error", "a case or stage in which the policy would see, do or send something else"),
     Rule("DB614", "goal-in-observation", "warning", "the policy sees the goal where hindsight cannot replace it"),
     Rule("DB615", "rays-meet-nothing", "warning", "a sensor whose rays pass over everything in the world", deep="too", deep_preview=True),
+    Rule("DB616", "noise-without-effect", "warning", "noise on a value that the policy sees exactly elsewhere"),
     Rule("DB701", "reward-unbounded", "warning", "a term of the reward that grows beyond all bounds"),
     Rule("DB702", "term-dominates", "warning", "a term beside which what endings pay cannot be seen", deep="too", deep_preview=True),
     Rule("DB703", "suspicious-sign", "warning", "a reward for the opposite of what the endings ask for"),

@@ -67,7 +67,7 @@ from deepbots_cli.ir.task import (
     Foreign,
     Goal,
     Interval,
-    Noise,
+    MeasuredGoal,
     Observed,
     Option,
     Outcome,
@@ -78,7 +78,7 @@ from deepbots_cli.ir.task import (
     viewed,
 )
 from deepbots_cli.ir.training import ActionNoise, Criterion, Evaluation, Hindsight, Hyperparameter, Policy, Schedule, Solved, Training
-from deepbots_cli.ir.values import NamedValues, Parameter, Redraw
+from deepbots_cli.ir.values import Measured, NamedValues, Noise, Parameter, Redraw
 from deepbots_cli.ir.world import (
     ARENA_WALLS,
     GROUND,
@@ -155,6 +155,8 @@ __all__ = [
     "Layout",
     "Line",
     "Lookup",
+    "Measured",
+    "MeasuredGoal",
     "MessageFormat",
     "MessageLayout",
     "Motor",
@@ -221,7 +223,7 @@ class CompiledScenario:
     timing: Timing
     parameters: tuple[Parameter, ...]
     action: tuple[Choices | Interval, ...]
-    signals: tuple[NamedValues, ...]
+    signals: tuple[NamedValues | Measured, ...]
     observation: tuple[Observed, ...]
     reward: tuple[Term, ...]
     endings: tuple[Ending, ...]
@@ -234,7 +236,7 @@ class CompiledScenario:
     cases: tuple[Case, ...] = ()
     curriculum: tuple[Stage, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
-    goal: Goal | None = None
+    goal: Goal | MeasuredGoal | None = None
     pictures: tuple[Pictured, ...] = ()
     scripts: tuple[Script, ...] = ()
     version: int = IR_VERSION

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
+from deepbots_cli.ir.values import Noise
 from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
 from deepbots_cli.urdf.model import Vector
 
@@ -45,14 +46,6 @@ class Interval:
     low: float
     high: float
     unit: str
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Gaussian noise: its standard deviation, in the unit of the value or as a share of the value."""
-
-    deviation: Scalar
-    relative: bool = False
 
 
 @dataclass(frozen=True)
@@ -150,6 +143,13 @@ class Goal:
         """Whether the two are `within` of each other."""
         apart = tuple(Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True))
         return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.within)))
+
+
+@dataclass(frozen=True)
+class MeasuredGoal(Goal):
+    """A goal whose `achieved` has noise, one per component, which is added before the mapping."""
+
+    noise: tuple[Noise, ...] = ()
 
 
 @dataclass(frozen=True)

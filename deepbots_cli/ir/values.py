@@ -1,4 +1,4 @@
-"""Named values, and how often they are drawn."""
+"""Named values, their noise, and how often they are drawn."""
 
 from __future__ import annotations
 
@@ -21,6 +21,21 @@ class NamedValues:
         """The expression of each number, by the full name: `mark.x` of a vector."""
         names = [f"{self.name}.{component}" for component in self.components] or [self.name]
         return zip(names, self.values, strict=False)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Gaussian noise: its standard deviation, in the unit of the value or as a share of the value."""
+
+    deviation: Scalar
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class Measured(NamedValues):
+    """A named value with noise, one per component, drawn once per tick for everything that reads the name."""
+
+    noise: tuple[Noise, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,8 @@ class _Lowered(Lowering):
 class Book:
     """The definitions of one task.
 
-    With `ideal`, a sensor is what it measures, whatever its faults; without, only where reading it is reading the world.
+    With `ideal`, a sensor is what it measures, whatever its faults; without, only where reading it is reading the world. The same
+    holds for a value of the supervisor that has noise.
     """
 
     def __init__(self, task: Task, *, ideal: bool = False, like: Book | None = None) -> None:
@@ -114,8 +115,16 @@ class Book:
             node = found
         return node
 
+    def is_noisy(self, name: str) -> bool:
+        """Whether a name stands for a measurement with noise, which is followed no further."""
+        return not self._ideal and name in self._defined and self._defined[name][0].noise is not None
+
     def definition(self, node: Name) -> Scalar | None:
         """One name further; None for a leaf."""
+        return None if self.is_noisy(node.name) else self.measured(node)
+
+    def measured(self, node: Name) -> Scalar | None:
+        """The same, where noise does not count: the exact value that a name is measured from."""
         if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
             return None
         if node.name not in self._scalars:

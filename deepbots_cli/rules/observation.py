@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import reduce
 from typing import NamedTuple
 
 from deepbots_cli.compiler import Checked
@@ -11,19 +12,22 @@ from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.functions import Family
 from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
+from deepbots_cli.lang.scalar import children as parts_of
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import between, span_of
 from deepbots_cli.source.removal import removing
-from deepbots_cli.task import ObservedValue, Task, Valued
+from deepbots_cli.task import ObservedValue, Task, TaskNoise, Valued
 
 _ROUNDING = 1e-6
 """How far, as a share, a value may be beyond a bound by rounding alone."""
 _ROOM = 1.2
 """Suggested ranges go a fifth beyond what they have to hold."""
+_SHARE = 0.25
+"""How much of the range of a noisy value an exact one shows at least."""
 
 
 class Seen(NamedTuple):
@@ -118,14 +122,14 @@ def goal_in_observation(checked: Checked) -> Iterator[Finding]:
         goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
         augment: {left: mark - x}
         observation: {left: -0.8 .. 0.8 m}
-        reward: {alive: -1 when not goal_reached}
+        reward: {alive: 1 when goal_reached}
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
 
     Instead::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
         goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
-        reward: {alive: -1 when not goal_reached}
+        reward: {alive: 1 when goal_reached}
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
     """
     task = checked.task
@@ -147,6 +151,140 @@ def goal_in_observation(checked: Checked) -> Iterator[Finding]:
 
 def _told(book: Book, value: Valued) -> set[str]:
     return {name for node in book.scalars(value) for name in book.told(node)}
+
+
+class Sight(NamedTuple):
+    """One number that the policy sees, in the observation or as a goal; `noise` is what this place adds to it."""
+
+    name: str
+    span: Span
+    node: Scalar
+    reach: Interval
+    noise: TaskNoise | None
+
+
+class Linear(NamedTuple):
+    """A sum of measurements, each by its identity, with fixed coefficients, and a fixed offset."""
+
+    terms: Mapping[int, float]
+    offset: float = 0.0
+
+
+def noise_without_effect(checked: Checked) -> Iterator[Finding]:
+    """DB616: a value has noise, and the policy sees the exact value elsewhere.
+
+    The policy reads the exact value there, in `achieved_goal` for instance, and learns nothing about noise. Two values are the
+    same if one is the other times a fixed factor, plus a fixed offset. An exact value whose range covers less than a quarter of the
+    noisy one is not meant: it may stand for a sensor of short reach.
+
+    Example::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        observation: {x: {range: -0.4 .. 0.4 m, noise: 5 mm}}
+        reward: {alive: 1 when goal_reached}
+
+    Instead::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        augment: {x: {value: position(cart).x, noise: 5 mm}}
+        goal: {achieved: x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        reward: {alive: 1 when goal_reached}
+    """
+    task = checked.task
+    if task is None or not any((*(entry.noise for entry in task.observation), *(value.noise for value in _measured(task)))):
+        return
+    book = book_of(task)
+    seen = [(sight, _noises(book, sight)) for sight in _sights(book)]
+    known: dict[int, Linear] = {}
+    exact = [(sight, _linear(book, sight.node, known)) for sight, noises in seen if not noises]
+    told: set[int] = set()
+    for sight, noises in seen:
+        shown = next((other for other, form in exact if noises and _shows(other, form, sight, _linear(book, sight.node, known))), None)
+        if shown is not None and id(noises[0]) not in told:
+            told.add(id(noises[0]))
+            headline = f"`{sight.name}` has noise, and the policy sees its exact value in `{shown.name}`"
+            help = "give the value its noise once, under `augment`, as `{value: ..., noise: ...}`, and use that name in both places"
+            also = (Label(shown.span, "seen exactly"),)
+            yield Finding("DB616", noises[0].deviation.span, headline, help=help, also=also)
+
+
+def _measured(task: Task) -> tuple[Valued, ...]:
+    """What may have noise whatever the policy sees."""
+    return (*task.order, *([task.goal.achieved] if task.goal else []))
+
+
+def _sights(book: Book) -> Iterator[Sight]:
+    """Every number of the observation and of the goal; none that comes by messages which may be late."""
+    task = book.task
+    route = task.from_robot
+    late = task.timing == "paper" or any((route.latency, route.loss, route.range))
+    found = [
+        Sight(seen.entry.value.name, seen.entry.value.span, seen.node, Interval(seen.low, seen.high), seen.entry.noise)
+        for seen in numbers_seen(book)
+    ]
+    if task.goal is not None:
+        for value in (task.goal.achieved, task.goal.desired):
+            nodes = book.scalars(value)
+            ranges = zip(nodes, task.goal.low, task.goal.high, strict=False)
+            found += [Sight(value.name, value.span, node, Interval(low, high), value.noise) for node, low, high in ranges]
+    return (sight for sight in found if not (late and any("." in name for name in book.names_behind(sight.node))))
+
+
+def _noises(book: Book, sight: Sight) -> list[TaskNoise]:
+    """The noise that a number has, its own first."""
+    names = [part.name for part in book.unfold(sight.node) if isinstance(part, Name) and book.is_noisy(part.name)]
+    measured = [value for name in names if (value := book.named(name)) is not None]
+    return [noise for noise in (sight.noise, *(value.noise for value in measured)) if noise is not None]
+
+
+def _linear(book: Book, node: Scalar, known: dict[int, Linear]) -> Linear:
+    """The value without noise; what is no sum of products with fixed factors is one measurement. `known` holds what was asked before."""
+    node = book.meaning(node)
+    number = book.identity(node)
+    if number not in known:
+        exact = book.measured(node) if isinstance(node, Name) and book.is_noisy(node.name) else None
+        parts = [_linear(book, part, known) for part in ((exact,) if exact is not None else parts_of(node))]
+        match node:
+            case Name() if exact is not None:
+                known[number] = parts[0]
+            case Const(value):
+                known[number] = Linear({}, float(value))
+            case Op("neg"):
+                known[number] = _scaled(parts[0], -1.0)
+            case Op("add"):
+                known[number] = reduce(_sum, parts)
+            case Op("sub"):
+                known[number] = _sum(parts[0], _scaled(parts[1], -1.0))
+            case Op("mul", (Const(factor), _)) | Op("mul", (_, Const(factor))):
+                known[number] = _scaled(parts[1] if isinstance(node.args[0], Const) else parts[0], float(factor))
+            case Op("div", (_, Const(divisor))) if divisor:
+                known[number] = _scaled(parts[0], 1.0 / float(divisor))
+            case _:
+                known[number] = Linear({number: 1.0})
+    return known[number]
+
+
+def _scaled(value: Linear, factor: float) -> Linear:
+    return Linear({term: factor * of for term, of in value.terms.items() if factor * of}, factor * value.offset)
+
+
+def _sum(one: Linear, other: Linear) -> Linear:
+    terms = {term: one.terms.get(term, 0.0) + other.terms.get(term, 0.0) for term in (*one.terms, *other.terms)}
+    return Linear({term: of for term, of in terms.items() if of}, one.offset + other.offset)
+
+
+def _shows(shown: Sight, exact: Linear, sight: Sight, hidden: Linear) -> bool:
+    """Whether `shown` is an affine function of what noise hides in `sight`, over a good part of its range."""
+    if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
+        return False
+    factors = [exact.terms[term] / of for term, of in hidden.terms.items()]
+    if any(abs(factor - factors[0]) > _ROUNDING * abs(factors[0]) for factor in factors):
+        return False
+    offset = exact.offset - factors[0] * hidden.offset
+    ends = sorted((end - offset) / factors[0] for end in (shown.reach.low, shown.reach.high))
+    common = min(ends[1], sight.reach.high) - max(ends[0], sight.reach.low)
+    return common >= _SHARE * (sight.reach.high - sight.reach.low)
 
 
 def observation_unbounded(checked: Checked) -> Iterator[Finding]:
@@ -216,6 +354,7 @@ def once(found: Iterator[Seen]) -> Iterator[Seen]:
 
 
 RULES = (
+    noise_without_effect,
     observation_unbounded,
     bounds_mismatch,
     privileged_observation,

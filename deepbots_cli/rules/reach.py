@@ -78,6 +78,8 @@ class Reach:
     def _leaf(self, node: Name) -> Interval:
         if node.name in self.given:
             return self.given[node.name]
+        if self.book.is_noisy(node.name):
+            return EVERYTHING
         foreign = self.book.named(node.name)
         return foreign.typed.type.interval if foreign is not None else self.book.leaves.get(node.name, EVERYTHING)
 

@@ -19,7 +19,8 @@ def nothing_to_learn(checked: Checked) -> Iterator[Finding]:
     """DB711: every episode is worth the same, whatever the policy does.
 
     The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
-    such as `alive: 1` pays for lasting, where something ends the episode. Scenarios without `train` are not meant.
+    such as `alive: 1` pays for lasting, where a failure ends the episode; a constant cost such as `time: -1` pays for being quick,
+    where a success does. Scenarios without `train` are not meant.
 
     Example::
 
@@ -35,7 +36,11 @@ def nothing_to_learn(checked: Checked) -> Iterator[Finding]:
         return
     worth = _worth(checked.task).low
     headline = f"every episode is worth {worth:.4g}, whatever the policy does"
-    help = "pay for what the policy shall do, or let an ending make a bad episode shorter"
+    help = "pay for the goal, as `1 when goal_reached` does" if checked.task.goal else "pay for what the policy shall do"
+    if worth > 0.0:
+        help += ", or let a failure end a bad episode early"
+    elif worth < 0.0:  # a failure would end the costs (DB705)
+        help += ", or let a success end a good episode early"
     yield Finding("DB711", checked.task.reward[0].span, headline, help=help)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import nextafter
 from typing import NamedTuple
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.lang.intervals import INF, TRUTH, Interval, absolute
-from deepbots_cli.lang.scalar import Scalar, State, walk
+from deepbots_cli.lang.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
@@ -226,7 +227,8 @@ def rewards_early_death(checked: Checked) -> Iterator[Finding]:
     """DB705: every step costs, nothing is won at the end, and to fail costs less than to go on.
 
     The best that an agent can do is to fail at once, and that is what it learns first. Let success pay, let each step that goes
-    well pay, or let failing cost more than all the steps that are left.
+    well pay, or let failing cost more than all the steps that are left. In a task with a goal the steps short of the goal count: where
+    each of them costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these costs.
 
     Example::
 
@@ -237,30 +239,46 @@ def rewards_early_death(checked: Checked) -> Iterator[Finding]:
 
         reward: {alive: 1, crash: -10 when off_track}
     """
-    if checked.task is None or checked.task.goal is not None:
+    if checked.task is None:
         return
     payments = payments_of(checked.task)
     ordinary, final = payments.split()
-    step = payments.total(ordinary, payments.running())
+    running = _short_of_the_goal(payments)
+    step = payments.total(ordinary, running)
     if not payments.is_whole or step.high >= 0.0:
         return
     successes = [ending for ending in checked.task.endings if ending.outcome == "success"]
     if any(payments.total(final, payments.at(ending)).high > 0.0 for ending in successes):
         return
+    if checked.task.goal is not None:  # no term can name the failure, so whatever may be paid as it happens is its price
+        if payments.total(ordinary, payments.running()).high > 0.0:
+            return
+        final = [*ordinary, *final]
     ahead = step.high * checked.task.agent.repeat * (payments.book.last - 1)
     for ending in checked.task.endings:
         cost = payments.total(final, payments.at(ending)).low
         if ending.outcome == "failure" and cost > ahead:
-            yield _cheap(payments, ordinary, ending, ahead, cost)
+            dearest = min((term for term in ordinary), key=lambda term: running.of(term[1]).high)[0]
+            yield _cheap(dearest, ending, ahead, cost, has_goal=checked.task.goal is not None)
             return
 
 
-def _cheap(payments: Payments, ordinary: list[tuple[Valued, Scalar]], ending: TaskEnding, ahead: float, cost: float) -> Finding:
-    running = payments.running()
-    dearest = min((term for term in ordinary), key=lambda term: running.of(term[1]).high)[0]
+def _short_of_the_goal(payments: Payments) -> Reach:
+    """In a step that ends nothing, and, where there is a goal, does not reach it."""
+    goal, running = payments.task.goal, payments.running()
+    reached = payments.book.meaning(Name("goal_reached"))
+    if goal is None or not isinstance(reached, Op):
+        return running
+    return Kept(running, payments.book.identity(reached.args[0]), Interval(nextafter(goal.within, INF), INF))
+
+
+def _cheap(dearest: Valued, ending: TaskEnding, ahead: float, cost: float, *, has_goal: bool) -> Finding:
     price = "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
     headline = f"an episode that goes on costs {-ahead:.3g} or more, and `{ending.value.name}` {price}"
     help = "let a good step pay instead, such as `alive: 1`, or let failing cost more than all steps together"
+    if has_goal:
+        headline = f"an episode short of the goal costs {-ahead:.3g} or more, and one that ends by `{ending.value.name}` {price} or less"
+        help = f"pay for the goal instead, as `1 when goal_reached` does, or take `{ending.value.name}` out"
     return Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the way out"),))
 
 

@@ -63,6 +63,7 @@ def _differs(task: Task) -> bool:
         or any(map(_is_found, places))
         or any(_loses(route) for route in (task.to_robot, task.from_robot))
         or any(entry.noise for entry in task.observation)
+        or any(value.noise for value in (*task.order, *([task.goal.achieved] if task.goal else [])))
         or any(_errs(sensor) for robot in task.robots for sensor in robot.sensors)
         or any(value.foreign for value in valued)
     )

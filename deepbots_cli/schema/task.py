@@ -11,6 +11,7 @@ from deepbots_cli.schema.quantity import LocalName, OnOff, Period, Share, Shared
 
 Small = Annotated[int, Count(maximum=1000)]
 Number = Annotated[Scalar, Quantity("any")]
+Noise = Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)]
 
 
 class PythonTerm(Part):
@@ -59,9 +60,7 @@ class Observed(Part):
         description="What is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes what is known."
     )
     history: Small = field(default=1, description="How many values in a row the policy sees, newest last.")
-    noise: Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)] = field(
-        default=0, description="Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value."
-    )
+    noise: Noise = field(default=0, description="Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value.")
     clip: OnOff = field(default=True, description="Whether values outside the range are clipped to it.")
 
 
@@ -74,6 +73,9 @@ class Goal(Part):
         description="Distance between the two at which the goal counts as reached."
     )
     range: Annotated[str, Range("any")] = field(description="Bounds of both, for the observation.")
+    noise: Noise = field(
+        default=0, description="Standard deviation of the noise on `achieved`: in its unit, such as `5 mm`, or as `2 %` of the value."
+    )
 
 
 Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=True)], FORMS]
@@ -144,6 +146,17 @@ class Solved(Part):
     episodes: Whole = field(default=100, description="Over how many episodes in a row.")
 
 
-Augmentation = Annotated[Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Signal], FORMS]
+class Measured(Part):
+    """A value that the supervisor measures with noise. Every expression that uses the name reads the same noisy value."""
+
+    value: Signal = field(description="The exact value.")
+    noise: Noise = field(
+        default=0, description="Standard deviation of the noise on it: in its unit, such as `2 mm`, or as `2 %` of the value."
+    )
+
+
+Augmentation = Annotated[
+    Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Annotated[Measured | Signal, FORMS]], FORMS
+]
 Reward = dict[LocalName, Annotated[PythonTerm | Annotated[Scalar, Expression("reward")], FORMS]]
 Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Annotated[str, Range("any", auto=True)], FORMS]]

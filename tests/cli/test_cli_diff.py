@@ -17,6 +17,7 @@ SINGLE = [
     ("action.drive.choices.forward=0.5", "policy", "action.drive"),
     ("observation.speed={range: -0.8 .. 0.8 m/s, noise: 0.1 m/s}", "task", "observation.speed.noise"),
     ("augment.x=position(cart).y", "task", "augment.x"),
+    ("augment.x={value: position(cart).x, noise: 2 mm}", "task", "augment.x"),
     ("reward.alive=2", "task", "reward.alive"),
     ("truncation.max_steps=300", "task", "truncation.max_steps"),
     ("robots.cart.actuators.wheels.max_torque=5 N*m", "task", "robots.cart.actuators.wheels"),

@@ -43,6 +43,14 @@ def test_programs_get_every_table(deepbots):
     assert {row["parameter"]: row["is"] for row in tables["parameters"]}["track"] == "0.39 m"
 
 
+def test_inspect_shows_the_noise_of_a_measurement_and_of_the_goal(deepbots):
+    goal = "goal={achieved: x, desired: 0.1 m, within: 1 cm, range: -1 .. 1 m, noise: 1 %}"
+    noisy = "augment.x={value: position(cart).x, noise: 2 mm}"
+    tables = inspected(deepbots, "--set", noisy, "--set", goal, "--set", "reward={there: 1 when goal_reached}")
+    (x,) = (row for row in tables["signals"] if row["signal"] == "x")
+    assert (x["is"], x["noise"], tables["goal"]["noise"]) == ("position(cart).x", "2 mm", "1 %")
+
+
 @pytest.mark.parametrize(("format", "size"), [("struct", 12), ("msgpack", 15), ("csv", "varies"), ("json", "varies")])
 def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
     tables = inspected(deepbots, "--set", f"messages.format={format}")

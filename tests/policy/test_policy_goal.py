@@ -20,6 +20,15 @@ reset: {set: {cart.slider: uniform(-0.3 .. 0.3 m)}}
 """
 SPARSE = "reward: {miss: -1 when not goal_reached}\n"
 DENSE = "reward: {near: exp(-abs(achieved - desired) / 10 cm), miss: -0.5 when not goal_reached, alive: 0.1}\n"
+NOISY = GOAL.replace("range: -0.4 .. 0.4 m}", "range: -0.4 .. 0.4 m, noise: 2 cm}")
+MEASURED = """\
+parameters: {mark: uniform(-0.3 .. 0.3 m)}
+augment:
+  at: {value: position(cart.cart).x, noise: 2 cm}
+  left: mark - at
+goal: {achieved: at, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+reset: {set: {cart.slider: uniform(-0.3 .. 0.3 m)}}
+"""
 PLANE = """\
 parameters:
   mark: uniform(-0.3 -0.3 .. 0.3 0.3 m)
@@ -50,7 +59,7 @@ def test_a_goal_makes_the_observation_a_dict(small: Small) -> None:
     assert observation["achieved_goal"].item() == pytest.approx(truth / 0.4, abs=1e-6)
 
 
-@pytest.mark.parametrize("sections", [GOAL + SPARSE, GOAL + DENSE, PLANE])
+@pytest.mark.parametrize("sections", [GOAL + SPARSE, GOAL + DENSE, PLANE, NOISY + SPARSE, NOISY + DENSE, MEASURED + DENSE])
 def test_the_reward_of_a_step_is_what_compute_reward_says(small: Small, sections: str) -> None:
     environment = small(sections, "world.timestep=100 ms")
     for seed in range(4):
@@ -58,6 +67,35 @@ def test_the_reward_of_a_step_is_what_compute_reward_says(small: Small, sections
             again = environment.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
             assert again == pytest.approx(reward, rel=1e-14)
             assert isinstance(again, float)
+
+
+def test_noise_on_what_is_achieved_is_what_the_policy_sees_of_it(small: Small) -> None:
+    environment = small(NOISY + SPARSE, "truncation.max_steps=100_000")
+    errors = []
+    for _ in range(2000):
+        if not errors:
+            environment.reset(seed=3)
+        observation, *_ = environment.step(np.zeros(1, np.float32))
+        errors.append(0.4 * observation["achieved_goal"].item() - environment.engine.pose("cart", "cart")()[0][0])
+    assert np.mean(errors) == pytest.approx(0, abs=4 * 0.02 / 2000**0.5)
+    assert np.std(errors) == pytest.approx(0.02, rel=0.06)
+
+
+def test_noise_on_what_is_achieved_changes_no_other_draw(small: Small) -> None:
+    plain, noisy = small(GOAL + SPARSE).reset(seed=5)[0], small(NOISY + SPARSE).reset(seed=5)[0]
+    assert plain["desired_goal"] == noisy["desired_goal"]
+    assert plain["observation"] == noisy["observation"]
+    assert plain["achieved_goal"] != noisy["achieved_goal"]
+
+
+def test_one_measurement_with_noise_is_the_same_in_observation_goal_and_reward(small: Small) -> None:
+    environment = small(MEASURED + "reward: {at: achieved / m}\n", "observation={at: -0.4 .. 0.4 m, left: -0.8 .. 0.8 m}")
+    for observation, reward, *_ in episode(environment, 0):
+        at, left = observation["observation"].astype(float)
+        assert observation["achieved_goal"].item() == at
+        assert 0.8 * left == pytest.approx(0.4 * (observation["desired_goal"].item() - at), abs=1e-6)
+        assert reward == pytest.approx(0.4 * at, abs=1e-12)
+        assert abs(0.4 * at - environment.engine.pose("cart", "cart")()[0][0]) > 1e-6
 
 
 @pytest.mark.parametrize("sections", [GOAL + SPARSE, GOAL + DENSE, PLANE])

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from deepbots_cli.canonical import CanonicalError, from_json, to_json
+from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.runtime import Supervisor
 
@@ -141,6 +144,54 @@ def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
         sections=sections,
     )
     assert [row[:2] for row in more] == plain
+
+
+def measured(small: Small, noise: str, count: int = 1000, seed: int = 1) -> Any:
+    """Half a metre that the supervisor measures with noise, twice that, and the exact value by its function; once per step."""
+    sections = f"augment:\n  at: {{value: 0.5 m + 0 m * step, noise: {noise}}}\n  twice: 2 * at\nreward: {{pay: at / m}}\n"
+    environment = small(sections, "observation={at: {range: -1 .. 1 m, clip: false}, twice: {range: -1 .. 1 m, clip: false}}")
+    rows = [[*environment.reset(seed=seed)[0].tolist(), 0.0]]
+    for _ in range(count):
+        observation, reward, *_ = environment.step(np.zeros(1, np.float32))
+        rows.append([*observation.tolist(), reward])
+    return np.array(rows)
+
+
+def test_whatever_uses_the_name_of_a_noisy_measurement_sees_one_draw(small: Small) -> None:
+    at, twice, paid = measured(small, "2 cm").T
+    np.testing.assert_allclose(twice, 2 * at, rtol=1e-6)
+    np.testing.assert_allclose(paid[1:], at[1:], rtol=1e-6)
+    assert at.std() == pytest.approx(0.02, rel=0.1)
+    assert abs(np.corrcoef(at[1:], at[:-1])[0, 1]) < 0.15
+
+
+@pytest.mark.parametrize("noise", ["4 %", "uniform(0.02 .. 0.02001 m)"])
+def test_noise_of_a_measurement_is_a_share_or_drawn_as_that_of_an_observation(small: Small, noise: str) -> None:
+    assert measured(small, noise)[:, 0].std() == pytest.approx(0.02, rel=0.1)
+
+
+def test_noise_of_a_measurement_is_the_same_for_the_same_seed(small: Small) -> None:
+    np.testing.assert_array_equal(measured(small, "1 cm", count=20), measured(small, "1 cm", count=20))
+    assert not np.array_equal(measured(small, "1 cm", count=20), measured(small, "1 cm", count=20, seed=2))
+
+
+def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Small) -> None:
+    sections = "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact: position(cart.cart).x\nreward: {pay: drive}\n"
+    seen = observe(small, "{cart.place: -1 .. 1 m, exact: -1 .. 1 m, at: -1 .. 1 m}", sections=sections)
+    assert all(place == exact != at for place, exact, at in seen)
+
+
+def test_a_scenario_with_noisy_measurements_survives_its_file(small: Small) -> None:
+    goal = "goal: {achieved: at, desired: 0.1 m, within: 1 cm, range: -1 .. 1 m, noise: 1 %}\n"
+    scenario = small("augment: {at: {value: position(cart.cart).x, noise: 5 cm}}\nreward: {pay: 1 when goal_reached}\n" + goal).scenario
+    assert from_json(to_json(scenario)) == scenario
+
+
+def test_a_measurement_without_the_noise_of_each_component_is_not_printed(small: Small) -> None:
+    scenario = small("augment: {at: {value: position(cart.cart).xy, noise: 5 cm}}\nreward: {pay: drive}\n").scenario
+    (at,) = scenario.signals
+    with pytest.raises(CanonicalError, match="'at' has 1 values where 2 are wanted"):
+        check_printable(replace(scenario, signals=(replace(at, noise=at.noise[:1]),)))
 
 
 def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Small) -> None:

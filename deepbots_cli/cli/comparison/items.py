@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from deepbots_cli import canonical, interface
-from deepbots_cli.ir import CompiledScenario, MessageLayout, Robot, RobotBody, Variation, WorldModel
+from deepbots_cli.ir import CompiledScenario, MeasuredGoal, MessageLayout, Robot, RobotBody, Variation, WorldModel
 from deepbots_cli.ir.records import members
 from deepbots_cli.lang.scalar import Draw, Scalar
 
@@ -91,6 +91,8 @@ def _task(scenario: CompiledScenario) -> Iterator[Item]:
     yield from (Item(f"signals.{entry.name}", task, entry) for entry in scenario.signals)
     if scenario.goal is not None:
         goal = scenario.goal
+        if isinstance(goal, MeasuredGoal):
+            yield Item("goal.noise", task, goal.noise)
         yield from (
             Item(f"goal.{key}", task, value)
             for key, value in (("achieved", goal.achieved), ("desired", goal.desired), ("within", goal.within))

@@ -9,9 +9,9 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.goal import print_goal
 from deepbots_cli.compiler.emit.limits import tick_limit
 from deepbots_cli.compiler.emit.masks import print_masks
-from deepbots_cli.compiler.emit.observation import print_observation
+from deepbots_cli.compiler.emit.observation import print_noise, print_observation
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
-from deepbots_cli.compiler.emit.text import quoted
+from deepbots_cli.compiler.emit.text import flat, quoted
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.ir import Ending
 from deepbots_cli.lang.scalar import names_in
@@ -25,6 +25,7 @@ def print_evaluation(space: Workspace, printer: Printer) -> None:
     for entry in space.scenario.signals:
         for component, value in zip(entry.components or (None,), entry.values, strict=True):
             printer.assign(space.local(entry.name, component), value)
+        print_noise(space, printer, f"augment.{entry.name}", [space.local(*name) for name in flat([entry])])
     print_goal(space, printer)
     _print_endings(space, printer)
     if not printer.starting:

@@ -1,14 +1,16 @@
 """Prints the goal: what is achieved and desired as the policy sees it, and as the names in rewards mean it.
 
 Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is recomputed from what was
-seen is then the same reward.
+seen is then the same reward. So is one with noise on what is achieved, since the noise is added before.
 """
 
 from __future__ import annotations
 
+from deepbots_cli.compiler.emit.observation import print_noise
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block, docstring, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.ir import MeasuredGoal
 from deepbots_cli.lang.emit import operand
 
 
@@ -27,11 +29,15 @@ def print_goal(space: Workspace, printer: Printer) -> None:
     if goal is None:
         return
     locals_, back = [], []
+    noisy = [space.local(name.name, name.component) for name in goal.names("achieved")] if isinstance(goal, MeasuredGoal) else []
+    for local, value in zip(noisy, goal.achieved, strict=False):
+        printer.assign(local, value)
+    print_noise(space, printer, "goal.achieved", noisy)
     for names, values in ((goal.names("achieved"), goal.achieved), (goal.names("desired"), goal.desired)):
         for name, value, low, high in zip(names, values, goal.low, goal.high, strict=True):
             half, middle = (high - low) / 2, (high + low) / 2
             local = space.local(name.name, name.component)
-            code = operand(printer.value(value))
+            code = local if local in noisy else operand(printer.value(value))
             printer.line(f"{local} = {f'({code} - {middle!r})' if middle else code} / {half!r}")
             printer.line(f"if not -1.0 <= {local} <= 1.0:")
             printer.line(f"    {local} = clipped({local})")

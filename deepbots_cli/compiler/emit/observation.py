@@ -1,7 +1,7 @@
 """Prints the observation: every entry mapped to [-1, 1], clipped, and packed as float32.
 
 Where the policy sees several steps in a row, the numbers of a step are one row of a ring, and what it
-sees is gathered from there.
+sees is gathered from there. The noise on measurements of the supervisor is printed here too.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import Noise, Observed, Pictured
+from deepbots_cli.ir import CompiledScenario, Measured, MeasuredGoal, Noise, Observed, Pictured
 from deepbots_cli.lang.emit import operand
 from deepbots_cli.lang.scalar import Const, Name
 
@@ -25,7 +25,7 @@ def print_observation(space: Workspace, printer: Printer) -> None:
         code = _value(printer, entry)
         if entry.noise is not None:
             printer.line(f"{name} = {code}")
-            code = f"{name} + {_noise(space, entry.noise, entry, name)} * {noise[entry.full_name]}"
+            code = f"{name} + {_scale(space, entry.noise, entry.name, entry.component, name)} * {noise[entry.full_name]}"
         printer.line(f"{name} = {_normalised(code, entry)}")
         if entry.clip:
             printer.line(f"if not -1.0 <= {name} <= 1.0:")
@@ -56,9 +56,38 @@ def print_next_frame(space: Workspace, printer: Printer) -> None:
         printer.line("self.newest = (self.newest + 1) % self.depth")
 
 
-def deviation(space: Workspace, entry: Observed) -> str:
+def print_deviations(space: Workspace, printer: Printer) -> None:
+    """Draw the standard deviations that differ between episodes."""
+    observed = [(entry.name, entry.component, entry.noise) for entry in space.scenario.observation if entry.noise is not None]
+    measured = [(path, *part) for path, parts in _measured(space.scenario).items() for part in parts]
+    for name, component, noise in (*observed, *measured):
+        if not isinstance(noise.deviation, Const):
+            printer.assign(_deviation(space, name, component), noise.deviation)
+
+
+def print_noise(space: Workspace, printer: Printer, path: str, targets: list[str]) -> None:
+    """Add noise to the local variables of the value at `path`; nothing where the scenario gives it none."""
+    parts = _measured(space.scenario).get(path, [])
+    normals = [space.names(f"noise {path.partition('.')[2]}", component) for component, _ in parts]
+    if parts:
+        _print_normals(printer, path, normals)
+    for target, (component, noise), normal in zip(targets, parts, normals, strict=False):
+        printer.line(f"{target} += {_scale(space, noise, path, component, target)} * {normal}")
+
+
+def _measured(scenario: CompiledScenario) -> dict[str, list[tuple[str | None, Noise]]]:
+    """What the supervisor measures with noise: by path, which also names the random stream, the noise of each component."""
+    found: dict[str, Measured | MeasuredGoal] = {
+        f"augment.{entry.name}": entry for entry in scenario.signals if isinstance(entry, Measured)
+    }
+    if isinstance(scenario.goal, MeasuredGoal):
+        found["goal.achieved"] = scenario.goal
+    return {path: list(zip(value.components or (None,), value.noise, strict=True)) for path, value in found.items()}
+
+
+def _deviation(space: Workspace, name: str, component: str | None) -> str:
     """The attribute that holds a standard deviation which every episode draws."""
-    return f"self.{space.names('deviation', entry.name, entry.component)}"
+    return f"self.{space.names('deviation', name, component)}"
 
 
 def _value(printer: Printer, entry: Observed) -> str:
@@ -75,15 +104,20 @@ def _print_noise(space: Workspace, printer: Printer) -> dict[str, str]:
     locals_: dict[str, str] = {}
     for name, entries in groups.items():
         targets = [space.names(f"noise {entry.name}", entry.component) for entry in entries]
-        printer.line(f"{targets_code(targets)} = self.streams[{quoted(f'observation.{name}')}].standard_normal({len(entries)}).tolist()")
+        _print_normals(printer, f"observation.{name}", targets)
         locals_ |= {entry.full_name: target for entry, target in zip(entries, targets, strict=True)}
     return locals_
 
 
-def _noise(space: Workspace, noise: Noise, entry: Observed, name: str) -> str:
-    """Code of the standard deviation."""
-    figure = repr(noise.deviation.value) if isinstance(noise.deviation, Const) else deviation(space, entry)
-    return f"{figure} * {name}" if noise.relative else figure
+def _print_normals(printer: Printer, stream: str, targets: list[str]) -> None:
+    """Standard normal numbers from one stream."""
+    printer.line(f"{targets_code(targets)} = self.streams[{quoted(stream)}].standard_normal({len(targets)}).tolist()")
+
+
+def _scale(space: Workspace, noise: Noise, name: str, component: str | None, exact: str) -> str:
+    """Code of the standard deviation of the noise on the variable `exact`."""
+    figure = repr(noise.deviation.value) if isinstance(noise.deviation, Const) else _deviation(space, name, component)
+    return f"{figure} * {exact}" if noise.relative else figure
 
 
 def _normalised(code: str, entry: Observed) -> str:

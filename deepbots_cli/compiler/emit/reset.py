@@ -7,7 +7,7 @@ the start is required to be some way, or where copies come and go, `_arrange` is
 from __future__ import annotations
 
 from deepbots_cli.compiler.emit.driving import Driving
-from deepbots_cli.compiler.emit.observation import deviation
+from deepbots_cli.compiler.emit.observation import print_deviations
 from deepbots_cli.compiler.emit.placing import is_sought, place_lines
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.pushes import print_first_pushes
@@ -25,9 +25,7 @@ def begin(space: Workspace) -> list[str]:
     printer = _printer(space)
     printer.line('"""Draw what this episode varies, and put the world where it begins."""')
     print_first_draws(space, printer)
-    for observed in scenario.observation:
-        if observed.noise is not None and not isinstance(observed.noise.deviation, Const):
-            printer.assign(deviation(space, observed), observed.noise.deviation)
+    print_deviations(space, printer)
     if is_arranged(scenario):
         for index, variation in enumerate(reset.variations):
             for number, value in enumerate(variation.values):

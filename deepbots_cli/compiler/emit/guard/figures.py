@@ -6,7 +6,7 @@ from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.reset import is_arranged
 from deepbots_cli.compiler.emit.text import flat
 from deepbots_cli.compiler.emit.variations import SETTERS
-from deepbots_cli.ir import MOST_BODIES, MOST_SETTLING_STEPS, MOST_SUBSTEPS, Choices, CompiledScenario
+from deepbots_cli.ir import MOST_BODIES, MOST_SETTLING_STEPS, MOST_SUBSTEPS, Choices, CompiledScenario, Measured, MeasuredGoal
 
 _MOST_TICKS = 1e12  # centuries
 
@@ -16,6 +16,9 @@ def require_counts(scenario: CompiledScenario) -> None:
     robots = scenario.robots
     named = [*scenario.parameters, *scenario.signals, *(entry for robot in robots for entry in (*robot.emit, *robot.receive))]
     pairs = [(entry.name, len(entry.values), len(entry.components or (None,))) for entry in named]
+    pairs += [(entry.name, len(entry.noise), len(entry.values)) for entry in scenario.signals if isinstance(entry, Measured)]
+    if isinstance(scenario.goal, MeasuredGoal):
+        pairs.append(("goal", len(scenario.goal.noise), len(scenario.goal.achieved)))
     pairs.append(("reward", len(scenario.reward), max(1, len(scenario.reward))))
     for part in scenario.action:
         if isinstance(part, Choices):

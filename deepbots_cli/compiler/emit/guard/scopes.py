@@ -10,7 +10,7 @@ from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.emit.reads import ARRIVALS
 from deepbots_cli.compiler.emit.sensing import devices
 from deepbots_cli.compiler.emit.text import action_variables, flat
-from deepbots_cli.ir import CompiledScenario, Ending, own_action
+from deepbots_cli.ir import CompiledScenario, Ending, Measured, MeasuredGoal, own_action
 from deepbots_cli.lang.scalar import Name, World
 
 _FLAGS = tuple((name, None) for name in ("terminated", "truncated", "ended"))
@@ -44,13 +44,16 @@ def require_known_names(scenario: CompiledScenario) -> None:
 
 
 def _require_parameters(scenario: CompiledScenario) -> None:
-    """A parameter is made of those before it, a figure of a route of any."""
+    """A parameter is made of those before it, a figure of a route or of noise of any."""
     known: set[tuple[str, str | None]] = set()
     for entry in scenario.parameters:
         _require_in([entry.values, entry.redraw], known)
         known.update(flat([entry]))
     _require_in([scenario.disturbances], known)
     reset = scenario.reset
+    noise = [entry.noise for entry in scenario.signals if isinstance(entry, Measured)]
+    noise += [scenario.goal.noise] if isinstance(scenario.goal, MeasuredGoal) else []
+    _require_in([*noise, *(entry.noise for entry in scenario.observation)], known)
     _require_in([reset.places, reset.layouts, reset.joints, reset.variations, reset.groups], known)
     _require_in([(robot.to_route, robot.from_route) for robot in scenario.robots], known)
 
