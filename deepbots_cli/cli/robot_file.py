@@ -42,7 +42,8 @@ def opened(reference: str) -> tuple[RobotFile, list[Finding]]:
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    file = read(found, roots.display(found.resolve()), findings)
+    resolve_mesh = mesh.beside(found.absolute().parent, mesh.package_of(reference))
+    file = read(found, roots.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)

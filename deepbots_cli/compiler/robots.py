@@ -68,7 +68,8 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
         return None
-    file = read(located, roots.display(located), values.findings, resolve_mesh=_mesh_resolver(located.parent, document.roots))
+    resolve_mesh = mesh.beside(located.parent, (*document.roots, *mesh.package_of(spec.urdf)))
+    file = read(located, roots.display(located), values.findings, resolve_mesh=resolve_mesh)
     if file is None:
         return None
     groups = _groups(file.model, spec, path, values)
@@ -93,20 +94,6 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     names = shown(shipped.robot_names())
     values.findings.add("DB204", span, beside.headline, help=beside.help, notes=(f"shipped robots are {names}",))
     return None
-
-
-def _mesh_resolver(folder: Path, allowed: tuple[Path, ...]) -> mesh.ResolveMesh:
-    """Meshes may lie in the robot's folder, in the project, or in the package that their name says."""
-    nearby = mesh.beside(folder)
-
-    def resolve(reference: str) -> Path | mesh.Refusal:
-        path = nearby(reference)
-        if isinstance(path, Path):
-            return path
-        elsewhere = mesh.locate(reference, folder)
-        return elsewhere if isinstance(elsewhere, Path) and any(elsewhere.is_relative_to(root) for root in allowed) else path
-
-    return resolve
 
 
 def _groups(model: RobotModel, spec: RobotSpec, path: NodePath, values: Values) -> dict[str, Group]:
