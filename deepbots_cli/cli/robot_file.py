@@ -38,7 +38,7 @@ def opened(reference: str) -> tuple[RobotFile, list[Finding]]:
     found = mesh.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
     if isinstance(found, mesh.Refusal) or not found.is_file():
         names = shipped.robot_names()
-        near = nearest(reference, names)
+        near = mesh.library_reference(reference) or nearest(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()

@@ -10,6 +10,7 @@ from deepbots_cli.compiler.joints import hull, joint_dimension, joint_interval
 from deepbots_cli.compiler.matching import Group, expand, unmatched
 from deepbots_cli.compiler.overrides import Overrides
 from deepbots_cli.compiler.values import Values
+from deepbots_cli.diagnostics import Fix
 from deepbots_cli.lang.types import Kind, Scope, Subject, shown
 from deepbots_cli.schema.robot import Robot as RobotSpec
 from deepbots_cli.source import Document, roots, shipped
@@ -91,8 +92,11 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     by_name = shipped.robot_path(reference)
     if by_name is not None:
         return by_name
-    names = shown(shipped.robot_names())
-    values.findings.add("DB204", span, beside.headline, help=beside.help, notes=(f"shipped robots are {names}",))
+    notes = (f"shipped robots are {shown(shipped.robot_names())}",)
+    library = mesh.library_reference(reference)
+    fix = Fix.replacing(span, reference, library, safe=False) if library else None
+    help = f"did you mean `{library}`?" if library else beside.help
+    values.findings.add("DB204", span, beside.headline, help=help, notes=notes, fix=fix)
     return None
 
 

@@ -122,7 +122,8 @@ class Quantity(Leaf):
 
     `dimension` is a key of `MEASURES`; `components` is the length of a vector. Bounds are in SI units; with `exclusive` the
     minimum itself is refused. `urdf` may stand for the figure of the robot file, `words` are accepted as they
-    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction; `like` is an example.
+    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction; `like` is an example. A number of at
+    least 1 that lacks its unit is probably in the `usual` one, if it is not in that of SI.
     """
 
     dimension: str
@@ -136,6 +137,7 @@ class Quantity(Leaf):
     relative: bool = False
     whole: bool = False
     like: str = ""
+    usual: str | None = None
 
     @property
     def noun(self) -> str:

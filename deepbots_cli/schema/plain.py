@@ -30,9 +30,19 @@ _GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 
 def choose_from(word: str, words: Sequence[str]) -> str:
     """The help of an unknown word: what was probably meant, and what there is."""
-    near = nearest(word, words)
+    from deepbots_cli.schema.habits import other_name
+
+    near = other_name(word, words) or nearest(word, words)
     listed = shown((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
+
+
+def word_meant(word: str, words: Sequence[str]) -> Meant | None:
+    """The word of the language that was probably meant, as something to write."""
+    from deepbots_cli.schema.habits import other_name
+
+    other = other_name(word, words)
+    return Meant(other, safe=False) if other else meant(word, words, ours=True)
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,7 @@ class Word(Leaf):
     def examine(self, value: object) -> None:
         if value not in self.words:
             word = str(value)
-            raise problem("DB104", f"unknown word `{word[:40]}`", choose_from(word, self.words), meant=meant(word, self.words, ours=True))
+            raise problem("DB104", f"unknown word `{word[:40]}`", choose_from(word, self.words), meant=word_meant(word, self.words))
 
     def json_schema(self) -> JsonSchema:
         return {"enum": list(self.words)}

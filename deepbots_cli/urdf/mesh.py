@@ -103,6 +103,13 @@ def in_package(reference: str) -> Path | None:
         return None
 
 
+def library_reference(reference: str) -> str | None:
+    """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is installed and holds one."""
+    inside = reference.removeprefix("pybullet_data/")
+    names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
+    return None if "://" in reference else next((name for name in names if in_package(name)), None)
+
+
 def beside(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
     """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that a `package://` names."""
     roots = [os.path.realpath(root) for root in (folder, *allowed)]
