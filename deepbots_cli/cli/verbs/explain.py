@@ -41,7 +41,7 @@ def command(
       deepbots explain DB7
       deepbots explain through
       deepbots explain gyro
-      deepbots explain "domain randomisation"
+      deepbots explain HER
       deepbots explain
     """
     found = with_prefix(finding)
