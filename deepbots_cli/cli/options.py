@@ -24,6 +24,20 @@ def small_enough(seed: int | None) -> int | None:
     return seed
 
 
+def fraction(text: str) -> float:
+    """A parser: a number from 0 to 1, written `0.8` or `80%`."""
+    from deepbots_cli.schema.plain import read_fraction
+
+    try:
+        value = read_fraction(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1:
+        hint = f"; write {text}% for a share in hundredths" if 1 < value <= 100 else ""
+        raise typer.BadParameter(f"'{text}' is not a number from 0 to 1 or a percentage{hint}")
+    return value
+
+
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A file, or the name of a scenario that comes with deepbots.")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value, such as fall_angle=10deg; may be repeated.")

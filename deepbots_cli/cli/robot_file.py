@@ -38,11 +38,12 @@ def opened(reference: str) -> tuple[RobotFile, list[Finding]]:
     found = mesh.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
     if isinstance(found, mesh.Refusal) or not found.is_file():
         names = shipped.robot_names()
-        near = nearest(reference, names)
+        near = mesh.library_reference(reference) or nearest(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    file = read(found, roots.display(found.resolve()), findings)
+    resolve_mesh = mesh.beside(found.absolute().parent, mesh.package_of(reference))
+    file = read(found, roots.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)

@@ -1,9 +1,14 @@
-"""What a key, a kind, a function or a unit of the language is, as `deepbots explain` tells it."""
+"""What a key, a kind, a function, a unit or a concept is, as `deepbots explain` tells it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
+from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.lang.examples import EXAMPLES
 from deepbots_cli.lang.table import FUNCTIONS
@@ -13,15 +18,63 @@ from deepbots_cli.schema.fields import article
 from deepbots_cli.schema.hover import default_of, unit_of
 from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields, noun_of
 from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.source.nodes import to_data
+from deepbots_cli.source.parse import parse
 
+TOPICS = Path(__file__).with_name("topics.yaml")
 # A name such as `range` is a key of many parts.
 _SHOWN = 8
 
 Said = tuple[str, ...]
 
 
+class Topic(NamedTuple):
+    """A concept: what else it is called, a paragraph, a fragment of a scenario (which may be empty), and the section to read."""
+
+    name: str
+    names: tuple[str, ...]
+    about: str
+    example: str
+    read: str
+
+
+@cache
+def topics() -> tuple[Topic, ...]:
+    """The concepts of `topics.yaml`, in its order."""
+    findings = Findings()
+    root = parse(Source(TOPICS.name, TOPICS.read_text(encoding="utf-8")), findings)
+    table = to_data(root) if root else None
+    if not isinstance(table, dict) or len(findings):
+        raise ValueError(f"{TOPICS} is broken: {list(findings)}")
+    return tuple(_topic(name, entry) for name, entry in table.items())
+
+
+def _topic(name: str, entry: dict[str, str]) -> Topic:
+    names = tuple(other.strip() for other in entry["names"].split(","))
+    return Topic(name, names, entry["about"].strip(), entry.get("example", "").strip(), entry["read"])
+
+
 def explained(word: str) -> list[str]:
-    """Lines about a function, a unit or a kind called `word`, and about the keys of that name; none if there is nothing so called."""
+    """Paragraphs and examples about `word`; none if nothing is called so.
+
+    A concept of exactly this name comes first, then functions, units, kinds and keys. Another name of a concept counts only where the
+    language has no such word. A line at the end lists what else the word occurs in.
+    """
+    spelt = word if word in _words() else next((other for other in _words() if other.lower() == word.lower()), word)
+    blocks = _blocks(spelt)
+    plain = _plain(word)
+    found = [topic for topic in topics() if plain == _plain(topic.name)]
+    if not found and not blocks:
+        found = [topic for topic in topics() if plain in map(_plain, topic.names)]
+    blocks = [*map(_of_topic, found), *blocks]
+    others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
+    if blocks and others:
+        blocks.append([f"See also: {', '.join(others)}"])
+    return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+
+
+def _blocks(word: str) -> list[list[str]]:
+    """About the function, the unit, the kinds and the keys of exactly this name."""
     places: dict[Said, list[str]] = {}
     for path, part, mark in _parts(Scenario, (), ""):
         for said in _told(part, mark, word):
@@ -32,18 +85,49 @@ def explained(word: str) -> list[str]:
     for (what, *lines), paths in list(places.items())[:_SHOWN]:
         more = f" and {len(paths) - _SHOWN} more places" if len(paths) > _SHOWN else ""
         blocks.append([f"{word}: {article(what)} of {', '.join(paths[:_SHOWN])}{more}", *lines])
-    return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+    return blocks
+
+
+def _of_topic(topic: Topic) -> list[str]:
+    return [f"{topic.name}: a concept", " ".join(topic.about.split()), *(_example(topic.example)), f"Read more: {topic.read}"]
+
+
+def _example(text: str) -> list[str]:
+    return ["For example:", *(f"    {line}" for line in text.splitlines())] if text else []
+
+
+def _plain(text: str) -> str:
+    """In lower case, in American spelling, with blanks between words."""
+    return re.sub(r"is(?=(e|ed|ing|ation)\b)", "iz", " ".join(re.split(r"[\s_-]+", text.strip().lower())))
+
+
+def _others(word: str, shown: Iterable[str]) -> list[str]:
+    """Concepts and words that have all words of `word` in one of their names, the concepts in quotes where they need them."""
+    wanted = set(_plain(word).split())
+    concepts = [topic.name for topic in topics() if any(wanted <= set(_plain(name).split()) for name in (topic.name, *topic.names))]
+    names = [name for name in _words() if wanted <= set(_plain(name).split())]
+    others = [name for name in dict.fromkeys([*concepts, *names]) if name not in shown]
+    return [f'"{name}"' if " " in name else name for name in others[:_SHOWN]]
+
+
+@cache
+def _words() -> dict[str, None]:
+    """Every function, unit, kind and key."""
+    names = [*FUNCTIONS, *UNITS]
+    for _, part, _ in _parts(Scenario, (), ""):
+        names += part.names if isinstance(part, Kinds) else fields(part)
+    return dict.fromkeys(names)
 
 
 def unknown(word: str) -> str:
     """What to say of a word that nothing is called by."""
-    names = [*FUNCTIONS, *UNITS]
-    for _, part, _ in _parts(Scenario, (), ""):
-        names += part.names if isinstance(part, Kinds) else fields(part)
-    by_letters = {name.lower(): name for name in names}
-    near = nearest(word.lower(), list(by_letters))
-    hint = f"; did you mean {by_letters[near]}?" if near else "; deepbots explain without a word lists the findings"
-    return f"there is no finding, key, kind, function or unit '{word}'{hint}"
+    concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
+    near = nearest(word, concepts, 0.8) or nearest(word, list(_words())) or nearest(word, concepts)
+    hint = f"; did you mean {near}?" if near else "; deepbots explain without a word lists the findings"
+    others = _others(word, ())
+    if others:
+        hint = f"; see {', '.join(others)}"
+    return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
 
 
 def _of_function(word: str) -> Iterator[str]:

@@ -7,6 +7,7 @@ from pathlib import Path as FilePath
 
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.diagnostics import Fix
 from deepbots_cli.lang.dimensions import NUMBER
 from deepbots_cli.lang.types import SPACE, Context
 from deepbots_cli.reading import read_at_most
@@ -88,5 +89,8 @@ def _located(namespace: Namespace, path: Path, reference: str) -> FilePath | Non
     beside = roots.resolve(reference, document.directory_of(span), document.roots)
     if isinstance(beside, FilePath):
         return beside
-    values.findings.add("DB204", span, beside.headline, help=beside.help)
+    library = meshes.library_reference(reference)
+    help = f"did you mean `{library}`?" if library else beside.help
+    fix = Fix.replacing(span, reference, library, safe=False) if library else None
+    values.findings.add("DB204", span, beside.headline, help=help, fix=fix)
     return None

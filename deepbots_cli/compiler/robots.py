@@ -10,6 +10,7 @@ from deepbots_cli.compiler.joints import hull, joint_dimension, joint_interval
 from deepbots_cli.compiler.matching import Group, expand, unmatched
 from deepbots_cli.compiler.overrides import Overrides
 from deepbots_cli.compiler.values import Values
+from deepbots_cli.diagnostics import Fix
 from deepbots_cli.lang.types import Kind, Scope, Subject, shown
 from deepbots_cli.schema.robot import Robot as RobotSpec
 from deepbots_cli.source import Document, roots, shipped
@@ -68,7 +69,8 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
         return None
-    file = read(located, roots.display(located), values.findings, resolve_mesh=_mesh_resolver(located.parent, document.roots))
+    resolve_mesh = mesh.beside(located.parent, (*document.roots, *mesh.package_of(spec.urdf)))
+    file = read(located, roots.display(located), values.findings, resolve_mesh=resolve_mesh)
     if file is None:
         return None
     groups = _groups(file.model, spec, path, values)
@@ -90,23 +92,12 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     by_name = shipped.robot_path(reference)
     if by_name is not None:
         return by_name
-    names = shown(shipped.robot_names())
-    values.findings.add("DB204", span, beside.headline, help=beside.help, notes=(f"shipped robots are {names}",))
+    notes = (f"shipped robots are {shown(shipped.robot_names())}",)
+    library = mesh.library_reference(reference)
+    fix = Fix.replacing(span, reference, library, safe=False) if library else None
+    help = f"did you mean `{library}`?" if library else beside.help
+    values.findings.add("DB204", span, beside.headline, help=help, notes=notes, fix=fix)
     return None
-
-
-def _mesh_resolver(folder: Path, allowed: tuple[Path, ...]) -> mesh.ResolveMesh:
-    """Meshes may lie in the robot's folder, in the project, or in the package that their name says."""
-    nearby = mesh.beside(folder)
-
-    def resolve(reference: str) -> Path | mesh.Refusal:
-        path = nearby(reference)
-        if isinstance(path, Path):
-            return path
-        elsewhere = mesh.locate(reference, folder)
-        return elsewhere if isinstance(elsewhere, Path) and any(elsewhere.is_relative_to(root) for root in allowed) else path
-
-    return resolve
 
 
 def _groups(model: RobotModel, spec: RobotSpec, path: NodePath, values: Values) -> dict[str, Group]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping as Table
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
-from deepbots_cli.diagnostics.nearest import Meant, meant
+from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.lang import agree, check, parser, syntax
 from deepbots_cli.lang.dimensions import Dimension
 from deepbots_cli.lang.expect import expect, expect_range
@@ -16,6 +16,7 @@ from deepbots_cli.lang.lower import constant
 from deepbots_cli.lang.typed import Redraw, Typed, TypedRange, zero
 from deepbots_cli.lang.types import Components, NoNames, Report, Rewriting, Scope, Stage
 from deepbots_cli.schema.fields import Leaf, Quantity
+from deepbots_cli.schema.habits import other_name
 from deepbots_cli.schema.plain import choose_from
 from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend
 
@@ -30,6 +31,11 @@ class Text(NamedTuple):
     @property
     def span(self) -> Span:
         return self.part(0, len(self.text))
+
+    @property
+    def unit(self) -> str | None:
+        """What a number without a unit is probably in."""
+        return self.kind.usual if isinstance(self.kind, Quantity) else None
 
 
 class Ends(NamedTuple):
@@ -130,11 +136,20 @@ class Values:
             meant: Meant | Rewriting | None = None,
         ) -> None:
             span, piece = text.part(start, end), text.text[start:end]
+            word = self._word_meant(text, piece) if code == "DB402" else None
+            if word and not (help or "").startswith("did you mean"):
+                help, meant = f"did you mean `{word}`? {help}", Meant(word, safe=False)
             better = Meant(meant(piece), safe=False) if callable(meant) else meant
             fix = Fix.replacing(span, piece, better.text, safe=better.safe) if better else None
             self.findings.add(code, span, headline, help=help, notes=notes, fix=fix)
 
         return report
+
+    @staticmethod
+    def _word_meant(text: Text, piece: str) -> str | None:
+        """Of a field that takes words beside figures, the one that an unknown name stands for."""
+        words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
+        return other_name(piece, words) or nearest(piece, words) if words else None
 
     def parsed(self, text: Text) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))
@@ -160,7 +175,7 @@ class Values:
     def redrawn(self, text: Text, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
         """As `quantity`, for a single figure that may be new in every step; with it, how often its draws are repeated."""
         checked = self.drawn(text, scope)
-        value = checked and expect(checked.value, self.report(text), what, dimension=dimension)
+        value = checked and expect(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
         if checked is None or value is None or not self._is_within(value, text, what):
             return None, None
         return value, checked.redraw
@@ -187,7 +202,7 @@ class Values:
         typed = self.expression(text, scope, boolean=False)
         if typed is None:
             return None
-        value = expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage)
+        value = expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit)
         return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
 
     def _is_vector(self, value: Typed, text: Text, what: str) -> bool:

@@ -64,15 +64,16 @@ def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) 
     return first.type.dimension
 
 
-def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report, *, alone: bool = True) -> bool:
+def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report, *, alone: bool = True, unit: str | None = None) -> bool:
     """Whether `value` has `dimension` (a bare zero has any); otherwise DB502 or DB503 about `what`.
 
-    `alone` says that no operator stands beside it, which would take hold of what is written behind it.
+    `alone` says that no operator stands beside it, which would take hold of what is written behind it. `unit` is what a bare number is
+    probably in.
     """
     if zero(value) or value.type.dimension == dimension:
         return True
     if bare(value):
-        missing_unit(value, dimension, report)
+        missing_unit(value, dimension, report, unit)
     else:
         help = _without_unit([value]) or _remedy(value, dimension)
         meant = divided(value, value.type.dimension) if alone and dimension == NUMBER and not isinstance(value, Constant) else None
@@ -80,14 +81,24 @@ def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report,
     return False
 
 
-def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report) -> None:
-    report(
-        "DB502",
-        value.start,
-        value.end,
-        f"a number without unit where {dimension.words} is needed",
-        f"write its unit, as in `{example(dimension)}`",
-    )
+def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report, unit: str | None = None) -> None:
+    """DB502 for a bare number; `unit` is what it is probably in if it is at least 1, otherwise the dimension tells."""
+    ends = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
+    constants = [end for end in ends if isinstance(end, Constant)]
+    if len(constants) == len(ends):
+        written = " .. ".join(" ".join(f"{number:.10g}" for number in end.values) for end in constants)
+        largest = max(abs(number) for end in constants for number in end.values)
+        help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in _probable_units(dimension, largest, unit))
+    else:
+        help = f"write its unit, as in `{example(dimension)}`"
+    report("DB502", value.start, value.end, f"a number without unit where {dimension.words} is needed", help)
+
+
+def _probable_units(dimension: Dimension, largest: float, unit: str | None) -> tuple[str, ...]:
+    """What a bare number may have been meant in: nobody writes an angle beyond a turn in radians, or a latency of 20 s."""
+    if dimension == ANGLE:
+        return ("deg",) if largest > 2 * math.pi else ("deg", "rad")
+    return (unit if unit and largest >= 1 else str(dimension),)
 
 
 def example(dimension: Dimension) -> str:

@@ -47,18 +47,20 @@ def expect(
     components: Components | None = None,
     boolean: bool = False,
     stage: Stage = Stage.STEP,
+    unit: str | None = None,
 ) -> Typed | None:
     """The value as a field takes it, or None after a finding.
 
     `what` names the field (`the timestep`). `dimension` None takes any. `components` None takes a
     single value only, a tuple takes those components or a single value for all of them, `ANY_SHAPE`
-    takes everything. A bare number counts as SI where a length or a mass is due, a bare zero everywhere.
+    takes everything. A bare number counts as SI where a length or a mass is due, a bare zero everywhere;
+    another is probably meant in `unit`.
     """
     if boolean != value.type.boolean or value.type.picture:
         (agree.truths if boolean else agree.numbers)([value], report)
         return None
     if not boolean and dimension is not None:
-        fitted = _in_dimension(value, dimension, what, report)
+        fitted = _in_dimension(value, dimension, what, report, unit)
         if fitted is None:
             return None
         value = fitted
@@ -75,10 +77,11 @@ def expect_range(
     dimension: Dimension | None = None,
     components: Components | None = None,
     stage: Stage = Stage.FIXED,
+    unit: str | None = None,
 ) -> TypedRange | None:
     """As `expect`, for both ends of a range."""
     if dimension and dimension not in _NEEDS_NO_UNIT and bare(found.low) and bare(found.high) and not zero(found.high):
-        agree.missing_unit(found, dimension, report)  # one unit is missing, behind both ends
+        agree.missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
         return None
     # The right end first: the unit of both stands there.
     high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
@@ -86,10 +89,10 @@ def expect_range(
     return None if low is None or high is None else found._replace(low=low, high=high)
 
 
-def _in_dimension(value: Typed, dimension: Dimension, what: str, report: Report) -> Typed | None:
+def _in_dimension(value: Typed, dimension: Dimension, what: str, report: Report, unit: str | None) -> Typed | None:
     if value.type.dimension == dimension:
         return value
-    if (bare(value) and dimension in _BARE_MEANS_SI) or agree.has_dimension(value, dimension, what, report):
+    if (bare(value) and dimension in _BARE_MEANS_SI) or agree.has_dimension(value, dimension, what, report, unit=unit):
         return value._replace(type=value.type._replace(dimension=dimension))
     return None
 

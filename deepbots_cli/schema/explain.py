@@ -81,6 +81,9 @@ def help_for_unknown(data: object, parent: Path, key: str) -> str | None:
     others = _kinds_with(spec_at(Scenario, data, parent, settled=False), key)
     if others:
         return f"it is a key of {_listed(others)}; here the keys are {_listed(fields(spec))}"
+    british = key.replace("color", "colour")
+    if british != key and british in fields(spec):
+        return f"write `{british}`: keys are in British English"
     near = nearest(key, tuple(fields(spec)))
     belongs = _home_near(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):

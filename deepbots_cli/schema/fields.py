@@ -122,7 +122,8 @@ class Quantity(Leaf):
 
     `dimension` is a key of `MEASURES`; `components` is the length of a vector. Bounds are in SI units; with `exclusive` the
     minimum itself is refused. `urdf` may stand for the figure of the robot file, `words` are accepted as they
-    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction; `like` is an example.
+    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction; `like` is an example. A number of at
+    least 1 that lacks its unit is probably in the `usual` one, if it is not in that of SI.
     """
 
     dimension: str
@@ -136,6 +137,7 @@ class Quantity(Leaf):
     relative: bool = False
     whole: bool = False
     like: str = ""
+    usual: str | None = None
 
     @property
     def noun(self) -> str:
@@ -162,9 +164,8 @@ class Quantity(Leaf):
                 self._examine_length(found)
         elif isinstance(value, (int, float)):
             self._examine_length(1)
-            if self.maximum == 1 and 1 < value <= 100:
-                help = f"give at most 1; a share in hundredths is written `{value:g} %`"
-                raise problem("DB105", f"`{value}` is above the largest allowed value", help)
+            if self.dimension == "number" and self.maximum == 1:
+                examine_fraction(value)
             examine_bounds(value, None if self.dimension not in _BARE else self.minimum, self.maximum, exclusive=self.exclusive)
             if self.whole and value != int(value):
                 raise mismatch(self.noun)
@@ -216,6 +217,13 @@ def examine_bounds(value: float, minimum: float | None, maximum: float | None, *
         )
     if maximum is not None and value > maximum:
         raise problem("DB105", f"`{value}` is above the largest allowed value", f"give at most {maximum:g}")
+
+
+def examine_fraction(value: float) -> None:
+    """Raise DB105 for a number that is a fraction only if it counts hundredths."""
+    if 1 < value <= 100:
+        help = f"give at most 1; a share in hundredths is written `{value:g} %`"
+        raise problem("DB105", f"`{value:g}` is above the largest allowed value", help)
 
 
 def _is_nan(value: float) -> bool:

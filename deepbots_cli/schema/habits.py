@@ -1,8 +1,9 @@
-"""Values of a wrong form that tell by themselves what was meant: a colon without a space, a comma at the end, dashes before keys."""
+"""What users of other tools write, and what it is here: values of another form, and other names of kinds and words."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics.nearest import Meant
@@ -13,6 +14,34 @@ _NUMBER = r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?"
 _ENDS = re.compile(rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*")
 _THOUSANDS = re.compile(r"([0-9]{1,6})([kKM])")
 _MANY = {"k": 1_000, "K": 1_000, "M": 1_000_000}
+
+_OTHER_NAMES = {
+    "cartesian": "ik inverse_kinematics end_effector eef ee tcp osc operational_space cartesian_position task_space",
+    "velocity_motor": "velocity velocity_control motor wheel wheels",
+    "position_motor": "position position_control servo pd pid",
+    "torque_motor": "torque torque_control effort",
+    "thrust": "rotor propeller thruster",
+    "gripper": "finger fingers parallel_gripper hand",
+    "joint_position": "encoder joint_angle joint_pos qpos",
+    "joint_velocity": "joint_speed joint_vel qvel",
+    "joint_torque": "joint_effort",
+    "inclinometer": "tilt",
+    "compass": "magnetometer",
+    "position": "gps",
+    "touch": "bumper contact collision",
+    "force": "force_torque ft wrench",
+    "infrared": "ir proximity",
+    "sonar": "ultrasonic ultrasound",
+    "laser": "rangefinder ray",
+    "lidar": "laser_scanner laser_scan scanner rays",
+    "reflectance": "line_sensor ground_sensor",
+    "camera": "rgb image picture vision",
+    "box": "cube cuboid block",
+    "sphere": "ball",
+    "cylinder": "disc disk puck",
+    "any": "random rand uniform arbitrary",
+}
+"""Words of the language with their names elsewhere."""
 
 
 class Habit(NamedTuple):
@@ -49,3 +78,9 @@ def count_meant(value: object) -> str | None:
         return f"{int(value):_}"
     found = _THOUSANDS.fullmatch(value) if isinstance(value, str) else None
     return f"{int(found[1]) * _MANY[found[2]]:_}" if found else None
+
+
+def other_name(word: str, known: Iterable[str]) -> str | None:
+    """The one of the `known` words that is called `word` elsewhere."""
+    plain = word.lower().replace("-", "_").replace(" ", "_")
+    return next((ours for ours in known if plain in _OTHER_NAMES.get(ours, "").split()), None)

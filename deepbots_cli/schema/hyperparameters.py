@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from deepbots_cli.schema.part import FORMS, Part, field
-from deepbots_cli.schema.plain import Count, Frequency, Real, Schedule, Word
+from deepbots_cli.schema.plain import Count, Fraction, Frequency, Real, Schedule, Word
 from deepbots_cli.schema.quantity import OnOff, Whole
 
 Ramp = Annotated[str | int | float, Schedule()]
 Weight = Annotated[float, Real(0)]
-Fraction = Annotated[float, Real(0, 1)]
+Share = Annotated[str | int | float, Fraction()]
 Positive = Annotated[float, Real(0, exclusive=True)]
 
 
@@ -51,7 +51,7 @@ class Hyperparameter:
 _STEPS_OR_ALL = Annotated[int, Count(minimum=-1)]
 _AUTO = Annotated[str | int | float, Real(text="auto")]
 _RATE = Hyperparameter(Ramp, "Learning rate: a number, or a schedule such as `3e-4 -> 0`.")
-_GAMMA = Hyperparameter(Fraction, "Discount of later rewards per step, 0 to 1.")
+_GAMMA = Hyperparameter(Share, "Discount of later rewards per step, 0 to 1.")
 _WINDOW = Hyperparameter(Whole, "Episodes over which progress is averaged.")
 _BATCH = Hyperparameter(Annotated[int, Count(minimum=2)], "Samples in one gradient step.")
 _CLIP = Hyperparameter(Positive, "Largest norm of a gradient; larger ones are scaled down.")
@@ -65,7 +65,7 @@ _ON_POLICY = {
     "learning_rate": _RATE,
     "n_steps": Hyperparameter(Whole, "Steps of each environment between two updates."),
     "gamma": _GAMMA,
-    "gae_lambda": Hyperparameter(Fraction, "Trade-off of bias and variance of the advantage, 0 to 1."),
+    "gae_lambda": Hyperparameter(Share, "Trade-off of bias and variance of the advantage, 0 to 1."),
     "normalize_advantage": Hyperparameter(OnOff, "Whether advantages are normalised."),
     "ent_coef": Hyperparameter(Weight, "Weight of the entropy: higher explores more."),
     "vf_coef": Hyperparameter(Weight, "Weight of the value function in the loss."),
@@ -84,7 +84,7 @@ _OFF_POLICY = {
     "buffer_size": Hyperparameter(Whole, "Steps that are remembered."),
     "learning_starts": Hyperparameter(Annotated[int, Count(minimum=0)], "Steps before the first update."),
     "batch_size": Hyperparameter(Whole, "Samples in one gradient step."),
-    "tau": Hyperparameter(Fraction, "Share by which the target network follows, 0 to 1."),
+    "tau": Hyperparameter(Share, "Share by which the target network follows, 0 to 1."),
     "gamma": _GAMMA,
     "train_freq": Hyperparameter(Annotated[str | int, Frequency()], "Steps between two updates, or `1 episode`."),
     "gradient_steps": Hyperparameter(_STEPS_OR_ALL, "Gradient steps in an update; -1 makes as many as steps were taken."),
@@ -129,9 +129,9 @@ ALGORITHMS: Mapping[str, Mapping[str, Hyperparameter]] = {
     "DQN": _OFF_POLICY
     | {
         "target_update_interval": _TARGET,
-        "exploration_fraction": Hyperparameter(Fraction, "Share of the training over which exploration goes down."),
-        "exploration_initial_eps": Hyperparameter(Fraction, "Share of random actions at the start."),
-        "exploration_final_eps": Hyperparameter(Fraction, "Share of random actions in the end."),
+        "exploration_fraction": Hyperparameter(Share, "Share of the training over which exploration goes down."),
+        "exploration_initial_eps": Hyperparameter(Share, "Share of random actions at the start."),
+        "exploration_final_eps": Hyperparameter(Share, "Share of random actions in the end."),
         "max_grad_norm": _CLIP,
         "stats_window_size": _WINDOW,
     },

@@ -18,9 +18,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from deepbots_cli.diagnostics.nearest import meant
 from deepbots_cli.schema.fields import Leaf, article, count
-from deepbots_cli.schema.plain import choose_from
+from deepbots_cli.schema.plain import choose_from, word_meant
 from deepbots_cli.schema.refusal import Refusal, at, mismatch, problem
 
 T = TypeVar("T")
@@ -208,7 +207,7 @@ class Kinds:
         word = value[self.key]
         if not isinstance(word, str):
             return at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names)))
-        near = meant(word, self.names, ours=True)
+        near = word_meant(word, self.names)
         return at(self.key, problem("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=near))
 
 

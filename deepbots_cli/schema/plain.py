@@ -12,13 +12,14 @@ from typing import get_args
 
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.lang.types import shown
-from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds
+from deepbots_cli.schema.fields import LARGEST, JsonSchema, Leaf, examine_bounds, examine_fraction
 from deepbots_cli.schema.refusal import mismatch, problem
 
 _REAL = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 # Compiled when they are first used: most scenarios need few of them.
 _SCHEDULE = rf"\s*({_REAL})\s*->\s*({_REAL})\s*"
-_UNTIL = rf"\s*(success_rate|mean_return)\s*>=\s*({_REAL})\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
+_PERCENT = rf"\s*({_REAL})\s*%\s*"
+_UNTIL = rf"\s*(?:(success_rate)\s*>=\s*({_REAL}(?:\s*%)?)|(mean_return)\s*>=\s*({_REAL}))\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
 _STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
 
 _LISTED = 24
@@ -29,9 +30,19 @@ _GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 
 def choose_from(word: str, words: Sequence[str]) -> str:
     """The help of an unknown word: what was probably meant, and what there is."""
-    near = nearest(word, words)
+    from deepbots_cli.schema.habits import other_name
+
+    near = other_name(word, words) or nearest(word, words)
     listed = shown((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
+
+
+def word_meant(word: str, words: Sequence[str]) -> Meant | None:
+    """The word of the language that was probably meant, as something to write."""
+    from deepbots_cli.schema.habits import other_name
+
+    other = other_name(word, words)
+    return Meant(other, safe=False) if other else meant(word, words, ours=True)
 
 
 @dataclass(frozen=True)
@@ -50,7 +61,7 @@ class Word(Leaf):
     def examine(self, value: object) -> None:
         if value not in self.words:
             word = str(value)
-            raise problem("DB104", f"unknown word `{word[:40]}`", choose_from(word, self.words), meant=meant(word, self.words, ours=True))
+            raise problem("DB104", f"unknown word `{word[:40]}`", choose_from(word, self.words), meant=word_meant(word, self.words))
 
     def json_schema(self) -> JsonSchema:
         return {"enum": list(self.words)}
@@ -118,6 +129,39 @@ class Real(Leaf):
         if self.maximum is not None:
             schema["maximum"] = self.maximum
         return schema
+
+
+def read_fraction(text: str) -> float:
+    """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
+    percent = re.fullmatch(_PERCENT, text)
+    return float(percent[1]) / 100 if percent else float(text)
+
+
+class Fraction(Leaf):
+    """A number from 0 to 1, or a percentage, which is read as one."""
+
+    noun = "a number from 0 to 1"
+    example = "0.9"
+
+    def holds(self, value: object) -> bool:
+        if isinstance(value, str):
+            return re.fullmatch(_PERCENT, value) is not None
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+    def check(self, value: object) -> object:
+        super().check(value)
+        return read_fraction(value) if isinstance(value, str) else value
+
+    def examine(self, value: object) -> None:
+        if isinstance(value, (str, int, float)):
+            fraction = read_fraction(value) if isinstance(value, str) else value
+            if not isinstance(value, str):
+                examine_fraction(fraction)
+            examine_bounds(fraction, 0, 1)
+
+    def json_schema(self) -> JsonSchema:
+        pattern = rf"^({_PERCENT}|{_GROUPED})$"
+        return {"type": ["number", "string"], "minimum": 0, "maximum": 1, "pattern": pattern, "patternErrorMessage": _expected(self)}
 
 
 class Switch(Leaf):
@@ -241,7 +285,7 @@ def read_until(value: object) -> tuple[str, float, int] | None:
     """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it is neither."""
     text = value if isinstance(value, str) else ""
     if match := re.fullmatch(_UNTIL, text):
-        return match[1], float(match[2]), int(match[3])
+        return match[1] or match[3], read_fraction(match[2] or match[4]), int(match[5])
     match = re.fullmatch(_STEPS, text)
     return ("steps", float(match[1]), 1) if match else None
 
@@ -258,6 +302,8 @@ class Until(Leaf):
             raise mismatch(self.noun, self.help_for(value))
         metric, threshold, episodes = found
         examine_bounds(episodes, 1, None)
+        if metric == "success_rate":
+            examine_fraction(threshold)
         if metric != "mean_return":
             examine_bounds(threshold, *((0, 1) if metric == "success_rate" else (1, None)))
 

@@ -92,7 +92,7 @@ class Robot(Part):
 class Route(Part):
     """What happens to messages on their way."""
 
-    latency: Annotated[Scalar, Quantity("time", stage="step", minimum=0, maximum=60)] = field(
+    latency: Annotated[Scalar, Quantity("time", stage="step", minimum=0, maximum=60, usual="ms")] = field(
         default="0 ms", description="Time from sending to arrival."
     )
     loss: Annotated[Scalar, Quantity("number", stage="step", minimum=0, maximum=1)] = field(

@@ -8,14 +8,14 @@ from deepbots_cli.schema.fields import Column, Quantity, Range, Reference, Scala
 from deepbots_cli.schema.part import FORMS, Keys, Kinds, Part, Size, field
 from deepbots_cli.schema.plain import Count, Word
 from deepbots_cli.schema.pose import Mount
-from deepbots_cli.schema.quantity import DrawnDelay, JointName, JointNames, LinkName, LinkNames, LocalName, Period, Prose
+from deepbots_cli.schema.quantity import DrawnDelay, JointName, JointNames, LinkName, LinkNames, LocalName, Prose, Tick
 
 
 class Sensor(Part):
     """What all sensors have: the faults of real ones."""
 
     type: Prose = field(description="The kind of sensor.")
-    period: Period | None = field(default=None, description="Time between two readings, a multiple of the timestep; by default one tick.")
+    period: Tick | None = field(default=None, description="Time between two readings, a multiple of the timestep; by default one tick.")
     latency: DrawnDelay = field(default="0 ms", description="Age of a reading when the robot gets it.")
     noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = field(
         default=0, description="Standard deviation of each reading: in the unit of the sensor, or as `2 %` of the value."

@@ -14,12 +14,12 @@ from deepbots_cli.schema.quantity import (
     MeshFile,
     OnOff,
     Paint,
-    Period,
     Point,
     Prose,
     Share,
     SharedName,
     Thickness,
+    Tick,
 )
 
 
@@ -110,7 +110,7 @@ class World(Part):
 
     needs: ClassVar[tuple[Keys, ...]] = (Keys(("ground", "terrain")),)
 
-    timestep: Period = field(description="One control tick: robots sense and act this often, such as `32 ms`.")
+    timestep: Tick = field(description="One control tick: robots sense and act this often, such as `32 ms`.")
     substeps: Annotated[int, Count(maximum=10_000)] = field(default=1, description="Physics steps in one control tick.")
     gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = field(
         default="0 0 -9.81 m/s^2", description="Gravity in the world frame, m/s^2."

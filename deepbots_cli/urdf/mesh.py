@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from deepbots_cli.reading import read_at_most
 from deepbots_cli.urdf.mesh_format import Measure, fault, measure
@@ -30,7 +31,23 @@ class Refusal:
     help: str | None = None
 
 
-ResolveMesh = Callable[[str], Path | Refusal]
+@dataclass(frozen=True)
+class Above:
+    """A mesh that lies in a folder above the robot file only, where PyBullet looks too; `reference` names it from the robot's folder."""
+
+    path: Path
+    reference: str
+
+
+class Loaded(NamedTuple):
+    """A mesh that may be given to an engine; `reference` is set if the robot file had better name it so."""
+
+    path: Path
+    digest: str
+    reference: str | None = None
+
+
+ResolveMesh = Callable[[str], Path | Above | Refusal]
 """From a `filename` as written in the robot file to the real path, where it may be read."""
 
 
@@ -67,6 +84,12 @@ def package_folder(name: str) -> Path | None:
     return Path(spec.submodule_search_locations[0])
 
 
+def package_of(reference: str) -> tuple[Path, ...]:
+    """The folder of the package that `package://X/rest` names; none for a path, or if it is not installed."""
+    home = package_folder(reference.removeprefix("package://").partition("/")[0]) if reference.startswith("package://") else None
+    return (home,) if home else ()
+
+
 def in_package(reference: str) -> Path | None:
     """The file of an installed package that `package://X/rest` names; None where there is none, or it lies outside of X."""
     package, _, inside = reference.removeprefix("package://").partition("/")
@@ -80,22 +103,36 @@ def in_package(reference: str) -> Path | None:
         return None
 
 
-def beside(folder: Path) -> ResolveMesh:
-    """Allows the folder of the robot file and what lies below it, and the installed package that a `package://` names."""
+def library_reference(reference: str) -> str | None:
+    """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is installed and holds one."""
+    inside = reference.removeprefix("pybullet_data/")
+    names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
+    return None if "://" in reference else next((name for name in names if in_package(name)), None)
 
-    def resolve(reference: str) -> Path | Refusal:
+
+def beside(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
+    """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that a `package://` names."""
+    roots = [os.path.realpath(root) for root in (folder, *allowed)]
+
+    def resolve(reference: str) -> Path | Above | Refusal:
         path = locate(reference, folder)
         if isinstance(path, Refusal):
             return path
-        roots = [folder]
-        if reference.startswith("package://"):
-            home = package_folder(reference.removeprefix("package://").partition("/")[0])
-            roots += [home] if home else []
-        if any(path.is_relative_to(os.path.realpath(root)) for root in roots):
-            return path
-        return Refusal("the mesh lies outside the folder of the robot", "move it beside the robot file")
+        within = [*roots, *map(os.path.realpath, package_of(reference))]
+        if not any(path.is_relative_to(root) for root in within):
+            return Refusal("the mesh lies outside the folder of the robot", "move it beside the robot file")
+        return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
 
     return resolve
+
+
+def _above(reference: str, folder: Path, roots: list[str]) -> Above | None:
+    """The nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks there in the same order."""
+    for above in folder.absolute().parents:
+        path = Path(os.path.realpath(above / reference))
+        if any(path.is_relative_to(root) for root in roots) and path.is_file():
+            return Above(path, os.path.relpath(above / reference, folder).replace(os.sep, "/"))
+    return None
 
 
 def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
@@ -131,17 +168,18 @@ class Meshes:
         self._known: dict[Path, str | Refusal] = {}
         self._total = 0
 
-    def load(self, reference: str) -> tuple[Path, str] | Refusal:
+    def load(self, reference: str) -> Loaded | Refusal:
         try:
-            path = self._resolve(reference)
-            if isinstance(path, Refusal):
-                return path
+            found = self._resolve(reference)
+            if isinstance(found, Refusal):
+                return found
+            path = found.path if isinstance(found, Above) else found
             if path not in self._known:
                 self._known[path] = self._digest(path)
         except OSError as error:
             return Refusal(f"the mesh cannot be read: {error.strerror}")
         digest = self._known[path]
-        return digest if isinstance(digest, Refusal) else (path, digest)
+        return digest if isinstance(digest, Refusal) else Loaded(path, digest, found.reference if isinstance(found, Above) else None)
 
     def _digest(self, path: Path) -> str | Refusal:
         if not str(path).isprintable():

@@ -188,8 +188,10 @@ def _mesh(element: Element, meshes: Meshes, report: Report) -> Mesh | None:
     if isinstance(loaded, Refusal):
         report.error(element, loaded.why, attribute="filename", help=loaded.help)
         return None
-    path, digest = loaded
-    return Mesh(str(path), digest, scale)
+    if loaded.reference:
+        headline = "the mesh is not beside the robot file; one in a folder above is read, as PyBullet does"
+        report.warn("DB311", element, headline, attribute="filename", help=f'write filename="{loaded.reference}"')
+    return Mesh(str(loaded.path), loaded.digest, scale)
 
 
 def _friction(link: Element, report: Report) -> Friction:
@@ -233,7 +235,10 @@ def _joint_type(element: Element, report: Report) -> JointType | None:
     if word is None:
         return None
     kind = next((known for known in JOINT_TYPES if known == word), None)
-    if kind is None:
+    if word == "spherical":
+        help = "replace it by three revolute joints at one place, about x, y and z"
+        report.error(element, "ball joints are not supported", attribute="type", help=help)
+    elif kind is None:
         help = known_names(word, JOINT_TYPES, "joint types")
         report.error(element, f"unknown joint type {quoted(word)}", attribute="type", help=help)
     return kind

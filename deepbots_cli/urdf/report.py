@@ -17,6 +17,7 @@ from deepbots_cli.urdf.xml import Element
 MAX_TOLD = 100
 # PyBullet was seen to answer with NaN at 1e200 and to work at 1e18.
 MAX_MAGNITUDE = 1e18
+MAX_LENIENT = 40  # words, and characters of one, of a vector that is shown corrected
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 
@@ -107,6 +108,8 @@ class Report:
                 self.text(element, name)
             return stand_in
         words = self._expanded(element, name).split()
+        if len(words) <= MAX_LENIENT and all(len(word) <= MAX_LENIENT for word in words):
+            words = self._as_pybullet_reads(words, element, name, size)
         wrong = next((word for word in words if not _NUMBER.fullmatch(word)), None)
         if wrong is not None:
             help = "numbers are apart by blanks, without commas" if "," in wrong else None
@@ -121,6 +124,25 @@ class Report:
             self.error(element, f"'{name}' is larger than {MAX_MAGNITUDE:g}", attribute=name)
             return stand_in
         return values
+
+    def _as_pybullet_reads(self, words: list[str], element: Element, name: str, size: int) -> list[str]:
+        """The words as PyBullet reads them, with a warning for each difference; a word that is no number even so is kept.
+
+        It skips a comma or a point after a number, but splits at blanks only, so that `1,2,3` would be one number to it. Of four
+        numbers for three it takes the first three.
+        """
+        plain = [word if _NUMBER.fullmatch(word) else word.rstrip(",.") for word in words]
+        if not all(map(_NUMBER.fullmatch, plain)):
+            return words
+        odd = next((word for word, number in zip(words, plain, strict=True) if word != number), None)
+        if odd is not None:
+            headline = f"{quoted(odd)} is not a number; {odd.rstrip(',.')} is read, as PyBullet does"
+            self.warn("DB311", element, headline, attribute=name, help=f'write {name}="{" ".join(plain)}"')
+        if size == 3 and len(plain) == 4:
+            headline = f"'{name}' needs 3 numbers, not 4; the first 3 are read, as PyBullet does"
+            self.warn("DB311", element, headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
+            return plain[:3]
+        return plain
 
     def _expanded(self, element: Element, name: str) -> str:
         """The value, where `$(optenv NAME default)` of an unexpanded xacro file stands for its default."""

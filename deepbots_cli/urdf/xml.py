@@ -1,6 +1,7 @@
 """Strict XML: elements that know their place. No DOCTYPE, no entities, bounded in depth and number.
 
-Built on expat, which is in the standard library, imports in a millisecond and knows byte offsets.
+Built on expat, which is in the standard library, imports in a millisecond and knows byte offsets. Blanks before the XML declaration
+and zero bytes after the document, which published files have and PyBullet skips, are warnings.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from deepbots_cli.diagnostics import Findings, Label, Source, Span
 
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
+
+_BLANKS = " \t\r\n"
 
 # Possessive, so that a tag without an end costs linear time.
 _START_TAG = re.compile(r"""<[^\s/>"']++(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
@@ -56,16 +59,21 @@ class _RefusedError(Exception):
 
 
 class _Builder:
-    """Expat's handlers: grows the tree, turns byte offsets into code points."""
+    """Expat's handlers: grows the tree, turns byte offsets into code points.
 
-    def __init__(self, source: Source) -> None:
+    Expat reads the code points from `begin` to `end` only.
+    """
+
+    def __init__(self, source: Source, begin: int, end: int) -> None:
         self.source = source
-        self.data = source.text.encode()
+        self.begin = begin
+        text = source.text[begin:end]
+        self.data = text.encode()
         self.root: Element | None = None
         self.open: list[Element] = []
         self.version = "1.0"
         self.count = 0
-        self._ascii = len(self.data) == len(source.text)
+        self._ascii = len(self.data) == len(text)
         self._mark = (0, 0)
         self.parser = expat.ParserCreate("utf-8")
         self.parser.StartElementHandler = self._start
@@ -79,12 +87,12 @@ class _Builder:
         self.parser.XmlDeclHandler = self.parser.StartDoctypeDeclHandler = None
 
     def offset(self, index: int) -> int:
-        """The code point at byte `index`; counts on from the last one asked, so that a file is decoded once."""
+        """The code point of the source at byte `index` of `data`; counts on from the last one asked, so that a file is decoded once."""
         if self._ascii:
-            return index
+            return self.begin + index
         byte, point = self._mark if self._mark[0] <= index else (0, 0)
         self._mark = (index, point + len(self.data[byte:index].decode(errors="ignore")))
-        return self._mark[1]
+        return self.begin + self._mark[1]
 
     def _declaration(self, version: str, encoding: str | None, standalone: int) -> None:
         self.version = version
@@ -111,11 +119,21 @@ class _Builder:
 
 def parse(source: Source, findings: Findings) -> Element | None:
     """The root element, or None with one finding at the place where reading stopped."""
-    builder = _Builder(source)
+    text = source.text
+    begin, end = len(text) - len(text.lstrip(_BLANKS)), len(text.rstrip(_BLANKS + "\0"))
+    early = begin if text.startswith("<?xml", begin) else 0
+    late = text.find("\0", end)
+    builder = _Builder(source, early, end if late >= 0 else len(text))
     try:
-        return _parsed(builder, findings)
+        root = _parsed(builder, findings)
     finally:
         builder.close()
+    if root is not None and early:
+        headline = "the XML declaration is not at the start of the file"
+        findings.add("DB311", Span(source, early, early + len("<?xml")), headline, help="remove the blanks and empty lines before it")
+    if root is not None and late >= 0:
+        findings.add("DB311", Span(source, late, late + 1), "a zero byte after the end of the document", help="end the file before it")
+    return root
 
 
 def _parsed(builder: _Builder, findings: Findings) -> Element | None:
@@ -133,10 +151,12 @@ def _parsed(builder: _Builder, findings: Findings) -> Element | None:
         also = tuple(Label(element.span, "opened here and not closed") for element in builder.open[-1:])
         what = "the file is empty" if not source.text.strip() else f"this is not XML: {expat.ErrorString(error.code)}"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
-        help = "nothing may stand before <?xml ...?>, not even a blank line" if misplaced else None
+        help = "move <?xml ...?> to the start of the file" if misplaced else None
         findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, also=also)
         return None
     if builder.version != "1.0":
         end = source.text.find("?>") + 2
-        findings.add("DB311", Span(source, 0, end), f"XML version {builder.version[:20]!r} does not exist", help='write version="1.0"')
+        findings.add(
+            "DB311", Span(source, builder.begin, end), f"XML version {builder.version[:20]!r} does not exist", help='write version="1.0"'
+        )
     return builder.root

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from deepbots_cli.cli.words import Topic, topics
+from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RETIRED, RULES
 from deepbots_cli.rules.pages import every_page
+from deepbots_cli.source import loads
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_a_code_is_explained_with_why_an_example_and_what_to_write_instead(deepbots):
@@ -134,14 +141,83 @@ def test_a_kind_and_a_unit_are_explained(deepbots, word, said):
     assert said in " ".join(deepbots("explain", word).out.split())
 
 
-@pytest.mark.parametrize(("word", "meant"), [("gyroscope", "gyro"), ("throuhg", "through"), ("degrees", "deg"), ("ppo", "PPO")])
+@pytest.mark.parametrize(("word", "meant"), [("gyroscope", "gyro"), ("throuhg", "through"), ("degrees", "deg"), ("hindsigth", "hindsight")])
 def test_the_nearest_word_of_the_language_is_suggested_too(deepbots, word, meant):
     ran = deepbots("explain", word)
     assert ran.code == 2
-    assert ran.err == f"error: there is no finding, key, kind, function or unit '{word}'; did you mean {meant}?\n"
+    assert ran.err == f"error: there is no finding, key, kind, function, unit or concept '{word}'; did you mean {meant}?\n"
 
 
 def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots):
     ran = deepbots("explain", "through", "--json")
     assert (ran.code, ran.out) == (2, "")
     assert "leave it out" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("word", "concept"),
+    [
+        ("HER", "hindsight"),
+        ("hindsight", "hindsight"),
+        ("domain randomisation", "domain randomisation"),
+        ("Domain Randomization", "domain randomisation"),
+        ("domain-randomization", "domain randomisation"),
+        ("camera", "camera"),
+        ("noise", "noise"),
+        ("curriculum", "curriculum"),
+        ("latency", "latency"),
+        ("frame_stack", "frame stack"),
+        ("reward shaping", "reward shaping"),
+        ("success", "success"),
+        ("seed", "seeds"),
+        ("VecEnv", "vectorised environments"),
+        ("vectorized environments", "vectorised environments"),
+        ("checkpoints", "checkpoint"),
+        ("resume", "resume"),
+        ("record", "video"),
+        ("normalize", "normalisation"),
+        ("mask", "action mask"),
+    ],
+)
+def test_a_concept_is_explained_by_its_name_and_by_usual_others(deepbots, word, concept):
+    ran = deepbots("explain", word)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out.startswith(f"{concept}: a concept\n")
+    assert "Read more: docs/" in ran.out
+
+
+@pytest.mark.parametrize(("word", "said"), [("camera", "camera: a type of"), ("noise", "noise: a key of `observation.<name>`")])
+def test_a_concept_that_is_a_word_of_the_language_is_followed_by_that(deepbots, word, said):
+    assert said in deepbots("explain", word).out
+
+
+@pytest.mark.parametrize("word", ["stack", "delay", "environments"])
+def test_a_word_of_the_language_goes_before_another_name_of_a_concept_which_is_mentioned(deepbots, word):
+    said = deepbots("explain", word).out
+    assert said.startswith(f"{word}: a key of")
+    assert "See also: " in said
+
+
+@pytest.mark.parametrize(("word", "said"), [("ppo", "PPO: an algorithm"), ("Gyro", "gyro: a type of"), ("POSITION", "position(body):")])
+def test_the_case_of_a_word_does_not_matter(deepbots, word, said):
+    assert said in deepbots("explain", word).out
+
+
+def test_words_of_a_concept_lead_to_it(deepbots):
+    ran = deepbots("explain", "domain")
+    assert ran.code == 2
+    assert ran.err.endswith("'domain'; see \"domain randomisation\"\n")
+
+
+@pytest.mark.parametrize("topic", topics(), ids=lambda topic: topic.name)
+def test_the_example_of_a_concept_compiles_and_its_page_has_the_section(topic: Topic):
+    text = f"deepbots: 1\nextends: cartpole.yaml\n{topic.example}\n"
+    assert [finding.headline for finding in check(loads(text, base=ROOT / "scenarios")).findings] == []
+    page, _, section = topic.read.partition("#")
+    heads = re.findall(r"^#+ (.*)$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
+    assert section in {"", *(re.sub(r"[^a-z0-9 _-]", "", head.lower()).replace(" ", "-") for head in heads)}
+
+
+def test_no_two_concepts_share_a_name():
+    names = [name.lower() for topic in topics() for name in (topic.name, *topic.names)]
+    assert len(names) == len(set(names))

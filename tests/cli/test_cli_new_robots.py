@@ -176,3 +176,17 @@ def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tm
 
 def test_of_a_robot_file_that_is_not_there_the_nearest_shipped_one_is_suggested(deepbots):
     assert "did you mean rover?" in deepbots("new", "first", "--urdf", "rovr").err
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["bicycle/bike", "biped/biped2d_pybullet", "differential/diff_ring", "quadruped/microtaur/microtaur", "racecar/racecar_differential"],
+)
+def test_a_robot_with_an_odd_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
+    pytest.importorskip("pybullet_data")
+    made = deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
+    assert made.code == 0, made.err
+    assert deepbots("lint", "first.yaml").out == "first.yaml: no findings\n"
+    ran = deepbots("run", "first.yaml", "--steps", "100")
+    assert (ran.code, ran.err) == (0, "")
+    assert "term" in ran.out

@@ -81,6 +81,9 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert "it is not known whether the task is solved (cannot be told from 2 episodes" in ran.err
     assert "the success rate is 0, not 0.9" in ran.err
     assert deepbots("eval", "mine", "--episodes", "2", "--min-success", "0").code == 0
+    assert "not 0.9" in deepbots("eval", "mine", "--episodes", "2", "--min-success", "90%").err
+    refused = deepbots("eval", "mine", "--min-success", "90")
+    assert (refused.code, "write 90% for a share in hundredths" in refused.err) == (2, True)
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):

@@ -72,7 +72,7 @@ FAULTS = [
     ("-0.8 .. 0.8 m/s", "0.8 m/s", "DB103", "0.8 m/s", "expected a range, found the text `0.8 m/s`", "or `auto`"),
     ("urdf: ../robots/urdf/cartpole.urdf", "urdf: 3", "DB103", "3", "expected the path of a robot file, found the number `3`", "shipped"),
     ("{type: joint_position, joint: pole_hinge}", "5", "DB103", "5", "expected a mapping, found the number `5`", "{type: joint_position}"),
-    ("PPO,", "PPO, gamma: high,", "DB103", "high", "expected a number, found the text `high`", None),
+    ("PPO,", "PPO, gamma: high,", "DB103", "high", "expected a number from 0 to 1, found the text `high`", "`0.9`"),
     ("PPO,", "PPO, learning_rate: 1 to 0,", "DB103", "1 to 0", "expected a number or a schedule, found the text `1 to 0`", "`3e-4 -> 0`"),
     ("deepbots: 1", "deepbots: one", "DB103", "one", "expected a whole number, found the text `one`", None),
     # unknown words

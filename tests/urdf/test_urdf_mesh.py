@@ -120,6 +120,18 @@ def test_meshes_stay_inside_the_folder_of_the_robot(tmp_path: Path):
         assert robot_with(inner, filename)[1] == ["the mesh lies outside the folder of the robot"], filename
 
 
+def test_a_mesh_in_a_folder_above_is_read_with_a_warning_where_that_folder_is_allowed(tmp_path: Path):
+    inner = tmp_path / "robots" / "car"
+    inner.mkdir(parents=True)
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes/m.obj").write_bytes(TETRAHEDRON)
+    assert robot_with(inner, "shapes/m.obj")[1] == ["the mesh does not exist"]
+    findings = Findings()
+    robot = read(inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=mesh.beside(inner, [tmp_path]))
+    assert [(finding.code, finding.help) for finding in findings] == [("DB311", 'write filename="../../shapes/m.obj"')]
+    assert list(robot.meshes) == [os.path.realpath(tmp_path / "shapes/m.obj")]
+
+
 @pytest.mark.parametrize(
     ("filename", "expected"),
     [

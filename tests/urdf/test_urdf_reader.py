@@ -107,8 +107,9 @@ ERRORS = {
     "inertial without mass": (broken('<mass value="1"/>', ""), "<inertial> without <mass>", "<inertial>"),
     "mass without value": (broken('<mass value="1"/>', "<mass/>"), "<mass> without the attribute 'value'", "<mass/>"),
     "short vector": (broken('xyz="1 0 0"', 'xyz="1 0"'), "'xyz' needs 3 numbers, not 2", "1 0"),
-    "long vector": (broken('xyz="1 0 0"', 'xyz="1 0 0 0"'), "'xyz' needs 3 numbers, not 4", "1 0 0 0"),
-    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a finite number", "1, 2, 3"),
+    "long vector": (broken('xyz="1 0 0"', 'xyz="1 0 0 0 0"'), "'xyz' needs 3 numbers, not 5", "1 0 0 0 0"),
+    "commas without blanks": (broken('size="1 2 3"', 'size="1,2,3"'), "'1,2,3' is not a finite number", "1,2,3"),
+    "ball joint": (broken('"revolute"', '"spherical"'), "ball joints are not supported", "spherical"),
     "flat box": (broken('size="1 2 3"', 'size="1 -2 3"'), "'size' must be above 0", "1 -2 3"),
     "thin cylinder": (broken('radius="0.1"', 'radius="0"'), "'radius' must be above 0", "0"),
     "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> without a shape that is known", "<geometry>"),
@@ -148,8 +149,45 @@ def test_an_error_is_said_once_and_at_its_place(read_text, case):
         single(findings)
 
 
+ODDITIES = {
+    "blank lines first": ("\n \n" + ARM, "the XML declaration is not at the start of the file", "<?xml", (3, 1)),
+    "zero byte": (ARM + "\0", "a zero byte after the end of the document", "\0", (22, 1)),
+    "zero bytes and blanks": (ARM + "\r\n\0\0 \n", "a zero byte after the end of the document", "\0", (23, 1)),
+    "rotation of four": (
+        broken('rpy="0.1 0 0"', 'rpy="0.1 0 0 9"'),
+        "'rpy' needs 3 numbers, not 4; the first 3 are read, as PyBullet does", "0.1 0 0 9", (10, 43),
+    ),
+    "place of four": (
+        broken('xyz="1 0 0"', 'xyz="1 0 0 9"'),
+        "'xyz' needs 3 numbers, not 4; the first 3 are read, as PyBullet does", "1 0 0 9", (16, 18),
+    ),
+    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; 1 is read, as PyBullet does", "1, 2, 3", (6, 34)),
+    "a point too many": (
+        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; -1.0 is read, as PyBullet does", "-1.0.", (18, 19),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ODDITIES)
+def test_what_pybullet_reads_with_certainty_is_read_with_a_warning_at_its_place(read_text, case):
+    text, headline, place, position = ODDITIES[case]
+    robot, findings = read_text(text)
+    finding = single(findings)
+    assert (finding.code, finding.headline) == ("DB311", headline)
+    assert (finding.span.text, finding.span.begin) == (place, position)
+    assert robot.model == read_text(ARM)[0].model
+
+
+def test_blank_lines_before_the_declaration_shift_no_place(read_text):
+    text = "\n \n" + ARM.replace('name="arm"', 'name="ärm"').replace('xyz="0 3 4"', 'xyz="0 3 x"')
+    _, findings = read_text(text)
+    assert [finding.span.where for finding in findings if finding.severity == "error"] == ["robot.urdf:19:16"]
+    robot, _ = read_text(text.replace("0 3 x", "0 3 4"))
+    assert robot.link_spans["hand"].begin == (10, 15)
+
+
 def test_all_errors_of_a_file_are_found_at_once(read_text):
-    text = broken('damping="0.1"', 'damping="x"').replace('size="1 2 3"', 'size="0 1 1 1"').replace('mass value="1"', 'mass value="-2"')
+    text = broken('damping="0.1"', 'damping="x"').replace('size="1 2 3"', 'size="0 1 1"').replace('mass value="1"', 'mass value="-2"')
     text = text.replace("</robot>", '<link name="free"/></robot>')
     _, findings = read_text(text)
     assert len(findings) == 5  # both links had the mass

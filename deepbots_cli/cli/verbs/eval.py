@@ -11,7 +11,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, small_enough
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, fraction, small_enough
 from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.learning import report
@@ -41,7 +41,7 @@ def command(
     require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
         float | None,
-        typer.Option("--min-success", metavar="SHARE", min=0, max=1, help="Exit with 1 if fewer episodes succeed; from 0 to 1."),
+        typer.Option("--min-success", metavar="SHARE", parser=fraction, help="Exit with 1 if fewer episodes succeed: 0.8 or 80%."),
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,

@@ -25,14 +25,15 @@ _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
 
 def command(
     finding: Annotated[
-        str, typer.Argument(metavar="[CODE|NAME|WORD]", help="A code, the beginning of codes such as DB6, or a word of the language.")
+        str,
+        typer.Argument(metavar="[CODE|NAME|WORD]", help="A code, the beginning of codes such as DB6, a word of the language, a concept."),
     ] = "",
     as_json: Json = False,
 ) -> None:
     """Say what a finding means, why it matters and what to write instead.
 
     Without a code, all findings are listed. Words of the language are explained as well: keys, functions, units, kinds of sensors,
-    actuators, objects and algorithms.
+    actuators, objects and algorithms; and concepts such as HER, domain randomisation or checkpoint.
 
     \b
       deepbots explain DB603
@@ -40,6 +41,7 @@ def command(
       deepbots explain DB7
       deepbots explain through
       deepbots explain gyro
+      deepbots explain HER
       deepbots explain
     """
     found = with_prefix(finding)
@@ -100,6 +102,8 @@ def _manners(rule: Rule) -> Iterator[str]:
 
 
 def _wrapped(text: str) -> str:
+    if text.startswith(" "):
+        return text  # of an example
     return fill(text, _width(), break_long_words=False, break_on_hyphens=False)
 
 

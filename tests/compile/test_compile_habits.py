@@ -1,0 +1,102 @@
+"""What users of other tools write is refused with what to write here instead."""
+
+from __future__ import annotations
+
+import pytest
+
+from deepbots_cli.schema.actuators import ACTUATORS
+from deepbots_cli.schema.habits import _OTHER_NAMES, other_name
+from deepbots_cli.schema.objects import OBJECTS
+from deepbots_cli.schema.sensors import SENSORS
+from tests.compile.conftest import shipped_text
+
+
+@pytest.fixture
+def head(workshop) -> str:
+    (workshop.file.parent / "cartpole.yaml").write_text(shipped_text("cartpole"), encoding="utf-8")
+    return "deepbots: 1\nextends: cartpole.yaml\nname: Habits\n"
+
+
+UNITS = {
+    "world: {timestep: 32}": "`32 ms`",
+    "world: {timestep: 0.032}": "`0.032 s`",
+    "truncation: {max_time: 20}": "`20 s`",
+    "reset: {settle: 2}": "`2 s`",
+    "messages: {to_robot: {latency: 20}}": "`20 ms`",
+    "robots: {cart: {sensors: {pole_angle: {period: 64}}}}": "`64 ms`",
+    "robots: {cart: {sensors: {pole_angle: {noise: 1}}}}": "`1 deg` or `1 rad`",
+    "robots: {cart: {actuators: {wheels: {max_torque: 3}}}}": "`3 N*m`",
+    "robots: {cart: {actuators: {wheels: {delay: 16}}}}": "`16 ms`",
+    "reset: {set: {cart.pole_hinge: 15}}": "`15 deg`",
+    "observation: {cart.pole_angle: -20 .. 20}": "`-20 .. 20 deg`",
+    "observation: {speed: -0.8 .. 0.8}": "`-0.8 .. 0.8 m/s`",
+    "termination: {failure: {fast: speed > 2}}": "`2 m/s`",
+    "world: {gravity: 0 0 -9.81}": "`0 0 -9.81 m/s^2`",
+}
+
+
+@pytest.mark.parametrize("line", UNITS)
+def test_a_number_without_its_unit_is_shown_with_the_probable_one(workshop, head, line):
+    findings = [found for found in workshop.lint(f"{head}{line}\n") if found.code == "DB502"]
+    assert [found.help for found in findings] == [f"write its unit: {UNITS[line]}"]
+
+
+@pytest.mark.parametrize("word", ["random", "uniform", "anny"])
+def test_a_yaw_at_random_is_told_any(workshop, head, word):
+    (finding,) = workshop.lint(f"{head}reset: {{place: {{cart: {{z: 0.04 m, yaw: {word}}}}}}}\n")
+    assert finding.help.startswith("did you mean `any`?")
+
+
+@pytest.mark.parametrize("word", ["ik", "IK", "inverse_kinematics", "inverse-kinematics", "end_effector", "osc"])
+def test_inverse_kinematics_is_told_to_be_cartesian(workshop, head, word):
+    text = f"{head}robots: {{cart: {{actuators: {{hand: {{type: {word}, link: pole, joints: pole_hinge}}}}}}}}\n"
+    (finding,) = (found for found in workshop.lint(text) if found.code == "DB104")
+    assert finding.help.startswith("did you mean `cartesian`?")
+    assert [edit.text for edit in finding.fix.edits] == ["cartesian"]
+    assert not finding.fix.safe
+
+
+def test_other_names_stand_for_words_of_the_language_and_are_none():
+    known = {*ACTUATORS, *SENSORS, *OBJECTS, "any"}
+    assert known.issuperset(_OTHER_NAMES)
+    for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS)):
+        assert not [word for word in kinds if other_name(word, kinds)]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "world: {ground: {COLOUR: red}}",
+        "world: {arena: {size: 1 1 m, COLOUR: red}}",
+        "world: {walls: {fence: {through: [0.3 0.3 m, 0.3 0.4 m], height: 10 cm, COLOUR: red}}}",
+        "world: {lines: {stripe: {through: [0 0 m, 0.3 0 m], width: 2 cm, COLOUR: red}}}",
+        "robots: {cart: {links: {pole: {COLOUR: red}}}}",
+        "objects: {ball: {shape: sphere, radius: 5 cm, COLOUR: red, pose: {x: 0.3 m, z: 5 cm}}}",
+    ],
+)
+def test_color_is_told_and_mended_to_colour(workshop, head, line):
+    (finding,) = (found for found in workshop.lint(f"{head}{line}\n".replace("COLOUR", "color")) if found.code == "DB101")
+    assert finding.help == "write `colour`: keys are in British English"
+    assert ([edit.text for edit in finding.fix.edits], finding.fix.safe) == (["colour"], True)
+    assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOUR", "colour"))
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("kuka_iiwa/model.urdf", "kuka_iiwa/model.urdf"),
+        ("racecar/racecar.urdf", "racecar/racecar.urdf"),
+        ("r2d2", "r2d2.urdf"),
+        ("pybullet_data/r2d2.urdf", "r2d2.urdf"),
+    ],
+)
+def test_a_robot_of_pybullet_data_is_told_its_reference(workshop, head, written, meant):
+    pytest.importorskip("pybullet_data")
+    finding = next(found for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n") if found.code == "DB204")
+    assert finding.help == f"did you mean `package://pybullet_data/{meant}`?"
+
+
+@pytest.mark.parametrize("written", ["../pybullet/r2d2.urdf", "pybullet_data/../../r2d2.urdf", "no/such.urdf", "x" * 5000])
+def test_what_pybullet_data_does_not_hold_is_not_suggested(workshop, head, written):
+    finding = next(found for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n") if found.code == "DB204")
+    assert "package://" not in (finding.help or "")
