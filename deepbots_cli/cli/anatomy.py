@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping as Dictionary
 
 from deepbots_cli.cli.ageing import timing
-from deepbots_cli.cli.tables import Row
+from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.ir import (
     Actuator,
     Cartesian,
@@ -21,10 +21,11 @@ from deepbots_cli.ir import (
     MessageLayout,
     Pictured,
     Thrust,
+    Variation,
     viewed,
 )
 from deepbots_cli.lang.scalar import names_in
-from deepbots_cli.source import Mapping, Node, Scalar, descend
+from deepbots_cli.source import Mapping, Node, descend, one_line
 from deepbots_cli.urdf.model import Joint
 
 Sections = Dictionary[str, Row | list[Row]]
@@ -37,6 +38,7 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
     """All tables of a compiled scenario, whose text is the tree `root`; empty ones are left out."""
     tables: dict[str, Row | list[Row]] = {
         "scenario": _scenario(scenario, digest),
+        "drawn": _drawn(scenario),
         "robots": _robots(scenario),
         "joints": [_joint(robot.name, joint) for robot in scenario.world.robots for joint in robot.model.joints],
         "objects": [_object(scenario, index) for index in range(len(scenario.world.objects))],
@@ -66,7 +68,7 @@ def wording(root: Node, *path: str) -> str:
     node, _, reached = descend(root, path)
     if reached < len(path):
         return ""
-    return " ".join((node.text if isinstance(node, Scalar) else node.span.text).split())
+    return one_line(node)
 
 
 def _scenario(scenario: CompiledScenario, digest: str) -> Row:
@@ -157,14 +159,30 @@ def _joint(robot: str, joint: Joint) -> Row:
 
 def _object(scenario: CompiledScenario, index: int) -> Row:
     body = scenario.world.objects[index]
+    drawn = {entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")}
     return {
         "object": body.name,
         "shape": type(body.shape).__name__.lower(),
-        "mass_kg": body.mass,
+        "mass_kg": drawn.get("mass", body.mass),
         "fixed": body.fixed,
         "solid": body.solid,
-        "friction": body.friction,
+        "friction": drawn.get("lateral_friction", body.friction),
     }
+
+
+def _drawn(scenario: CompiledScenario) -> list[Row]:
+    """What every episode draws anew, in SI units; elsewhere in the tables stands its nominal value."""
+    return [
+        {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
+        for entry in scenario.reset.variations
+    ]
+
+
+def _draws(entry: Variation) -> str:
+    """The expressions that are drawn; one, where all components or parts have the same."""
+    if entry.what == "colour":
+        return f"one of {(len(entry.values) - 1) // 3} colours"
+    return ", ".join(dict.fromkeys(formula(value, digits=5) for value in entry.values))
 
 
 def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:

@@ -180,6 +180,53 @@ def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbot
     ]
 
 
+def test_what_is_previous_is_one_tick_old_and_what_a_sensor_delays_as_old_as_that(deepbots, tmp_path):
+    scenario = tmp_path / "aged.yaml"
+    scenario.write_text(
+        """\
+deepbots: 1
+extends: cartpole.yaml
+augment:
+  was:    previous(position(cart).xy)
+  before: previous(was)
+  gone:   delta(x)
+observation: {was: -1 .. 1 m, before: -1 .. 1 m, gone: -1 .. 1 m}
+robots: {cart: {sensors: {pole_angle: {latency: 40 ms}}}}
+"""
+    )
+    deepbots("copy", "cartpole")
+    timing = {row["name"]: row for row in json.loads(deepbots("inspect", "aged.yaml", "--json").out)["timing"]}
+    ages = {name: timing[name]["age_s"] for name in ("x", "was.x", "before.y", "gone", "cart.pole_angle")}
+    assert ages == {"x": 0, "was.x": 0.032, "before.y": 0.064, "gone": 0, "cart.pole_angle": 0.064}
+    assert timing["was.x"]["physics_step"] == "4n"
+    assert timing["cart.pole_angle"]["by"] == "cart"
+
+
+def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
+    sections = inspected(
+        deepbots,
+        "--set",
+        "objects.puck={shape: sphere, radius: 2 cm, mass: uniform(0.1 .. 300 g) * 2, friction: uniform(0.4 .. 0.8)}",
+        "--set",
+        "reset.place.puck={x: 0.3 m}",
+        "--set",
+        "robots.cart.links={pole: {mass: urdf * uniform(80 % .. 120 %)}}",
+    )
+    assert (sections["objects"][0]["mass_kg"], sections["objects"][0]["friction"]) == ("uniform(0.0001 .. 0.3) * 2", "uniform(0.4 .. 0.8)")
+    assert {"drawn": "mass", "of": "cart.pole"}.items() <= sections["drawn"][0].items()
+    assert "uniform(0.8 .. 1.2)" in sections["drawn"][0]["from"]
+
+
+def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    scenario = tmp_path / "cartpole.yaml"
+    start = "  place: {cart: {z: 0.04 m}}"
+    assert start in scenario.read_text()
+    scenario.write_text(scenario.read_text().replace(start, "  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m"))
+    rows = json.loads(deepbots("inspect", "cartpole.yaml", "--json").out)["reset"]
+    assert rows[0] == {"reset": "place", "of": "cart", "to": "{x: 0 m, z: 0.04 m}"}
+
+
 def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
     timing = {row["name"]: row for row in inspected(deepbots, "--set", "agent={repeat: 3}")["timing"]}
     assert (timing["drive"]["physics_step"], timing["x"]["physics_step"]) == ("12n + 1", "12n + 12")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,10 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.run import Run
-from deepbots_cli.source import Mapping, Node, Scalar, descend, shipped
+from deepbots_cli.source import Mapping, Node, descend, one_line, shipped
 from deepbots_cli.source.parse import parse
 
 _MOST_TEXT = 4_000_000
-_COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -35,23 +33,18 @@ class Side:
             keys = (*words[: first - 1], ".".join(words[first - 1 :]))
             node, _, reached = descend(self.root, keys) if self.root else (None, None, 0)
             if node is not None and reached == len(keys):
-                return _on_one_line(node.text if isinstance(node, Scalar) else node.span.text)
+                return one_line(node)
         return ""
 
     def stage(self, name: str) -> str:
         """What is written of a stage of the curriculum."""
         listed = [stage.name for stage in self.ir.curriculum]
         node = descend(self.root, ("curriculum", listed.index(name)))[0] if self.root and name in listed else None
-        return _on_one_line(node.span.text) if isinstance(node, Mapping) else ""
+        return one_line(node) if isinstance(node, Mapping) else ""
 
     def names(self, section: str) -> list[str]:
         node, _, reached = descend(self.root, (section,)) if self.root else (None, None, 0)
         return list(node.entries) if reached == 1 and isinstance(node, Mapping) else []
-
-
-def _on_one_line(text: str) -> str:
-    """Without the comments, which would seem to hide what follows."""
-    return " ".join((_COMMENT.sub("", text) if "\n" in text else text).split())
 
 
 def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool) -> Side:

@@ -17,6 +17,7 @@ from deepbots_cli.errors import ScenarioError
 
 _CAPTIONS = {
     "observation": "low .. high becomes what the policy sees; values beyond are clipped",
+    "drawn": "anew at every reset, in SI units",
     "timing": "in step n of the agent; n counts from 0, physics steps from 1",
 }
 
