@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping as Dictionary
 
+from deepbots_cli import canonical
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.ir import (
@@ -25,6 +26,8 @@ from deepbots_cli.ir import (
     viewed,
 )
 from deepbots_cli.lang.scalar import names_in
+from deepbots_cli.learning.record import number, solved
+from deepbots_cli.learning.run import Run
 from deepbots_cli.source import Mapping, Node, descend, one_line
 from deepbots_cli.urdf.model import Joint
 
@@ -34,10 +37,11 @@ Sections = Dictionary[str, Row | list[Row]]
 _FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
 
 
-def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
-    """All tables of a compiled scenario, whose text is the tree `root`; empty ones are left out."""
+def sections(scenario: CompiledScenario, root: Node, run: Run | None = None) -> Sections:
+    """All tables of a compiled scenario, whose text is the tree `root`, and of the run that it comes from; empty ones are left out."""
     tables: dict[str, Row | list[Row]] = {
-        "scenario": _scenario(scenario, digest),
+        "run": {} if run is None else _run(run),
+        "scenario": _scenario(scenario),
         "drawn": _drawn(scenario),
         "robots": _robots(scenario),
         "joints": [_joint(robot.name, joint) for robot in scenario.world.robots for joint in robot.model.joints],
@@ -57,13 +61,40 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
         "endings": _endings(scenario, root),
         "reset": _reset(scenario, root),
         "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
+        "curriculum": _curriculum(scenario, root),
         "scripts": _scripts(scenario, root),
         "training": _training(scenario),
     }
     return {name: rows for name, rows in tables.items() if rows}
 
 
-def wording(root: Node, *path: str) -> str:
+def _run(run: Run) -> Row:
+    """What a run is, and how far its training has come; steps count over all copies of the environment."""
+    record, result = run.record, run.record.result or {}
+    best = run.model("best")
+    return {
+        "run": str(run.path),
+        "status": record.status,
+        "source": record.source,
+        "command": " ".join(record.command),
+        "seed": record.seed,
+        "engine": record.engine,
+        "deepbots": record.deepbots,
+        "started": record.started,
+        "updated": record.updated,
+        "steps": number(result.get("steps")),
+        "total_timesteps": record.total_timesteps,
+        "episodes": number(result.get("episodes")),
+        "mean_return": number(result.get("mean_return")),
+        "success_rate": number(result.get("success_rate")) if run.ir.defines_success else None,
+        "best_model": str(best) if best.is_file() else None,
+        "best_return": number(result.get("best_return")),
+        "solved": solved(result.get("solved_at")) if run.ir.solved else "the scenario does not say what counts as solved",
+        "notes": run.notes(),
+    }
+
+
+def wording(root: Node, *path: str | int) -> str:
     """What the user wrote at `path`, on one line; nothing if nothing is there."""
     node, _, reached = descend(root, path)
     if reached < len(path):
@@ -71,12 +102,12 @@ def wording(root: Node, *path: str) -> str:
     return one_line(node)
 
 
-def _scenario(scenario: CompiledScenario, digest: str) -> Row:
+def _scenario(scenario: CompiledScenario) -> Row:
     world = scenario.world
     return {
         "name": scenario.name,
         "summary": scenario.summary,
-        "digest": digest,
+        "digest": canonical.digest(scenario),
         "timestep_s": world.timestep,
         "substeps": world.substeps,
         "physics_step_s": world.timestep / world.substeps,
@@ -359,6 +390,13 @@ def _reset(scenario: CompiledScenario, root: Node) -> list[Row]:
     if scenario.reset.settle:
         rows.append({"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"})
     return rows
+
+
+def _curriculum(scenario: CompiledScenario, root: Node) -> list[Row]:
+    return [
+        {"stage": stage.name, "set": wording(root, "curriculum", index, "set"), "until": wording(root, "curriculum", index, "until")}
+        for index, stage in enumerate(scenario.curriculum)
+    ]
 
 
 def _scripts(scenario: CompiledScenario, root: Node) -> list[Row]:

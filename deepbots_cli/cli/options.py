@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.ir import CompiledScenario
 
 
 def known_engine(name: str | None) -> str | None:
@@ -24,6 +29,17 @@ def small_enough(seed: int | None) -> int | None:
     return seed
 
 
+def chosen(ir: CompiledScenario, case: str | None, stage: str | None) -> CompiledScenario:
+    """The scenario under the settings of a case or of a stage; itself without either.
+
+    Raises:
+        UsageError: Both are given, or the scenario has no such case or stage.
+    """
+    if case is not None and stage is not None:
+        raise UsageError("--case and --stage exclude each other")
+    return ir.case(case).scenario if case is not None else ir.stage(stage).scenario if stage is not None else ir
+
+
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A file, or the name of a scenario that comes with deepbots.")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value, such as fall_angle=10deg; may be repeated.")
@@ -33,6 +49,8 @@ AllowPaths = Annotated[
     typer.Option("--allow-path", metavar="DIR", help="A folder outside the project that may be read from; may be repeated."),
 ]
 AllowCode = Annotated[bool, typer.Option("--allow-code", help="Let terms that are functions of Python run; trust their packages.")]
+Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Take this case of the evaluation.")]
+Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Take this stage of the curriculum.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of every random number.")]
 Engine = Annotated[

@@ -230,3 +230,24 @@ def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_pat
 def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
     timing = {row["name"]: row for row in inspected(deepbots, "--set", "agent={repeat: 3}")["timing"]}
     assert (timing["drive"]["physics_step"], timing["x"]["physics_step"]) == ("12n + 1", "12n + 12")
+
+
+def test_inspect_shows_the_stages_of_the_curriculum_and_one_of_them(deepbots):
+    stages = json.loads(deepbots("inspect", "find_ball_random", "--json").out)["curriculum"]
+    assert [row["stage"] for row in stages] == ["open", "few", "crowded"]
+    assert (stages[1]["set"], stages[1]["until"]) == ("{obstacles: integer(1 .. 3)}", "success_rate >= 0.7 over 40 episodes")
+    tables = json.loads(deepbots("inspect", "find_ball_random", "--stage", "few", "--json").out)
+    assert {row["parameter"]: row["is"] for row in tables["parameters"]}["obstacles"] == "integer(1 .. 3)"
+    assert len(tables["objects"]) == 1 + 3
+
+
+def test_a_stage_of_the_curriculum_can_be_run(deepbots):
+    lonely = json.loads(deepbots("run", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "20", "--json").out)
+    assert (lonely["stage"], lonely["episodes"][0]["reward_terms"]["scrape"]) == ("open", 0)
+
+
+@pytest.mark.parametrize("verb", ["run", "inspect"])
+def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
+    ran = deepbots(verb, "find_ball_random", "--stage", "full")
+    assert (ran.code, "has no stage 'full'; there are: open, few, crowded" in ran.err) == (2, True)
+    assert "exclude each other" in deepbots(verb, "find_ball_random", "--stage", "few", "--case", "few").err

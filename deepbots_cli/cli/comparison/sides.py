@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
-from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.run import Run
@@ -19,11 +19,13 @@ _MOST_TEXT = 4_000_000
 
 @dataclass(frozen=True)
 class Side:
-    """`root` is the text, after includes and settings; None where it is lost."""
+    """`root` is the text, after includes and settings; None where it is lost. `run` is the run that it comes from, if any."""
 
     name: str
     ir: CompiledScenario
     root: Node | None
+    run: Run | None = None
+    findings: Sequence[Finding] = ()
 
     def wording(self, path: str) -> str:
         """What is written at a path, on one line; nothing where nothing is."""
@@ -60,7 +62,8 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
         return _of_run(path)
     checked = api.load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
-    return Side(source, api.compile(checked).ir, checked.document.root)
+    compiled = api.compile(checked)
+    return Side(source, compiled.ir, checked.document.root, findings=compiled.findings)
 
 
 def _of_run(path: Path) -> Side:
@@ -72,4 +75,4 @@ def _of_run(path: Path) -> Side:
     if resolved.is_file() and not resolved.is_symlink():
         with resolved.open(encoding="utf-8", errors="replace") as file:
             text = file.read(_MOST_TEXT)
-    return Side(str(path), run.ir, parse(Source(str(resolved), text), Findings()) if text else None)
+    return Side(str(path), run.ir, parse(Source(str(resolved), text), Findings()) if text else None, run)
