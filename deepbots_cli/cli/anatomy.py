@@ -12,20 +12,24 @@ from deepbots_cli import canonical
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.ir import (
+    ActionNoise,
     Actuator,
     Cartesian,
     Choices,
     CompiledScenario,
     Field,
+    Hindsight,
     Interval,
     MessageFormat,
     MessageLayout,
     Pictured,
+    Schedule,
     Thrust,
     Variation,
     viewed,
 )
 from deepbots_cli.lang.scalar import names_in
+from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.record import number, solved
 from deepbots_cli.learning.run import Run
 from deepbots_cli.source import Mapping, Node, descend, one_line
@@ -64,6 +68,7 @@ def sections(scenario: CompiledScenario, root: Node, run: Run | None = None) -> 
         "curriculum": _curriculum(scenario, root),
         "scripts": _scripts(scenario, root),
         "training": _training(scenario),
+        "hyperparameters": _hyperparameters(scenario, root, run),
     }
     return {name: rows for name, rows in tables.items() if rows}
 
@@ -414,15 +419,37 @@ def _training(scenario: CompiledScenario) -> Row:
     return {
         "algorithm": training.algorithm,
         "total_timesteps": training.total_timesteps,
-        "environments": training.environments,
-        "hidden_layers": list(training.policy.hidden),
-        "activation": training.policy.activation,
-        **{entry.name: _hyperparameter(entry.value) for entry in training.hyperparameters},
         "evaluation_episodes": scenario.evaluation.episodes,
     }
 
 
-def _hyperparameter(value: object) -> object:
-    from deepbots_cli.ir import Schedule
+def _hyperparameters(scenario: CompiledScenario, root: Node, run: Run | None) -> list[Row]:
+    """What a training takes, and where each value is from."""
+    training = scenario.training
+    if training is None:
+        return []
+    common = {
+        "environments": training.environments,
+        "policy.hidden": training.policy.hidden,
+        "policy.activation": training.policy.activation,
+    }
+    rows = [
+        Effective(name, value, "scenario" if wording(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
+    ]
+    rows += effective(scenario, run.record.total_timesteps if run else training.total_timesteps)
+    return [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
 
-    return f"{value.start:g} -> {value.end:g}" if isinstance(value, Schedule) else value
+
+def _setting(value: object) -> object:
+    match value:
+        case Schedule(start=start, end=end):
+            return f"{start:g} -> {end:g}" if start != end else start
+        case ActionNoise(type=kind, sigma=sigma, theta=theta):
+            drift = f", theta: {theta:g}" if kind == "ornstein_uhlenbeck" else ""
+            return f"{{type: {kind}, sigma: {_setting(sigma)}{drift}}}"
+        case Hindsight(goals=goals, strategy=strategy):
+            return f"{{type: her, n_sampled_goal: {goals}, goal_selection_strategy: {strategy}}}"
+        case tuple():
+            return list(value)
+        case _:
+            return value

@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
 
+_SEPARATING = re.compile(r"""[][{},'"#]|:\s|^\s|\s$|^$""")
 _COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 
 Path = tuple[str | int, ...]
@@ -120,8 +121,8 @@ def one_line(node: Node) -> str:
 
 
 def _inside(node: Node) -> str:
-    """An item of a collection; a quoted text keeps its quotes, since it may hold what separates items."""
-    quoted = isinstance(node, Scalar) and node.style in ("single", "double")
+    """An item of a collection; a quoted text keeps its quotes where it holds what separates items."""
+    quoted = isinstance(node, Scalar) and node.style in ("single", "double") and _SEPARATING.search(node.text)
     return " ".join(node.span.text.split()) if quoted else one_line(node)
 
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.learning import defaults
 
+PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 
 
@@ -251,3 +253,19 @@ def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
     ran = deepbots(verb, "find_ball_random", "--stage", "full")
     assert (ran.code, "has no stage 'full'; there are: open, few, crowded" in ran.err) == (2, True)
     assert "exclude each other" in deepbots(verb, "find_ball_random", "--stage", "few", "--case", "few").err
+
+
+def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):
+    rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots)["hyperparameters"]}
+    assert rows["n_steps"] == (64, "scenario")
+    assert rows["clip_range"] == (0.2, "Stable-Baselines3")
+    rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots, "--set", PLAIN)["hyperparameters"]}
+    assert rows["n_steps"] == (256, "deepbots")
+    assert rows["policy.hidden"] == ([64, 64], "deepbots")
+    assert rows["policy.activation"] == ("relu", "scenario")
+
+
+def test_without_the_library_its_defaults_are_called_so(deepbots, monkeypatch):
+    monkeypatch.setattr(defaults, "library_defaults", lambda algorithm: None)
+    rows = {row["hyperparameter"]: row for row in inspected(deepbots)["hyperparameters"]}
+    assert rows["clip_range"] == {"hyperparameter": "clip_range", "value": None, "from": "library default"}

@@ -21,6 +21,7 @@ from deepbots_cli.source.overrides import under
 _CAPTIONS = {
     "observation": "low .. high becomes what the policy sees; values beyond are clipped",
     "drawn": "anew at every reset, in SI units",
+    "hyperparameters": "from the scenario, from a default of deepbots, or from the library's own default",
     "timing": "in step n of the agent; n counts from 0, physics steps from 1",
 }
 
