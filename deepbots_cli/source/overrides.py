@@ -24,7 +24,7 @@ def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | N
     A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces
     what was there; mappings are not merged. A section that the file leaves out is begun.
     """
-    source = Source(f"--set {assignment}", assignment)
+    source = Source(f"--set {assignment.partition('=')[0].strip() or assignment}", assignment)
     if not files.check(source, findings):
         return root
     path, equals, text = assignment.partition("=")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.cli import measure
 from deepbots_cli.learning import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
@@ -269,3 +270,42 @@ def test_without_the_library_its_defaults_are_called_so(deepbots, monkeypatch):
     monkeypatch.setattr(defaults, "library_defaults", lambda algorithm: None)
     rows = {row["hyperparameter"]: row for row in inspected(deepbots)["hyperparameters"]}
     assert rows["clip_range"] == {"hyperparameter": "clip_range", "value": None, "from": "library default"}
+
+
+@pytest.mark.parametrize(("written", "meant"), [("1e1", 10), ("2_0", 20), ("1k", 1000), ("1.5e2", 150)])
+def test_whole_numbers_may_be_written_short(deepbots, written, meant):
+    ran = deepbots("run", "cartpole", "--set", "truncation={max_steps: 1000}", "--episodes", "1000", "--steps", written, "--json")
+    assert sum(episode["length"] for episode in json.loads(ran.out)["episodes"]) == meant
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("train", "cartpole", "--timesteps", "many"), "'many' is not a whole number; write it like 100000, 100_000, 100k or 1e5"),
+        (("run", "cartpole", "--episodes", "2.5"), "'2.5' is not a whole number"),
+        (("run", "cartpole", "--episodes", "0"), "0 is too small; the least is 1"),
+        (("run", "cartpole", "--seed", str(2**63)), "is too large; the largest is 9223372036854775807"),
+    ],
+)
+def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, words, said):
+    ran = deepbots(*words)
+    assert (ran.code, said in " ".join(ran.err.split())) == (2, True)
+
+
+def test_a_quick_bench_measures_less(deepbots):
+    figures = json.loads(deepbots("bench", "cartpole", "--quick", "--steps", "100", "--pairs", "1", "--json").out)
+    assert (figures["steps"], figures["pairs"]) == (100, 1)
+    assert json.loads(deepbots("bench", "cartpole", "--quick", "--json").out)["pairs"] == 3
+
+
+def test_bench_tells_how_far_it_is():
+    said = []
+    measure.compare(api.compile("cartpole"), engine="pybullet", steps=100, pairs=2, seed=0, on_measured=lambda *at: said.append(at))
+    assert said == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_a_project_names_a_clone_and_no_index(deepbots, tmp_path):
+    deepbots("eject", "cartpole", "mine")
+    text = (tmp_path / "mine" / "requirements.txt").read_text()
+    assert "==" not in text
+    assert "deepbots-cli[train] @ file:///" in text

@@ -19,6 +19,8 @@ from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
 _MISSING = object()
+_AXES = {"rpy": "roll pitch yaw"} | dict.fromkeys(("", "xyz", "size", "axis", "spacing", "scale"), "x y z")
+"""What the three figures of a member are called; those of a whole value, such as gravity, too."""
 
 Kind = Literal["changed", "added", "removed"]
 
@@ -181,8 +183,9 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
         case (str(), *_) if all(isinstance(name, str) for name in value):
             yield path, ", ".join(map(str, value))
         case tuple():
-            for number, item in enumerate(value):
-                yield from _leaves(item, path if _is_pair(item) or len(value) == 1 else f"{path}.{number}".lstrip("."))
+            axes = _AXES.get(path.rpartition(".")[2]) if len(value) == 3 and all(isinstance(item, float) for item in value) else None
+            for axis, item in zip(axes.split() if axes else range(len(value)), value, strict=True):
+                yield from _leaves(item, path if _is_pair(item) or len(value) == 1 else f"{path}.{axis}".lstrip("."))
         case _ if (inside := members(value)) is not None:
             for name, member in inside.items():
                 yield from _leaves(member, f"{path}.{name}".lstrip("."))

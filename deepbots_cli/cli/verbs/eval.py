@@ -12,7 +12,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets, small_enough
+from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, whole
 from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, as `deepbots train` makes them.")],
     episodes: Annotated[
-        int | None, typer.Option("--episodes", metavar="N", min=1, help="How many; the scenario's figure by default.")
+        int | None, typer.Option("--episodes", metavar="N", parser=whole(), help="How many; the scenario's figure by default.")
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of the starts; the training's by default."),
+        typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of the starts; the training's by default."),
     ] = None,
     last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best.")] = False,
     video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Film the first episode.")] = None,

@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
 from deepbots_cli.cli.progress import told
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
@@ -42,8 +42,8 @@ def command(
         str | None, typer.Option("--actions", metavar="A,B,...", help="Take these actions, over and over: options by name, or numbers.")
     ] = None,
     script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Follow this script of the scenario.")] = None,
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", min=1, help="How many episodes to run.")] = 3,
-    steps: Annotated[int | None, typer.Option("--steps", metavar="N", min=1, help="Stop after so many steps in all.")] = None,
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="How many episodes to run.")] = 3,
+    steps: Annotated[int | None, typer.Option("--steps", metavar="N", parser=whole(), help="Stop after so many steps in all.")] = None,
     seed: Seed = 0,
     engine: Engine = "pybullet",
     as_json: Json = False,
