@@ -62,7 +62,7 @@ def command(
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
-      deepbots eval runs/cartpole-0-1 --set robots.cart.links='{pole: {mass: urdf * 2}}'
+      deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """

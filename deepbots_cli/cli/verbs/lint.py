@@ -104,9 +104,9 @@ def command(
     else:
         findings = findings_of(names, look, jobs)
     shown = [*selection.doubts(), *filter(selection.wants, findings)]
-    if diff and not changes:
+    if diff and shown and not changes:
         _explain_empty_diff([] if unsafe_fixes else shown)
-    elif not diff:
+    if not diff:
         print(report(shown, format_.value, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
             _sum_up(shown, names, selection, fixable=not (fix or sets), deep=deep)
