@@ -61,10 +61,10 @@ def installing(extra: str, python: tuple[int, int] = sys.version_info[:2], origi
         if python < (3, 12) or extra == "editor"
         else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
     )
-    return f"install it{where} with: pip install '{origin or _origin()}[{extra}]'"
+    return f"install it{where} with: pip install '{origin or cloned()}[{extra}]'"
 
 
-def _origin() -> str:
+def cloned() -> str:
     """The clone that deepbots was installed from, where pip says so and it is still there; otherwise its name."""
     import json  # what tells of something missing costs nothing where all is there
     from importlib.metadata import PackageNotFoundError, distribution

@@ -19,10 +19,12 @@ from deepbots_cli.lang.functions import ALLOWED, Family, Function
 from deepbots_cli.lang.table import FUNCTIONS
 from deepbots_cli.lang.types import Context, Kind
 from deepbots_cli.lang.units import UNITS
+from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.schema.examples import example_of
 from deepbots_cli.schema.fields import Expression, Leaf, Quantity
 from deepbots_cli.schema.hover import default_of, unit_of
+from deepbots_cli.schema.hyperparameters import ALGORITHMS
 from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
 from deepbots_cli.schema.scenario import Scenario
 from deepbots_cli.schema.task import PythonTerm
@@ -57,7 +59,7 @@ class _Keys:
             "A figure is kept in SI units, of which 1 is a plain number; how values are written is said in [the language](../language.md)."
             " Tests lay each example upon a scenario that has a place for it, and run that.",
         ]
-        return "\n".join([*head, *self._section("scenario", Scenario, ())]) + "\n"
+        return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults()]) + "\n"
 
     def _section(self, title: str, part: type[Part], route: Route) -> Iterator[str]:
         if part not in self._met:
@@ -109,6 +111,25 @@ class _Keys:
                     yield from self._below(f"{title} with {next(iter(fields(option)))}" if named else title, option, route)
             case Kinds():
                 yield from self._kinds(title, spec, route)
+
+
+def _defaults() -> Iterator[str]:
+    """The hyperparameters of each algorithm, with what a training takes where the scenario is silent."""
+    yield from ["", "## Defaults of the hyperparameters", ""]
+    yield "The values that a training takes where `train` does not set them; `deepbots inspect` shows them for one scenario or run."
+    for algorithm, table in ALGORITHMS.items():
+        own, library, title = OURS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
+        yield from ["", f"### {algorithm}", "", "| hyperparameter | default | whose |", "|---|---|---|"]
+        for name in table:
+            text, source = (own[name].words, "deepbots") if name in own else (_plain(library.get(name)), title)
+            yield f"| `{name}` | {text} | {source} |"
+
+
+def _plain(value: object) -> str:
+    """A default of a library as the language writes it."""
+    if value is None:
+        return "none"
+    return str(value).lower() if isinstance(value, bool) else f"{value:_}" if isinstance(value, int) else str(value)
 
 
 class _Key:

@@ -9,26 +9,34 @@ import math
 from collections.abc import Mapping as Dictionary
 from typing import TYPE_CHECKING
 
+from deepbots_cli import canonical
 from deepbots_cli.cli.ageing import timing
-from deepbots_cli.cli.tables import Row
+from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.compiler.joints import carries
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.ir import (
+    ActionNoise,
     Actuator,
     Cartesian,
     Choices,
     CompiledScenario,
     Field,
+    Hindsight,
     Interval,
     Measured,
     MessageFormat,
     MessageLayout,
     Pictured,
+    Schedule,
     Thrust,
+    Variation,
     viewed,
 )
 from deepbots_cli.lang.scalar import names_in
-from deepbots_cli.source import Mapping, Node, Scalar, descend
+from deepbots_cli.learning.defaults import Effective, effective
+from deepbots_cli.learning.record import number, solved
+from deepbots_cli.learning.run import Run
+from deepbots_cli.source import Mapping, Node, descend, one_line
 from deepbots_cli.urdf.model import Joint
 
 if TYPE_CHECKING:
@@ -41,10 +49,12 @@ _DIGITS = 6  # of a pose; um and udeg
 _FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
 
 
-def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
-    """All tables of a compiled scenario, whose text is the tree `root`; empty ones are left out."""
+def sections(scenario: CompiledScenario, root: Node, run: Run | None = None) -> Sections:
+    """All tables of a compiled scenario, whose text is the tree `root`, and of the run that it comes from; empty ones are left out."""
     tables: dict[str, Row | list[Row]] = {
-        "scenario": _scenario(scenario, digest),
+        "run": {} if run is None else _run(run),
+        "scenario": _scenario(scenario),
+        "drawn": _drawn(scenario),
         "robots": _robots(scenario),
         "joints": [_joint(robot.name, joint) for robot in scenario.world.robots for joint in robot.model.joints],
         "objects": [_object(scenario, index) for index in range(len(scenario.world.objects))],
@@ -63,26 +73,54 @@ def sections(scenario: CompiledScenario, digest: str, root: Node) -> Sections:
         "endings": _endings(scenario, root),
         "reset": _reset(scenario, root),
         "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
+        "curriculum": _curriculum(scenario, root),
         "scripts": _scripts(scenario, root),
         "training": _training(scenario),
+        "hyperparameters": _hyperparameters(scenario, root, run),
     }
     return {name: rows for name, rows in tables.items() if rows}
 
 
-def wording(root: Node, *path: str) -> str:
+def _run(run: Run) -> Row:
+    """What a run is, and how far its training has come; steps count over all copies of the environment."""
+    record, result = run.record, run.record.result or {}
+    best = run.model("best")
+    return {
+        "run": str(run.path),
+        "status": record.status,
+        "source": record.source,
+        "command": " ".join(record.command),
+        "seed": record.seed,
+        "engine": record.engine,
+        "deepbots": record.deepbots,
+        "started": record.started,
+        "updated": record.updated,
+        "steps": number(result.get("steps")),
+        "total_timesteps": record.total_timesteps,
+        "episodes": number(result.get("episodes")),
+        "mean_return": number(result.get("mean_return")),
+        "success_rate": number(result.get("success_rate")) if run.ir.defines_success else None,
+        "best_model": str(best) if best.is_file() else None,
+        "best_return": number(result.get("best_return")),
+        "solved": solved(result.get("solved_at")) if run.ir.solved else "the scenario does not say what counts as solved",
+        "notes": run.notes(),
+    }
+
+
+def wording(root: Node, *path: str | int) -> str:
     """What the user wrote at `path`, on one line; nothing if nothing is there."""
     node, _, reached = descend(root, path)
     if reached < len(path):
         return ""
-    return " ".join((node.text if isinstance(node, Scalar) else node.span.text).split())
+    return one_line(node)
 
 
-def _scenario(scenario: CompiledScenario, digest: str) -> Row:
+def _scenario(scenario: CompiledScenario) -> Row:
     world = scenario.world
     return {
         "name": scenario.name,
         "summary": scenario.summary,
-        "digest": digest,
+        "digest": canonical.digest(scenario),
         "timestep_s": world.timestep,
         "substeps": world.substeps,
         "physics_step_s": world.timestep / world.substeps,
@@ -165,14 +203,30 @@ def _joint(robot: str, joint: Joint) -> Row:
 
 def _object(scenario: CompiledScenario, index: int) -> Row:
     body = scenario.world.objects[index]
+    drawn = {entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")}
     return {
         "object": body.name,
         "shape": type(body.shape).__name__.lower(),
-        "mass_kg": body.mass,
+        "mass_kg": drawn.get("mass", body.mass),
         "fixed": body.fixed,
         "solid": body.solid,
-        "friction": body.friction,
+        "friction": drawn.get("lateral_friction", body.friction),
     }
+
+
+def _drawn(scenario: CompiledScenario) -> list[Row]:
+    """What every episode draws anew, in SI units; elsewhere in the tables stands its nominal value."""
+    return [
+        {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
+        for entry in scenario.reset.variations
+    ]
+
+
+def _draws(entry: Variation) -> str:
+    """The expressions that are drawn; one, where all components or parts have the same."""
+    if entry.what == "colour":
+        return f"one of {(len(entry.values) - 1) // 3} colours"
+    return ", ".join(dict.fromkeys(formula(value, digits=5) for value in entry.values))
 
 
 def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:
@@ -396,6 +450,13 @@ def _reset(scenario: CompiledScenario, root: Node) -> list[Row]:
     return rows
 
 
+def _curriculum(scenario: CompiledScenario, root: Node) -> list[Row]:
+    return [
+        {"stage": stage.name, "set": wording(root, "curriculum", index, "set"), "until": wording(root, "curriculum", index, "until")}
+        for index, stage in enumerate(scenario.curriculum)
+    ]
+
+
 def _scripts(scenario: CompiledScenario, root: Node) -> list[Row]:
     return [
         {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
@@ -411,15 +472,37 @@ def _training(scenario: CompiledScenario) -> Row:
     return {
         "algorithm": training.algorithm,
         "total_timesteps": training.total_timesteps,
-        "environments": training.environments,
-        "hidden_layers": list(training.policy.hidden),
-        "activation": training.policy.activation,
-        **{entry.name: _hyperparameter(entry.value) for entry in training.hyperparameters},
         "evaluation_episodes": scenario.evaluation.episodes,
     }
 
 
-def _hyperparameter(value: object) -> object:
-    from deepbots_cli.ir import Schedule
+def _hyperparameters(scenario: CompiledScenario, root: Node, run: Run | None) -> list[Row]:
+    """What a training takes, and where each value is from."""
+    training = scenario.training
+    if training is None:
+        return []
+    common = {
+        "environments": training.environments,
+        "policy.hidden": training.policy.hidden,
+        "policy.activation": training.policy.activation,
+    }
+    rows = [
+        Effective(name, value, "scenario" if wording(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
+    ]
+    rows += effective(scenario, run.record.total_timesteps if run else training.total_timesteps)
+    return [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
 
-    return f"{value.start:g} -> {value.end:g}" if isinstance(value, Schedule) else value
+
+def _setting(value: object) -> object:
+    match value:
+        case Schedule(start=start, end=end):
+            return f"{start:g} -> {end:g}" if start != end else start
+        case ActionNoise(type=kind, sigma=sigma, theta=theta):
+            drift = f", theta: {theta:g}" if kind == "ornstein_uhlenbeck" else ""
+            return f"{{type: {kind}, sigma: {_setting(sigma)}{drift}}}"
+        case Hindsight(goals=goals, strategy=strategy):
+            return f"{{type: her, n_sampled_goal: {goals}, goal_selection_strategy: {strategy}}}"
+        case tuple():
+            return list(value)
+        case _:
+            return value

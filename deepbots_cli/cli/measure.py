@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import repeat
+from itertools import count, repeat
 from statistics import median
 from typing import Any
 
@@ -53,14 +53,21 @@ class _Episode:
     steps: int
 
 
-def compare(compiled: api.Compiled, *, engine: str, steps: int, pairs: int, seed: int) -> Comparison:
+def compare(
+    compiled: api.Compiled, *, engine: str, steps: int, pairs: int, seed: int, on_measured: Callable[[int, int], None] | None = None
+) -> Comparison:
     """Time about `steps` steps, `pairs` times on either side.
+
+    `on_measured` is told how many rounds of either side are done, and of how many; the first is one to warm up.
 
     Raises:
         UsageError: An episode ends in its first steps, so nothing can be timed.
     """
     ir = compiled.ir
     with closing(api.make(compiled, engine=engine)) as environment, closing(api.make(compiled, engine=engine)) as other:
+        rounds = count(1)
+        tell = on_measured or (lambda _done, _all: None)
+        tell(0, pairs + 1)
         plan = _plan(environment, steps, seed)
         timed = sum(episode.steps for episode in plan)
 
@@ -70,8 +77,12 @@ def compare(compiled: api.Compiled, *, engine: str, steps: int, pairs: int, seed
         def bare() -> float:
             return _time(other, plan, other.engine.step, lambda episode: ir.world.substeps * ir.agent.repeat)
 
-        whole(), bare()  # caches and clocks warm up
-        measured = [_pair(whole, bare, swapped=bool(number % 2)) for number in range(pairs)]
+        def told(pair: tuple[float, float]) -> tuple[float, float]:
+            tell(next(rounds), pairs + 1)
+            return pair
+
+        told((whole(), bare()))  # caches and clocks warm up
+        measured = [told(_pair(whole, bare, swapped=bool(number % 2))) for number in range(pairs)]
     ratios = [step / base for step, base in measured]
     step_us, bare_us = (1e6 / timed * median(side) for side in zip(*measured, strict=True))
     return Comparison(ir.name, engine, ir.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us)

@@ -296,7 +296,7 @@ def hint(findings: Sequence[Finding]) -> str | None:
     safe = sum(finding.fix is not None and finding.fix.safe for finding in findings)
     unsafe = sum(finding.fix is not None and not finding.fix.safe for finding in findings)
     if not safe:
-        return f"{unsafe} may be fixed by --fix --unsafe-fixes; see what they would do with --diff" if unsafe else None
+        return f"{unsafe} may be fixed by --fix --unsafe-fixes; see what they would do with --diff --unsafe-fixes" if unsafe else None
     return f"{safe} can be fixed by --fix" + (f", {unsafe} more by --unsafe-fixes" if unsafe else "")
 
 

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.ir import CompiledScenario
+
+
+MOST_SEED = 2**63 - 1
+"""The largest seed that a run can record."""
 
 
 def known_engine(name: str | None) -> str | None:
@@ -17,11 +27,45 @@ def known_engine(name: str | None) -> str | None:
     return name
 
 
-def small_enough(seed: int | None) -> int | None:
-    """A callback: refuses a seed that a run could not record. As a bound of the option it would fill the help with its digits."""
-    if seed is not None and seed >= 2**63:
-        raise typer.BadParameter(f"{seed} is too large; the largest seed is {2**63 - 1}")
-    return seed
+def whole(least: int = 1, most: int | None = None) -> Callable[[str | int], int]:
+    """A parser of whole numbers: in digits, grouped as in a scenario (`100_000`), or short (`100k`, `1e5`)."""
+
+    def parse(text: str | int) -> int:
+        value = _whole(str(text))
+        if value is None:
+            raise typer.BadParameter(f"'{text}' is not a whole number; write it like 100000, 100_000, 100k or 1e5")
+        if value < least:
+            raise typer.BadParameter(f"{text} is too small; the least is {least}")
+        if most is not None and value > most:
+            raise typer.BadParameter(f"{text} is too large; the largest is {most}")
+        return value
+
+    return parse
+
+
+def _whole(text: str) -> int | None:
+    try:
+        return int(text)
+    except ValueError:
+        from deepbots_cli.schema.habits import count_meant
+
+        meant = count_meant(text)
+    try:
+        number = float(meant or text)
+    except ValueError:
+        return None
+    return int(number) if number.is_integer() and number < 1e15 else None
+
+
+def chosen(ir: CompiledScenario, case: str | None, stage: str | None) -> CompiledScenario:
+    """The scenario under the settings of a case or of a stage; itself without either.
+
+    Raises:
+        UsageError: Both are given, or the scenario has no such case or stage.
+    """
+    if case is not None and stage is not None:
+        raise UsageError("--case and --stage exclude each other")
+    return ir.case(case).scenario if case is not None else ir.stage(stage).scenario if stage is not None else ir
 
 
 def fraction(text: str) -> float:
@@ -47,8 +91,10 @@ AllowPaths = Annotated[
     typer.Option("--allow-path", metavar="DIR", help="A folder outside the project that may be read from; may be repeated."),
 ]
 AllowCode = Annotated[bool, typer.Option("--allow-code", help="Let terms that are functions of Python run; trust their packages.")]
+Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Take this case of the evaluation.")]
+Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Take this stage of the curriculum.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of every random number.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of every random number.")]
 Engine = Annotated[
     str, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet, or exact where equations are known.")
 ]

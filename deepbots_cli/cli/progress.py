@@ -19,9 +19,13 @@ _PAUSE = 0.2  # s between two lines on a terminal
 
 
 class Meter:
-    """Tells how many episodes are done, out of how many, and how long the others will take; again from 1 on for the next row of them."""
+    """Tells how many episodes are done, out of how many, and how long the others will take; again from 1 on for the next row of them.
 
-    def __init__(self, stream: TextIO | None = None) -> None:
+    `what` says what is counted in place of episodes.
+    """
+
+    def __init__(self, stream: TextIO | None = None, what: str = "episodes") -> None:
+        self._what = what
         self._stream = sys.stderr if stream is None else stream
         self._onto_terminal = self._stream.isatty()
         self._width = 0
@@ -32,7 +36,9 @@ class Meter:
 
     def __call__(self, number: int, count: int) -> None:
         now = time.perf_counter()
-        line = f"{number:,} of {count:,} episodes  {(now - self._began) / number * (count - number):.0f} s to go"
+        line = f"{number:,} of {count:,} {self._what}"
+        if number:
+            line += f"  {(now - self._began) / number * (count - number):.0f} s to go"
         if self._onto_terminal and now - self._last > _PAUSE:
             filled = _WIDTH * number // count
             line = f"[{'#' * filled}{'.' * (_WIDTH - filled)}] {line}"
@@ -53,9 +59,9 @@ class Meter:
 
 
 @contextmanager
-def on_terminal() -> Iterator[Meter | None]:
-    """A meter for episodes that are over in seconds: on a terminal only, and gone when they are done."""
-    meter = Meter() if sys.stderr.isatty() else None
+def on_terminal(what: str = "episodes") -> Iterator[Meter | None]:
+    """A meter for what is over in seconds or minutes: on a terminal only, and gone when it is done."""
+    meter = Meter(what=what) if sys.stderr.isatty() else None
     try:
         yield meter
     finally:

@@ -9,7 +9,7 @@ from deepbots_cli import canonical
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli.copying import Files
 from deepbots_cli.compiler.emit.names import class_name
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import UsageError, cloned
 from deepbots_cli.urdf.writer import write as to_urdf
 
 _README = """\
@@ -19,7 +19,7 @@ _README = """\
 
 Written out by deepbots {version}, from scenario {digest}.
 
-    pip install -r requirements.txt
+    pip install -r requirements.txt    # which names a clone of deepbots
     python run.py      # a few episodes of random actions
     python train.py    # training, then evaluation
 
@@ -101,10 +101,19 @@ def files(compiled: Compiled) -> Files:
         "task.py": _TASK.format(supervisor=f"{name}Supervisor"),
         "run.py": _RUN,
         "train.py": _TRAIN,
-        "requirements.txt": f"deepbots-cli[train]=={deepbots_cli.__version__}\n",
+        "requirements.txt": _requirements(),
     }
     texts |= {f"robots/{robot.name}.urdf": to_urdf(robot.model) for robot in ir.world.robots}
     return {PurePosixPath(path): text.encode() for path, text in texts.items()}
+
+
+def _requirements() -> str:
+    """What the project needs: the clone that deepbots was installed from, where pip knows it; no index of packages has deepbots."""
+    clone = cloned()
+    known = clone != "deepbots-cli"
+    here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if known else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
+    moved = ", where that has changed" if known else ""
+    return f"# deepbots {deepbots_cli.__version__} is installed from a clone; put its place here{moved}\n{here}\n"
 
 
 def check(folder: Path) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from deepbots_cli.cli.terminal import printable
 from deepbots_cli.diagnostics.render import columns
+from deepbots_cli.lang.emit import python
+from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]
 
@@ -39,6 +41,8 @@ def cell(value: object) -> str:
     match value:
         case None:
             return "-"
+        case Const() | Name() | World() | Op() | State() | Draw():
+            return formula(value)
         case bool():
             return "yes" if value else "no"
         case int():
@@ -51,6 +55,36 @@ def cell(value: object) -> str:
             return ", ".join([*map(cell, shown), *rest]) or "-"
         case _:
             return printable(str(value).replace("\n", " ")) or "-"
+
+
+def formula(scalar: Scalar, digits: int = 12) -> str:
+    """An expression as the language writes it, with figures in SI units and so many digits."""
+    return python(_rounded(scalar, digits), _read)
+
+
+def _rounded(scalar: Scalar, digits: int) -> Scalar:
+    match scalar:
+        case Const(value=float() as value):
+            shown = float(f"{value:.{digits}g}")
+            return Const(int(shown) if shown.is_integer() and abs(shown) < 1e6 else shown)
+        case Op(args=args) | State(args=args) | Draw(args=args):
+            return scalar._replace(args=tuple(_rounded(arg, digits) for arg in args))
+        case _:
+            return scalar
+
+
+_BETWEEN = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
+
+
+def _read(leaf: Name | World | State | Draw) -> str:
+    match leaf:
+        case Name(name, component):
+            return f"{name}.{component}" if component else name
+        case World(function, subjects, component):
+            return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
+        case State(name, args) | Draw(name, args):
+            between = _BETWEEN.get(name, ", ") if isinstance(leaf, Draw) else ", "
+            return f"{name}({between.join(python(arg, _read) for arg in args)})"
 
 
 def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:

@@ -136,6 +136,8 @@ class Values:
             meant: Meant | Rewriting | None = None,
         ) -> None:
             span, piece = text.part(start, end), text.text[start:end]
+            if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
+                return  # what to write instead of too few numbers shows the unit
             word = self._word_meant(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
                 help, meant = f"did you mean `{word}`? {help}", Meant(word, safe=False)

@@ -280,6 +280,18 @@ class CompiledScenario:
             raise UsageError(f"{self.name} has no case '{name}'" + (f"; there are: {known}" if known else ", nor any other"))
         return found
 
+    def stage(self, name: str) -> Stage:
+        """The stage of the curriculum of that name.
+
+        Raises:
+            UsageError: There is none; lists those there are.
+        """
+        found = next((stage for stage in self.curriculum if stage.name == name), None)
+        if found is None:
+            known = ", ".join(stage.name for stage in self.curriculum)
+            raise UsageError(f"{self.name} has no stage '{name}'" + (f"; there are: {known}" if known else ", nor any other"))
+        return found
+
     def script(self, name: str) -> Script:
         """The script of that name.
 

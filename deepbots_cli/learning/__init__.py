@@ -8,7 +8,8 @@ record.py        run.json: who, what, when, with which versions
 atomic.py        whole files, and JSON read with suspicion
 exclusive.py     one training at a time in a run
 weights.py       networks and optimisers as plain arrays; no pickle is ever loaded
-algorithms.py    the table of algorithms and our defaults
+algorithms.py    the table of algorithms
+defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
 noise.py         noise on the actions of algorithms that explore by it
 environments.py  copies of one world, stepped in turn in one process
 curriculum.py    the stages of a training

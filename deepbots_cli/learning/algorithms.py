@@ -1,7 +1,4 @@
-"""The table of algorithms: where each lives, and what we set where the scenario is silent.
-
-Our defaults suit small networks and light worlds on a CPU; every other figure is Stable-Baselines3's own.
-"""
+"""The table of algorithms: where each lives, and how it is made for a scenario."""
 
 from __future__ import annotations
 
@@ -24,7 +21,8 @@ from torch import nn
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.ir import ActionNoise, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.ir import Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.learning import defaults
 from deepbots_cli.learning.noise import noise
 
 Settings = dict[str, Any]
@@ -51,56 +49,19 @@ class Algorithm:
 
     place: str
     on_policy: bool
-    defaults: Callable[[Training, int], Settings]
-    exploration_noise: bool = False
-
-
-def _ppo(training: Training, total: int) -> Settings:
-    # Small updates, often: a cart-pole for 10x10 units is solved in 26 000 steps; with 1024 steps and a rate of 3e-4 in 69 000 to 97 000.
-    n_steps = max(32, 256 // training.environments // 32 * 32)
-    return {
-        "n_steps": n_steps,
-        "batch_size": 64 if n_steps * training.environments % 64 == 0 else 32,
-        "gae_lambda": 0.9,
-        # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
-        "learning_rate": 3e-3 if max(training.policy.hidden, default=0) <= 32 else 1e-3,
-    }
-
-
-def _recurrent(training: Training, total: int) -> Settings:
-    return {**_ppo(training, total), "lstm": 64}
-
-
-def _sb3_own(training: Training, total: int) -> Settings:
-    return {}
-
-
-def _dqn(training: Training, total: int) -> Settings:
-    return {
-        "buffer_size": min(total, 100_000),
-        "learning_starts": min(1_000, total // 10),
-        "target_update_interval": 500,
-        "exploration_fraction": 0.2,
-    }
-
-
-def _actor_critic(training: Training, total: int) -> Settings:
-    # As many updates as steps, however many copies there are.
-    return {"buffer_size": min(total, 1_000_000), "learning_starts": min(1_000, total // 10), "gradient_steps": -1}
 
 
 ALGORITHMS: Mapping[str, Algorithm] = {
-    "A2C": Algorithm("stable_baselines3.A2C", True, _sb3_own),
-    "DDPG": Algorithm("stable_baselines3.DDPG", False, _actor_critic, exploration_noise=True),
-    "DQN": Algorithm("stable_baselines3.DQN", False, _dqn),
-    "MaskablePPO": Algorithm("sb3_contrib.MaskablePPO", True, _ppo),
-    "RecurrentPPO": Algorithm("sb3_contrib.RecurrentPPO", True, _recurrent),
-    "PPO": Algorithm("stable_baselines3.PPO", True, _ppo),
-    "SAC": Algorithm("stable_baselines3.SAC", False, _actor_critic),
-    "TD3": Algorithm("stable_baselines3.TD3", False, _actor_critic, exploration_noise=True),
-    "TQC": Algorithm("sb3_contrib.TQC", False, _actor_critic),
+    "A2C": Algorithm("stable_baselines3.A2C", True),
+    "DDPG": Algorithm("stable_baselines3.DDPG", False),
+    "DQN": Algorithm("stable_baselines3.DQN", False),
+    "MaskablePPO": Algorithm("sb3_contrib.MaskablePPO", True),
+    "RecurrentPPO": Algorithm("sb3_contrib.RecurrentPPO", True),
+    "PPO": Algorithm("stable_baselines3.PPO", True),
+    "SAC": Algorithm("stable_baselines3.SAC", False),
+    "TD3": Algorithm("stable_baselines3.TD3", False),
+    "TQC": Algorithm("sb3_contrib.TQC", False),
 }
-_EXPLORATION = ActionNoise("normal", Schedule(0.1, 0.1))
 
 
 def create(
@@ -116,11 +77,12 @@ def create(
     """
     algorithm = _entry(training.algorithm)
     training = replace(training, environments=copies.num_envs)
-    settings = algorithm.defaults(training, total_timesteps)
-    if training.replay is not None:
-        settings |= _hindsight(training, longest_episode)
+    settings: Settings = defaults.ours(training, total_timesteps, longest_episode)
+    kind = training.action_noise or settings.pop("action_noise", None)
+    settings.pop("action_noise", None)
+    if settings.pop("replay", None) is not None and training.replay is not None:
+        settings |= _hindsight(training.replay)
     settings |= {h.name: _value(h) for h in training.hyperparameters}
-    kind = training.action_noise or (_EXPLORATION if algorithm.exploration_noise else None)
     models: list[BaseAlgorithm] = []
     if kind is not None and isinstance(copies.action_space, gym.spaces.Box):
         settings["action_noise"] = noise(kind, copies.action_space.shape, lambda: models[0]._current_progress_remaining)
@@ -157,15 +119,9 @@ def _imported(algorithm: Algorithm) -> Callable[..., BaseAlgorithm]:
     return found
 
 
-def _hindsight(training: Training, longest_episode: int) -> Settings:
-    """What hindsight replay takes; goals come from episodes that have ended, so learning waits for the first."""
-    assert training.replay is not None
-    kwargs = {"n_sampled_goal": training.replay.goals, "goal_selection_strategy": training.replay.strategy}
-    return {
-        "replay_buffer_class": HerReplayBuffer,
-        "replay_buffer_kwargs": kwargs,
-        "learning_starts": max(1_000, longest_episode * training.environments),
-    }
+def _hindsight(replay: Hindsight) -> Settings:
+    kwargs = {"n_sampled_goal": replay.goals, "goal_selection_strategy": replay.strategy}
+    return {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": kwargs}
 
 
 def takes_masks(model: BaseAlgorithm) -> bool:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import CompiledScenario, Criterion, Stage
 from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.learning.episodes import Episode
@@ -43,10 +42,7 @@ class Curriculum:
         """
         self._ir = ir
         self.stages: Sequence[Stage] = ir.curriculum
-        names = [stage.name for stage in self.stages]
-        if first is not None and first not in names:
-            raise UsageError(f"{ir.name} has no stage '{first}'" + (f"; there are: {', '.join(names)}" if names else ", nor any other"))
-        self._skipped = 0 if first is None else names.index(first)
+        self._skipped = 0 if first is None else self.stages.index(ir.stage(first))
         self.ends: list[StageEnd] = []
         self._begin(0)
 

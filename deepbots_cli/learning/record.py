@@ -98,6 +98,19 @@ class Record:
         )
 
 
+def number(value: object) -> float | None:
+    """An entry of a result, which anyone may have written, if it is a number."""
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def solved(at: object) -> str:
+    """The entry `solved_at` of a result in words."""
+    if not isinstance(at, dict):
+        return "not yet"
+    episode = number(at.get("episode"))
+    return "yes" if episode is None else f"in episode {episode:,}"
+
+
 def now() -> str:
     """The time in UTC, to the second, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")

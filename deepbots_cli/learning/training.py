@@ -23,6 +23,7 @@ from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Rank, Watch, diverged
 from deepbots_cli.learning.curriculum import Curriculum, StageEnd
+from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import BuildWorld, Copies, World, copies_over
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
 from deepbots_cli.learning.exclusive import sole_trainer
@@ -251,13 +252,7 @@ def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> No
         build(stage.scenario).close()
     with closing(build(ir)) as world:
         copies = copies_over([world] * training.environments, [0] * training.environments)
-        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=_longest_episode(ir))
-
-
-def _longest_episode(ir: CompiledScenario) -> int:
-    """In steps of the agent, over the scenario and its stages."""
-    stages = [ir, *(stage.scenario for stage in ir.curriculum)]
-    return max(stage.truncation.most_steps(stage.period) for stage in stages)
+        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(ir))
 
 
 def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld, told: Reporter) -> TrainingResult:
@@ -353,7 +348,7 @@ def _model(run: Run, training: Training, copies: Copies, statistics: Statistics)
         copies,
         seed=derive(seed, "policy"),
         total_timesteps=training.total_timesteps,
-        longest_episode=_longest_episode(run.ir),
+        longest_episode=longest_episode(run.ir),
     )
     if statistics.steps:
         weights.put(model, weights.read(run.checkpoint, model))

@@ -52,6 +52,7 @@ class _Trouble:
     missing: tuple[str, ...] = ()
     at_key: bool = False
     meant: Meant | None = None
+    notes: tuple[str, ...] = ()
 
 
 def validate(root: Mapping, findings: Findings) -> Scenario | None:
@@ -125,13 +126,14 @@ def _in_place(root: Mapping, data: Any, troubles: list[_Trouble], findings: Find
 
 
 def _together(troubles: list[_Trouble]) -> list[_Trouble]:
-    """All sections that a file lacks as one trouble, told by the first: they are many while it is being written."""
+    """All sections that a file lacks as one trouble: they are many while it is being written. Its notes explain all but the first."""
     lacking = [trouble for trouble in troubles if trouble.code == "DB102" and not trouble.path]
     if len(lacking) < 2:
         return troubles
     missing = tuple(key for trouble in lacking for key in trouble.missing)
     headline = f"missing keys {', '.join(f'`{key}`' for key in missing)} {place(())}"
-    together = _Trouble("DB102", (), headline, lacking[0].help, missing, at_key=True)
+    notes = tuple(trouble.help for trouble in lacking[1:] if trouble.help)
+    together = _Trouble("DB102", (), headline, lacking[0].help, missing, at_key=True, notes=notes)
     return [together, *(trouble for trouble in troubles if trouble not in lacking)]
 
 
@@ -222,7 +224,7 @@ def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:
 
 def _finding(root: Mapping, data: Any, trouble: _Trouble) -> Finding:
     help = trouble.help or about(data, trouble.path)
-    return Finding(trouble.code, _span(root, trouble), trouble.headline, help, fix=_fix(root, trouble))
+    return Finding(trouble.code, _span(root, trouble), trouble.headline, help, notes=trouble.notes, fix=_fix(root, trouble))
 
 
 def _span(root: Mapping, trouble: _Trouble) -> Span:

@@ -18,6 +18,6 @@ load.py       a file with all that it extends and includes, as one Document
 """
 
 from deepbots_cli.source.load import Document, load, loads
-from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, to_data, walk
+from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, one_line, to_data, walk
 
-__all__ = ["Document", "Entry", "Mapping", "Node", "Path", "Scalar", "Sequence", "descend", "load", "loads", "to_data", "walk"]
+__all__ = ["Document", "Entry", "Mapping", "Node", "Path", "Scalar", "Sequence", "descend", "load", "loads", "one_line", "to_data", "walk"]

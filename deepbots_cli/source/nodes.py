@@ -6,12 +6,16 @@ trees out of old nodes, so each value keeps the place where it was written.
 
 from __future__ import annotations
 
+import re
 from collections import abc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
+
+_SEPARATING = re.compile(r"""[][{},'"#]|:\s|^\s|\s$|^$""")
+_COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 
 Path = tuple[str | int, ...]
 Style = Literal["plain", "single", "double", "literal", "folded"]
@@ -102,6 +106,24 @@ def to_data(node: Node) -> object:
             return [to_data(item) for item in node.items]
         case Mapping():
             return {key: to_data(entry.value) for key, entry in node.entries.items()}
+
+
+def one_line(node: Node) -> str:
+    """The value on one line: as it is written, but collections in flow style and without comments."""
+    match node:
+        case Scalar():
+            # An expression of several lines may hold comments, which on one line would hide what follows.
+            return " ".join((_COMMENT.sub("", node.text) if "\n" in node.text else node.text).split())
+        case Sequence():
+            return f"[{', '.join(map(_inside, node.items))}]"
+        case Mapping():
+            return f"{{{', '.join(f'{key}: {_inside(entry.value)}' for key, entry in node.entries.items())}}}"
+
+
+def _inside(node: Node) -> str:
+    """An item of a collection; a quoted text keeps its quotes where it holds what separates items."""
+    quoted = isinstance(node, Scalar) and node.style in ("single", "double") and _SEPARATING.search(node.text)
+    return " ".join(node.span.text.split()) if quoted else one_line(node)
 
 
 def walk(node: Node, path: Path = ()) -> Iterator[tuple[Path, Node]]:

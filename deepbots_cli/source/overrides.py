@@ -12,7 +12,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.source import files
 from deepbots_cli.source.merge import follow, replace
-from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar
+from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, Scalar, descend
 from deepbots_cli.source.parse import MAX_DEPTH, Budget, parse
 
 _NOTHING = re.compile(r"\s*(?:#.*)?")
@@ -24,7 +24,7 @@ def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | N
     A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces
     what was there; mappings are not merged. A section that the file leaves out is begun.
     """
-    source = Source(f"--set {assignment}", assignment)
+    source = Source(f"--set {assignment.partition('=')[0].strip() or assignment}", assignment)
     if not files.check(source, findings):
         return root
     path, equals, text = assignment.partition("=")
@@ -44,6 +44,15 @@ def apply(root: Mapping, assignment: str, findings: Findings, budget: Budget | N
 def place(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
     """The same for a setting whose path and value stand in a file."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
+
+
+def under(root: Mapping, path: Path) -> Mapping:
+    """`root` under the settings at `path`: those of a case of the evaluation, or of a stage of the curriculum."""
+    settings, _, reached = descend(root, (*path, "set"))
+    if reached > len(path) and isinstance(settings, Mapping):
+        for entry in settings.entries.values():
+            root = place(root, entry, Findings())
+    return root
 
 
 def _set(root: Mapping, path: Scalar, value: Node | None, whole: Span, findings: Findings) -> Mapping:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -265,3 +266,13 @@ def test_what_cannot_be_compared_ends_with_2(deepbots, tmp_path, words):
     assert (ran.code, ran.out) == (2, "")
     assert ran.err
     assert "Traceback" not in ran.err
+
+
+def test_figures_along_axes_are_told_by_the_names_of_the_axes(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    robot = tmp_path / "robots" / "urdf" / "cartpole.urdf"
+    moved = re.sub(r'xyz="(\S+) \S+ ', r'xyz="\1 0.0123 ', robot.read_text(), count=1)
+    (tmp_path / "robots" / "urdf" / "other.urdf").write_text(moved)
+    (tmp_path / "other.yaml").write_text((tmp_path / "cartpole.yaml").read_text().replace("cartpole.urdf", "other.urdf"))
+    told = deepbots("diff", "cartpole.yaml", "other.yaml").out
+    assert "xyz.y 0.0123" in told

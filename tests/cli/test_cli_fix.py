@@ -377,3 +377,17 @@ def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_ch
     assert ran.out.replace("\n", "").isprintable()
     subprocess.run(["patch", "-p0"], cwd=tmp_path, input=ran.out, text=True, check=True, capture_output=True)
     assert deepbots("lint", odd).code == 0
+
+
+def test_a_diff_that_has_only_guesses_names_the_options_that_show_them(deepbots, scenario):
+    scenario(faulty(next(iter(UNSAFE.values()))))
+    assert deepbots("lint", "a.yaml").err.endswith("see what they would do with --diff --unsafe-fixes\n")
+    ran = deepbots("lint", "a.yaml", "--diff")
+    assert (ran.out, ran.err.startswith("there is no difference to show; 1 may be fixed")) == ("", True)
+    assert "+++ a.yaml" in deepbots("lint", "a.yaml", "--diff", "--unsafe-fixes").out
+
+
+def test_what_set_broke_is_not_offered_to_be_fixed_in_the_file(deepbots, scenario):
+    scenario(CARTPOLE)
+    ran = deepbots("lint", "a.yaml", "--set", "fall_angl=5 deg")
+    assert (ran.code, "did you mean `fall_angle`?" in ran.out, "--fix" in ran.err) == (1, True, False)

@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.cli import measure
+from deepbots_cli.learning import defaults
 
+PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 
 
@@ -209,6 +212,129 @@ def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbot
     ]
 
 
+def test_what_is_previous_is_one_tick_old_and_what_a_sensor_delays_as_old_as_that(deepbots, tmp_path):
+    scenario = tmp_path / "aged.yaml"
+    scenario.write_text(
+        """\
+deepbots: 1
+extends: cartpole.yaml
+augment:
+  was:    previous(position(cart).xy)
+  before: previous(was)
+  gone:   delta(x)
+observation: {was: -1 .. 1 m, before: -1 .. 1 m, gone: -1 .. 1 m}
+robots: {cart: {sensors: {pole_angle: {latency: 40 ms}}}}
+"""
+    )
+    deepbots("copy", "cartpole")
+    timing = {row["name"]: row for row in json.loads(deepbots("inspect", "aged.yaml", "--json").out)["timing"]}
+    ages = {name: timing[name]["age_s"] for name in ("x", "was.x", "before.y", "gone", "cart.pole_angle")}
+    assert ages == {"x": 0, "was.x": 0.032, "before.y": 0.064, "gone": 0, "cart.pole_angle": 0.064}
+    assert timing["was.x"]["physics_step"] == "4n"
+    assert timing["cart.pole_angle"]["by"] == "cart"
+
+
+def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
+    sections = inspected(
+        deepbots,
+        "--set",
+        "objects.puck={shape: sphere, radius: 2 cm, mass: uniform(0.1 .. 300 g) * 2, friction: uniform(0.4 .. 0.8)}",
+        "--set",
+        "reset.place.puck={x: 0.3 m}",
+        "--set",
+        "robots.cart.links={pole: {mass: urdf * uniform(80 % .. 120 %)}}",
+    )
+    assert (sections["objects"][0]["mass_kg"], sections["objects"][0]["friction"]) == ("uniform(0.0001 .. 0.3) * 2", "uniform(0.4 .. 0.8)")
+    assert {"drawn": "mass", "of": "cart.pole"}.items() <= sections["drawn"][0].items()
+    assert "uniform(0.8 .. 1.2)" in sections["drawn"][0]["from"]
+
+
+def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
+    deepbots("copy", "cartpole")
+    scenario = tmp_path / "cartpole.yaml"
+    start = "  place: {cart: {z: 0.04 m}}"
+    assert start in scenario.read_text()
+    scenario.write_text(scenario.read_text().replace(start, "  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m"))
+    rows = json.loads(deepbots("inspect", "cartpole.yaml", "--json").out)["reset"]
+    assert rows[0] == {"reset": "place", "of": "cart", "to": "{x: 0 m, z: 0.04 m}"}
+
+
 def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
     timing = {row["name"]: row for row in inspected(deepbots, "--set", "agent={repeat: 3}")["timing"]}
     assert (timing["drive"]["physics_step"], timing["x"]["physics_step"]) == ("12n + 1", "12n + 12")
+
+
+def test_inspect_shows_the_stages_of_the_curriculum_and_one_of_them(deepbots):
+    stages = json.loads(deepbots("inspect", "find_ball_random", "--json").out)["curriculum"]
+    assert [row["stage"] for row in stages] == ["open", "few", "crowded"]
+    assert (stages[1]["set"], stages[1]["until"]) == ("{obstacles: integer(1 .. 3)}", "success_rate >= 0.7 over 40 episodes")
+    tables = json.loads(deepbots("inspect", "find_ball_random", "--stage", "few", "--json").out)
+    assert {row["parameter"]: row["is"] for row in tables["parameters"]}["obstacles"] == "integer(1 .. 3)"
+    assert len(tables["objects"]) == 1 + 3
+
+
+def test_a_stage_of_the_curriculum_can_be_run(deepbots):
+    lonely = json.loads(deepbots("run", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "20", "--json").out)
+    assert (lonely["stage"], lonely["episodes"][0]["reward_terms"]["scrape"]) == ("open", 0)
+
+
+@pytest.mark.parametrize("verb", ["run", "inspect"])
+def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
+    ran = deepbots(verb, "find_ball_random", "--stage", "full")
+    assert (ran.code, "has no stage 'full'; there are: open, few, crowded" in ran.err) == (2, True)
+    assert "exclude each other" in deepbots(verb, "find_ball_random", "--stage", "few", "--case", "few").err
+
+
+def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):
+    rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots)["hyperparameters"]}
+    assert rows["n_steps"] == (64, "scenario")
+    assert rows["clip_range"] == (0.2, "Stable-Baselines3")
+    rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots, "--set", PLAIN)["hyperparameters"]}
+    assert rows["n_steps"] == (256, "deepbots")
+    assert rows["policy.hidden"] == ([64, 64], "deepbots")
+    assert rows["policy.activation"] == ("relu", "scenario")
+
+
+def test_without_the_library_its_defaults_are_called_so(deepbots, monkeypatch):
+    monkeypatch.setattr(defaults, "library_defaults", lambda algorithm: None)
+    rows = {row["hyperparameter"]: row for row in inspected(deepbots)["hyperparameters"]}
+    assert rows["clip_range"] == {"hyperparameter": "clip_range", "value": None, "from": "library default"}
+
+
+@pytest.mark.parametrize(("written", "meant"), [("1e1", 10), ("2_0", 20), ("1k", 1000), ("1.5e2", 150)])
+def test_whole_numbers_may_be_written_short(deepbots, written, meant):
+    ran = deepbots("run", "cartpole", "--set", "truncation={max_steps: 1000}", "--episodes", "1000", "--steps", written, "--json")
+    assert sum(episode["length"] for episode in json.loads(ran.out)["episodes"]) == meant
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("train", "cartpole", "--timesteps", "many"), "'many' is not a whole number; write it like 100000, 100_000, 100k or 1e5"),
+        (("run", "cartpole", "--episodes", "2.5"), "'2.5' is not a whole number"),
+        (("run", "cartpole", "--episodes", "0"), "0 is too small; the least is 1"),
+        (("run", "cartpole", "--seed", str(2**63)), "is too large; the largest is 9223372036854775807"),
+    ],
+)
+def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, words, said):
+    ran = deepbots(*words)
+    assert (ran.code, said in " ".join(ran.err.split())) == (2, True)
+
+
+def test_a_quick_bench_measures_less(deepbots):
+    figures = json.loads(deepbots("bench", "cartpole", "--quick", "--steps", "100", "--pairs", "1", "--json").out)
+    assert (figures["steps"], figures["pairs"]) == (100, 1)
+    assert json.loads(deepbots("bench", "cartpole", "--quick", "--json").out)["pairs"] == 3
+
+
+def test_bench_tells_how_far_it_is():
+    said = []
+    measure.compare(api.compile("cartpole"), engine="pybullet", steps=100, pairs=2, seed=0, on_measured=lambda *at: said.append(at))
+    assert said == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_a_project_names_a_clone_and_no_index(deepbots, tmp_path):
+    deepbots("eject", "cartpole", "mine")
+    text = (tmp_path / "mine" / "requirements.txt").read_text()
+    assert "==" not in text
+    assert "deepbots-cli[train] @ file:///" in text

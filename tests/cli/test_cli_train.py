@@ -106,6 +106,46 @@ def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(de
     assert "of the training" not in deepbots("eval", "mine", "--episodes", "1").out
 
 
+def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
+    sharp = json.loads(deepbots("eval", "mine", "--set", "fall_angle=3 deg", "--json").out)
+    usual = json.loads(deepbots("eval", "mine", "--json").out)
+    assert (sharp["set"], usual["set"]) == (["fall_angle=3 deg"], [])
+    assert sharp["episodes"] == usual["episodes"] == 4  # as --set said when it was trained
+    assert sharp["mean_length"] < usual["mean_length"]
+    assert "of the run --set 'fall_angle=3 deg', not the one of the training" in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
+
+
+def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
+    elsewhere = ("--scenario", "cartpole", "--episodes", "2", "--json")
+    lengths = [json.loads(deepbots("eval", "mine", *elsewhere, *sets).out)["mean_length"] for sets in ((), ("--set", "fall_angle=3 deg"))]
+    assert lengths[1] < lengths[0]
+
+
+def test_settings_that_change_what_a_policy_sees_are_refused(deepbots, trained):
+    ran = deepbots("eval", "mine", "--set", "observation.x=-1 .. 1 m")
+    assert (ran.code, "observation.x: run -0.4 .. 0.4 m, scenario -1 .. 1 m" in ran.err) == (2, True)
+
+
+def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(deepbots, trained):
+    tables = json.loads(deepbots("inspect", "mine", "--json").out)
+    known = tables["run"]
+    assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "not yet")
+    assert known["steps"] >= 600 == known["total_timesteps"]
+    assert known["best_model"] == "mine/models/best.npz"
+    assert tables["training"]["evaluation_episodes"] == 4
+    assert {row["parameter"]: row["is"] for row in tables["parameters"]}["track"] == "0.39 m"
+    assert "abs(cart.pole_angle) > fall_angle" in deepbots("inspect", "mine").out
+
+
+def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots, tmp_path):
+    for name, sets in (("one", ()), ("same", ()), ("other", ("--set", "fall_angle=3 deg"))):
+        assert (
+            deepbots("train", "cartpole", "--timesteps", "1", *sets, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}").code == 0
+        )
+    rows = {row["run"]: row["digest"] for row in json.loads(deepbots("list", "--json").out)["runs"]}
+    assert rows["one"] == rows["same"] != rows["other"]
+
+
 def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
     deepbots("copy", "cartpole")
     text = (tmp_path / "cartpole.yaml").read_text()

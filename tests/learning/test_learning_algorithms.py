@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 from dataclasses import replace
@@ -15,7 +16,7 @@ import stand_in
 
 from deepbots_cli.errors import MissingExtraError, UsageError, installing
 from deepbots_cli.ir import ActionNoise, CompiledScenario, Hindsight, Hyperparameter, Policy, Schedule, Training
-from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train, weights
+from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, resume, train, weights
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.learning.run import Run
 
@@ -272,3 +273,27 @@ def test_more_remembered_pictures_than_memory_holds_are_refused_before_anything_
 def test_the_frequency_of_updates_may_be_given_in_episodes(tmp_path: Path) -> None:
     training = Training("DQN", 200, 1, hyper(train_freq="2 episodes", learning_starts=50), SMALL)
     assert learned(stand_in.build, tmp_path, training).steps >= 200
+
+
+# Defaults
+
+
+@pytest.mark.parametrize("algorithm", sorted(defaults.OURS))
+def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm: str) -> None:
+    training = Training(algorithm, 5_000, 2, hyper(gamma=0.9), SMALL)
+    scenario = stand_in.scenario(training=training, continuous=algorithm not in ("DQN", "MaskablePPO"))
+    model = algorithms.create(training, copies_of(scenario, stand_in.CartPole), seed=0, total_timesteps=5_000)
+    shown = {row.name: row for row in defaults.effective(scenario, 5_000)}
+    assert (shown["gamma"].value, shown["gamma"].source) == (0.9, "scenario")
+    got = {name: getattr(model, name) for name in shown if isinstance(getattr(model, name, None), (int, float))}
+    got = {name: value for name, value in got.items() if shown[name].value != "auto"}  # which the library resolves
+    assert got.keys() >= {"learning_rate", "gamma", "n_steps"}
+    assert {name: shown[name].value for name in got} == got
+
+
+@pytest.mark.parametrize("algorithm", sorted(defaults.OURS))
+def test_the_defaults_of_the_library_are_read_from_its_signature(algorithm: str) -> None:
+    home = pytest.importorskip(algorithms.ALGORITHMS[algorithm].place.partition(".")[0])
+    signature = inspect.signature(getattr(home, algorithm).__init__)
+    theirs = {name: entry.default for name, entry in signature.parameters.items() if entry.default is not entry.empty}
+    assert defaults.library_defaults(algorithm) == theirs

@@ -241,6 +241,7 @@ def test_the_sections_that_a_new_file_lacks_are_one_finding_that_says_how_to_beg
     assert lacking.headline == "missing keys `robots`, `action`, `observation`, `reward` at the top level"
     assert lacking.help is not None
     assert lacking.help.startswith("`robots`: the robots")
+    assert [note.partition(":")[0] for note in lacking.notes] == ["`action`", "`observation`", "`reward`"]
 
 
 def test_digits_grouped_the_german_way_are_shown_what_a_whole_number_is(check: Check, cartpole: str) -> None:

@@ -11,15 +11,16 @@ from typing import Literal
 from deepbots_cli import canonical
 from deepbots_cli.cli.comparison.items import LOOK, VALUE, Group, Item, items
 from deepbots_cli.cli.comparison.sides import Side
-from deepbots_cli.cli.tables import cell
+from deepbots_cli.cli.tables import cell, formula
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.ir.records import members
-from deepbots_cli.lang.emit import python
 from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
 _MISSING = object()
+_AXES = {"rpy": "roll pitch yaw"} | dict.fromkeys(("", "xyz", "size", "axis", "spacing", "scale"), "x y z")
+"""What the three figures of a member are called; those of a whole value, such as gravity, too."""
 
 Kind = Literal["changed", "added", "removed"]
 
@@ -170,7 +171,7 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
         case float():
             yield path, f"{value:.12g}"
         case Name() | World() | Op() | State() | Draw():
-            yield path, python(value, _read)
+            yield path, formula(value)
         case None:
             return
         case (str() as name, inner) if name and not isinstance(inner, str):
@@ -182,8 +183,9 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
         case (str(), *_) if all(isinstance(name, str) for name in value):
             yield path, ", ".join(map(str, value))
         case tuple():
-            for number, item in enumerate(value):
-                yield from _leaves(item, path if _is_pair(item) or len(value) == 1 else f"{path}.{number}".lstrip("."))
+            axes = _AXES.get(path.rpartition(".")[2]) if len(value) == 3 and all(isinstance(item, float) for item in value) else None
+            for axis, item in zip(axes.split() if axes else range(len(value)), value, strict=True):
+                yield from _leaves(item, path if _is_pair(item) or len(value) == 1 else f"{path}.{axis}".lstrip("."))
         case _ if (inside := members(value)) is not None:
             for name, member in inside.items():
                 yield from _leaves(member, f"{path}.{name}".lstrip("."))
@@ -193,14 +195,3 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, str]]:
 
 def _is_pair(value: object) -> bool:
     return isinstance(value, tuple) and members(value) is None and len(value) == 2 and isinstance(value[0], str)
-
-
-def _read(leaf: Name | World | State | Draw) -> str:
-    """What an expression reads, as the language writes it; figures are in SI units."""
-    match leaf:
-        case Name(name, component):
-            return f"{name}.{component}" if component else name
-        case World(function, subjects, component):
-            return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
-        case State(name, args) | Draw(name, args):
-            return f"{name}({', '.join(python(arg, _read) for arg in args)})"

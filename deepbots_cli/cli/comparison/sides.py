@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
-from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.run import Run
-from deepbots_cli.source import Mapping, Node, Scalar, descend, shipped
+from deepbots_cli.source import Mapping, Node, descend, one_line, shipped
 from deepbots_cli.source.parse import parse
 
 _MOST_TEXT = 4_000_000
-_COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Side:
-    """`root` is the text, after includes and settings; None where it is lost."""
+    """`root` is the text, after includes and settings; None where it is lost. `run` is the run that it comes from, if any."""
 
     name: str
     ir: CompiledScenario
     root: Node | None
+    run: Run | None = None
+    findings: Sequence[Finding] = ()
 
     def wording(self, path: str) -> str:
         """What is written at a path, on one line; nothing where nothing is."""
@@ -35,23 +35,18 @@ class Side:
             keys = (*words[: first - 1], ".".join(words[first - 1 :]))
             node, _, reached = descend(self.root, keys) if self.root else (None, None, 0)
             if node is not None and reached == len(keys):
-                return _on_one_line(node.text if isinstance(node, Scalar) else node.span.text)
+                return one_line(node)
         return ""
 
     def stage(self, name: str) -> str:
         """What is written of a stage of the curriculum."""
         listed = [stage.name for stage in self.ir.curriculum]
         node = descend(self.root, ("curriculum", listed.index(name)))[0] if self.root and name in listed else None
-        return _on_one_line(node.span.text) if isinstance(node, Mapping) else ""
+        return one_line(node) if isinstance(node, Mapping) else ""
 
     def names(self, section: str) -> list[str]:
         node, _, reached = descend(self.root, (section,)) if self.root else (None, None, 0)
         return list(node.entries) if reached == 1 and isinstance(node, Mapping) else []
-
-
-def _on_one_line(text: str) -> str:
-    """Without the comments, which would seem to hide what follows."""
-    return " ".join((_COMMENT.sub("", text) if "\n" in text else text).split())
 
 
 def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool) -> Side:
@@ -67,7 +62,8 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
         return _of_run(path)
     checked = api.load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
-    return Side(source, api.compile(checked).ir, checked.document.root)
+    compiled = api.compile(checked)
+    return Side(source, compiled.ir, checked.document.root, findings=compiled.findings)
 
 
 def _of_run(path: Path) -> Side:
@@ -79,4 +75,4 @@ def _of_run(path: Path) -> Side:
     if resolved.is_file() and not resolved.is_symlink():
         with resolved.open(encoding="utf-8", errors="replace") as file:
             text = file.read(_MOST_TEXT)
-    return Side(str(path), run.ir, parse(Source(str(resolved), text), Findings()) if text else None)
+    return Side(str(path), run.ir, parse(Source(str(resolved), text), Findings()) if text else None, run)

@@ -9,7 +9,8 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
+from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import pairs as aligned
 from deepbots_cli.errors import MissingExtraError
 
@@ -17,8 +18,13 @@ from deepbots_cli.errors import MissingExtraError
 def command(
     scenario: Scenario,
     sets: Sets = None,
-    steps: Annotated[int, typer.Option("--steps", metavar="N", min=100, help="Steps of the agent per measurement.")] = 2000,
-    pairs: Annotated[int, typer.Option("--pairs", metavar="N", min=1, help="How often the two are measured.")] = 9,
+    steps: Annotated[
+        int | None, typer.Option("--steps", metavar="N", parser=whole(100), help="Steps of the agent in each; 2000 by default.")
+    ] = None,
+    pairs: Annotated[
+        int | None, typer.Option("--pairs", metavar="N", parser=whole(), help="How often each is measured; 9 by default.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Measure a tenth as long: 600 steps, 3 times.")] = False,
     seed: Seed = 0,
     engine: Engine = "pybullet",
     as_json: Json = False,
@@ -32,6 +38,7 @@ def command(
 
     \b
       deepbots bench cartpole
+      deepbots bench quadruped --quick
       deepbots bench cartpole --set messages.format=csv --pairs 15
     """
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
@@ -40,7 +47,11 @@ def command(
         from deepbots_cli.cli import measure
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "timing a scenario") from error
-    result = measure.compare(compiled, engine=engine, steps=steps, pairs=pairs, seed=seed)
+    usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
+    with on_terminal("measurements") as meter:
+        result = measure.compare(
+            compiled, engine=engine, steps=steps or usual_steps, pairs=pairs or usual_pairs, seed=seed, on_measured=meter
+        )
     if as_json:
         terminal.show_json(asdict(result))
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,9 +12,10 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, fraction, small_enough
+from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
 from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 
 if TYPE_CHECKING:
@@ -24,17 +26,18 @@ if TYPE_CHECKING:
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, as `deepbots train` makes them.")],
     episodes: Annotated[
-        int | None, typer.Option("--episodes", metavar="N", min=1, help="How many; the scenario's figure by default.")
+        int | None, typer.Option("--episodes", metavar="N", parser=whole(), help="How many; the scenario's figure by default.")
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of the starts; the training's by default."),
+        typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of the starts; the training's by default."),
     ] = None,
     last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best.")] = False,
     video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Film the first episode.")] = None,
     scenario: Annotated[
         str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario instead of the run's.")
     ] = None,
+    sets: Sets = None,
     case: Annotated[
         str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and all its cases.")
     ] = None,
@@ -52,19 +55,22 @@ def command(
     The scenario's `evaluation.cases` are gone through too, from the same starts. What is required of the result is required of
     the scenario itself, or of the case that --case names.
 
-    Another scenario must have the observation, the action and the messages that the policy was trained with; its world may differ.
+    --set changes the scenario of the run, or the one that --scenario names. Either must have the observation, the action and the
+    messages that the policy was trained with; its world may differ.
 
     \b
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
+      deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """
     compiled = None
-    if scenario is not None:
-        compiled = api.compile(scenario, allow_paths=allow_paths or (), allow_code=allow_code)
-        terminal.mention(compiled.findings, scenario)
+    if scenario is not None or sets:
+        compiled = api.compile(scenario or _text_of(run), sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+        if scenario is not None:
+            terminal.mention(compiled.findings, scenario)
     chosen: dict[str, Any] = {
         "episodes": episodes,
         "seed": seed,
@@ -78,21 +84,32 @@ def command(
         result = evaluate(run, case=case, video_to=video, on_episode=meter, **chosen)
         cases = evaluate_cases(run, on_episode=meter, **chosen) if case is None else ()
     if as_json:
-        terminal.show_json(with_cases(result, cases))
+        terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:
-        show(result, cases, elsewhere=_elsewhere(run, scenario, compiled))
+        show(result, cases, elsewhere=_elsewhere(run, scenario, sets or (), compiled))
     _require(result, require_solved=require_solved, min_success=min_success)
 
 
-def _elsewhere(run: Path, scenario: str | None, compiled: Compiled | None) -> str | None:
+def _text_of(run: Path) -> Path:
+    """The file in a run that compiles to the scenario of its training."""
+    from deepbots_cli.learning.run import Run
+
+    path = Run.open(run).path / "resolved.yaml"
+    if path.is_symlink() or not path.is_file():
+        raise UsageError(f"{path} is lost, so --set has nothing to change; name the scenario with --scenario")
+    return path
+
+
+def _elsewhere(run: Path, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
     """The words for a scenario that was asked for in place of the run's."""
-    if scenario is None or compiled is None:
+    if compiled is None:
         return None
     from deepbots_cli.canonical import task_digest
     from deepbots_cli.learning.run import Run
 
     same = task_digest(compiled.ir) == task_digest(Run.open(run).ir)
-    return f"{scenario}, {'the same as in' if same else 'not the one of'} the training"
+    changed = "".join(f" --set {quote(text)}" for text in sets)
+    return f"{scenario or 'of the run'}{changed}, {'the same as in' if same else 'not the one of'} the training"
 
 
 def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhere: str | None = None) -> None:

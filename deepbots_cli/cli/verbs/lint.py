@@ -11,7 +11,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED, FAULT
 from deepbots_cli.cli.linting import STDIN, Look, findings_of, named
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets, whole
 from deepbots_cli.cli.reports import report
 from deepbots_cli.cli.settings import settings
 from deepbots_cli.diagnostics import Finding, Severity, Source
@@ -60,7 +60,7 @@ def command(
     unsafe_fixes: Annotated[bool, typer.Option("--unsafe-fixes", help="Good guesses as well, with --fix or --diff.")] = False,
     diff: Annotated[bool, typer.Option("--diff", help="Show what --fix would change, and write nothing.")] = False,
     stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="The file that standard input is of.")] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes, which pay from some tens of files on.")] = 1,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", parser=whole(), help="Processes, which pay from tens of files on.")] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -76,6 +76,7 @@ def command(
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
       deepbots lint cartpole.yaml --deep
+      deepbots lint cartpole.yaml --diff --unsafe-fixes
       deepbots lint cartpole.yaml --fix --unsafe-fixes
       deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
 
@@ -103,10 +104,12 @@ def command(
     else:
         findings = findings_of(names, look, jobs)
     shown = [*selection.doubts(), *filter(selection.wants, findings)]
+    if diff and shown and not changes:
+        _explain_empty_diff([] if unsafe_fixes else shown)
     if not diff:
         print(report(shown, format_.value, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
-            _sum_up(shown, names, selection, fixed=fix, deep=deep)
+            _sum_up(shown, names, selection, fixable=not (fix or sets), deep=deep)
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.wants(finding)]
     _confess(hidden)
     if any(finding.is_fault for finding in shown):
@@ -149,7 +152,7 @@ def _mended(names: Sequence[str], look: Look, selection: Selection, *, unsafe: b
     return mend(mender, show=show)
 
 
-def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixed: bool, deep: bool) -> None:
+def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, deep: bool) -> None:
     """How many there are, or a friendly word; and how many of them can be fixed."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
@@ -157,10 +160,18 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
         terminal.say(f"{called}: no findings{asked}{', also when simulated' if deep else ''}")
         return
     terminal.say(summary(findings))
-    if not fixed and any(finding.fix for finding in findings):
+    if fixable and any(finding.fix for finding in findings):
         from deepbots_cli.cli.mending import hint
 
         terminal.note(hint(findings) or "")
+
+
+def _explain_empty_diff(left: list[Finding]) -> None:
+    """Say that there is no difference to show, and which option would show the good guesses among the fixes that are `left`."""
+    from deepbots_cli.cli.mending import hint
+
+    guesses = hint([finding for finding in left if finding.fix and not finding.fix.safe])
+    terminal.note("there is no difference to show" + (f"; {guesses}" if guesses else ""))
 
 
 def _confess(hidden: list[Finding]) -> None:

@@ -11,7 +11,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.record import NAME, Record
+from deepbots_cli.learning.record import NAME, Record, number, solved
 from deepbots_cli.source import Scalar, load, shipped
 
 
@@ -20,6 +20,8 @@ def command(
     as_json: Json = False,
 ) -> None:
     """List the scenarios that come with deepbots, and your runs.
+
+    Runs with the same digest were trained with the same scenario; `deepbots diff` compares two runs.
 
     \b
       deepbots list
@@ -31,7 +33,7 @@ def command(
         return
     terminal.say("scenarios\n" + table(scenarios))
     if known:
-        terminal.say(f"\nruns in {runs}\n" + table(known))
+        terminal.say(f"\nruns in {runs}\n" + table([{**row, "digest": str(row["digest"])[:8]} for row in known]))
     else:
         terminal.note(f"\nno runs in {runs} yet; make one with: deepbots train cartpole")
 
@@ -57,25 +59,23 @@ def _run(path: Path) -> Row:
     try:
         record = Record.read(path)
     except RunError as error:
-        return {"run": path.name, "scenario": "?", "status": "damaged", "steps": None, "mean_return": None, "solved": str(error)}
+        return {
+            "run": path.name,
+            "scenario": "?",
+            "digest": "",
+            "status": "damaged",
+            "steps": None,
+            "mean_return": None,
+            "solved": str(error),
+        }
     result = record.result or {}
     return {
         "run": path.name,
         "scenario": record.scenario,
+        "digest": record.digest,
         "status": record.status,
-        "steps": _number(result.get("steps")),
-        "mean_return": _number(result.get("mean_return")),
-        "solved": _solved(result.get("solved_at")),
+        "steps": number(result.get("steps")),
+        "mean_return": number(result.get("mean_return")),
+        "solved": solved(result.get("solved_at")),
         "trained": record.updated,
     }
-
-
-def _number(value: object) -> float | None:
-    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
-def _solved(at: object) -> str:
-    if not isinstance(at, dict):
-        return "not yet"
-    episode = _number(at.get("episode"))
-    return "yes" if episode is None else f"in episode {episode:,}"

@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets
+from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
 from deepbots_cli.cli.progress import told
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
@@ -35,14 +35,15 @@ class Policy(StrEnum):
 def command(
     scenario: Scenario,
     sets: Sets = None,
-    case: Annotated[str | None, typer.Option("--case", metavar="NAME", help="Run this case of the evaluation.")] = None,
+    case: Case = None,
+    stage: Stage = None,
     policy: Annotated[Policy | None, typer.Option("--policy", help="Draw actions, or do nothing; random by default.")] = None,
     actions: Annotated[
         str | None, typer.Option("--actions", metavar="A,B,...", help="Take these actions, over and over: options by name, or numbers.")
     ] = None,
     script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Follow this script of the scenario.")] = None,
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", min=1, help="How many episodes to run.")] = 3,
-    steps: Annotated[int | None, typer.Option("--steps", metavar="N", min=1, help="Stop after so many steps in all.")] = None,
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="How many episodes to run.")] = 3,
+    steps: Annotated[int | None, typer.Option("--steps", metavar="N", parser=whole(), help="Stop after so many steps in all.")] = None,
     seed: Seed = 0,
     engine: Engine = "pybullet",
     as_json: Json = False,
@@ -58,6 +59,7 @@ def command(
       deepbots run cartpole --policy zero --episodes 1
       deepbots run cartpole --actions forward,backward --steps 50
       deepbots run pit_escape --script rocking --episodes 100
+      deepbots run find_ball_random --stage crowded
 
     The numbers of an action of several are parted by colons, the actions by commas: --actions 0.5:0.5,0.5:-0.5
     """
@@ -66,24 +68,24 @@ def command(
         raise UsageError(f"{' and '.join(given)} exclude each other")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
-    ir = compiled.ir if case is None else compiled.ir.case(case).scenario
+    ir = chosen(compiled.ir, case, stage)
     if script is not None:
         ir.script(script)
     with closing(api.make(ir, engine=engine, allow_code=allow_code)) as environment:
         from deepbots_cli.cli import replay  # needs the simulator, whose absence `make` has reported by now
 
         if script is not None:
-            chosen = replay.written(environment, script)
+            acting = replay.written(environment, script)
         elif actions is not None:
-            chosen = replay.repeated(ir, actions)
+            acting = replay.repeated(ir, actions)
         else:
-            chosen = getattr(replay, policy or Policy.random)(environment)
-        running = replay.episodes(environment, chosen, count=episodes, seed=seed, most_steps=steps)
+            acting = getattr(replay, policy or Policy.random)(environment)
+        running = replay.episodes(environment, acting, count=episodes, seed=seed, most_steps=steps)
         done = list(told(running, episodes) if episodes > MANY else running)
     summary = Summary.of(done)
     if as_json:
         figures = {"success_defined": ir.defines_success, **vars(summary)}
-        known = {"scenario": ir.name, "digest": compiled.digest, "seed": seed, "case": case, "script": script}
+        known = {"scenario": ir.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
         terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": figures})
         return
     _show(done)

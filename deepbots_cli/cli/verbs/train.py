@@ -12,7 +12,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets, known_engine, small_enough
+from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, known_engine, whole
 from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
@@ -26,9 +26,11 @@ def command(
     scenario: Annotated[str | None, typer.Argument(metavar="SCENARIO", help="A file, or the name of a shipped scenario.")] = None,
     sets: Sets = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", min=0, callback=small_enough, help="The root of every random number; 0 by default.")
+        int | None, typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of every random number; 0 by default.")
     ] = None,
-    timesteps: Annotated[int | None, typer.Option("--timesteps", metavar="N", min=1, help="Train for so many steps in all.")] = None,
+    timesteps: Annotated[
+        int | None, typer.Option("--timesteps", metavar="N", parser=whole(), help="Train for so many steps in all: 200000, 200k, 2e5.")
+    ] = None,
     run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="The run directory to make; by default one in ./runs.")] = None,
     resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
     full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
@@ -49,7 +51,7 @@ def command(
     \b
       deepbots train cartpole
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
-      deepbots train cartpole --timesteps 200000 --full --run runs/long
+      deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train --resume runs/cartpole-0-1
 

@@ -1,0 +1,159 @@
+"""The hyperparameters that a training takes: those of the scenario, our defaults, and the defaults of the library.
+
+Our defaults suit small networks and light worlds on a CPU. Every other default is the one of Stable-Baselines3 or sb3-contrib. It is read
+from the signature in the library's source, since importing the library takes seconds.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+from deepbots_cli.ir import ActionNoise, CompiledScenario, Schedule, Training
+from deepbots_cli.schema.hyperparameters import ALGORITHMS
+
+LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}
+"""The package of each algorithm that Stable-Baselines3 does not have itself."""
+_TITLES = {"stable_baselines3": "Stable-Baselines3", "sb3_contrib": "sb3-contrib"}
+_UNIFORM = "uniform"
+
+
+class Default(NamedTuple):
+    """A default of ours: its value, of the training, its timesteps in all and the steps of its longest episode; and in words."""
+
+    value: Callable[[Training, int, int], object]
+    words: str
+
+
+class Effective(NamedTuple):
+    """A hyperparameter as a training takes it; `source` is the scenario, deepbots, or the library. An unknown value is None."""
+
+    name: str
+    value: object
+    source: str
+
+
+def _roll_out(training: Training) -> int:
+    # Small updates, often: a cart-pole for 10x10 units is solved in 26 000 steps; with 1024 steps and a rate of 3e-4 in 69 000 to 97 000.
+    return max(32, 256 // training.environments // 32 * 32)
+
+
+_PPO = {
+    "n_steps": Default(lambda training, *_: _roll_out(training), "256 / `environments`, rounded down to a multiple of 32, at least 32"),
+    "batch_size": Default(
+        lambda training, *_: 64 if _roll_out(training) * training.environments % 64 == 0 else 32,
+        "64, or 32 where a default roll-out of all environments is no multiple of 64",
+    ),
+    "gae_lambda": Default(lambda *_: 0.9, "0.9"),
+    # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
+    "learning_rate": Default(
+        lambda training, *_: 3e-3 if max(training.policy.hidden, default=0) <= 32 else 1e-3,
+        "0.003 for layers of up to 32 units, else 0.001",
+    ),
+}
+_REMEMBERING = {
+    # Hindsight takes goals from episodes that have ended, so learning waits for the first.
+    "learning_starts": Default(
+        lambda training, total, longest: max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10),
+        "1_000, or a tenth of `total_timesteps` where that is less; with `replay: her` as many steps as the longest episode takes in all"
+        " environments, at least 1_000",
+    ),
+    "replay": Default(lambda *_: _UNIFORM, "uniform"),
+}
+_DQN = {
+    "buffer_size": Default(lambda _, total, __: min(total, 100_000), "`total_timesteps`, at most 100_000"),
+    "target_update_interval": Default(lambda *_: 500, "500"),
+    "exploration_fraction": Default(lambda *_: 0.2, "0.2"),
+    **_REMEMBERING,
+}
+_ACTOR_CRITIC = {
+    "buffer_size": Default(lambda _, total, __: min(total, 1_000_000), "`total_timesteps`, at most 1_000_000"),
+    # As many updates as steps, however many copies there are.
+    "gradient_steps": Default(lambda *_: -1, "-1"),
+    **_REMEMBERING,
+}
+_EXPLORING = _ACTOR_CRITIC | {"action_noise": Default(lambda *_: ActionNoise("normal", Schedule(0.1, 0.1)), "{type: normal, sigma: 0.1}")}
+
+OURS: Mapping[str, Mapping[str, Default]] = {
+    "A2C": {},
+    "DDPG": _EXPLORING,
+    "DQN": _DQN,
+    "MaskablePPO": _PPO,
+    "PPO": _PPO,
+    "RecurrentPPO": _PPO | {"lstm": Default(lambda *_: 64, "64")},
+    "SAC": _ACTOR_CRITIC,
+    "TD3": _EXPLORING,
+    "TQC": _ACTOR_CRITIC,
+}
+"""Our defaults, by algorithm and hyperparameter."""
+
+
+def ours(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
+    """The values of our defaults; `environments` of the training counts every copy that the policy acts for."""
+    return {name: default.value(training, total_timesteps, longest_episode) for name, default in OURS[training.algorithm].items()}
+
+
+def longest_episode(scenario: CompiledScenario) -> int:
+    """In steps of the agent, over the scenario and its stages."""
+    stages = [scenario, *(stage.scenario for stage in scenario.curriculum)]
+    return max(stage.truncation.most_steps(stage.period) for stage in stages)
+
+
+def effective(scenario: CompiledScenario, total_timesteps: int) -> list[Effective]:
+    """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
+    training = scenario.training
+    if training is None or training.algorithm not in OURS:  # a scenario of a run may name any
+        return []
+    given: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
+    given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
+    rows = training.environments * (scenario.agent.each.count if scenario.agent.each else 1)
+    own = ours(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
+    library = library_defaults(training.algorithm)
+    title = "library default" if library is None else library_of(training.algorithm)
+    found = []
+    for name in ALGORITHMS[training.algorithm]:
+        if name in given:
+            found.append(Effective(name, given[name], "scenario"))
+        elif name in own:
+            found.append(Effective(name, own[name], "deepbots"))
+        else:
+            found.append(Effective(name, (library or {}).get(name), title))
+    return found
+
+
+def library_of(algorithm: str) -> str:
+    """What the library is called that has the algorithm."""
+    return _TITLES[LIBRARIES.get(algorithm, "stable_baselines3")]
+
+
+@cache
+def library_defaults(algorithm: str) -> Mapping[str, object] | None:
+    """The defaults in the signature of the algorithm's class; None where the library is not installed.
+
+    A default that is no literal is given as its text.
+    """
+    spec = find_spec(LIBRARIES.get(algorithm, "stable_baselines3"))
+    if spec is None or spec.origin is None:
+        return None
+    defined = re.compile(rf"^class {algorithm}\(", re.MULTILINE)
+    for path in sorted(Path(spec.origin).parent.glob("*/*.py")):
+        text = path.read_text(encoding="utf-8")
+        if defined.search(text):
+            (found,) = (node for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == algorithm)
+            (start,) = (node for node in found.body if isinstance(node, ast.FunctionDef) and node.name == "__init__")
+            names = [argument.arg for argument in start.args.args][-len(start.args.defaults) :]
+            return {name: _literal(default) for name, default in zip(names, start.args.defaults, strict=True)}
+    return None
+
+
+def _literal(node: ast.expr) -> object:
+    try:
+        return ast.literal_eval(node)
+    except ValueError:
+        return ast.unparse(node)
