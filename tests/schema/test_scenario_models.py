@@ -46,7 +46,7 @@ def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> N
 
 def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
     found = {(place, type(kind)): (kind, value) for place, kind, value in visit(read(BY_NAME["cartpole"]))}
-    assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True), "32 ms")
+    assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True, usual="ms"), "32 ms")
     assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
     assert found[("observation", "speed"), Range] == (Range("any", auto=True), "-0.8 .. 0.8 m/s")
     assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
