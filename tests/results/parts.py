@@ -143,20 +143,15 @@ COSTS = Part(
     name="costs",
     title="What it costs",
     prose="""\
-Steps of the environment against bare physics: the same engine, world, substeps and motion, resets apart. "Layered by hand" is an ordinary
-environment with a supervisor, a robot and messages, written directly upon PyBullet and numpy (`tests/benchmarks/layered.py`). How much
-faster ours is depends on that style: figures clipped as one array, or joints read in one batch, make the hand-written one quicker, and
-the factor less than its bar asks for; the file says by how much. Sensors are timed one at a time, on a rover that drives in an arena:
-what each adds to a step, for which there is no bar. Answers of the language server are timed over its standard streams, at places drawn
-by chance, a quarter of them right behind a change of the text. Linting is timed as installed, with modules compiled before. Of a cold
-start about a twentieth is the interpreter, a fifth typer, a third making some 150 data classes, a sixth the work itself. Of a file of the
-folder, about half is reading and typing its expressions and its robot, an eighth its YAML, a third the rules, most of that how far values
-reach in an episode. It took twice as long before rules shared what they work out, texts and robot files were remembered, and names let go
-of at once, another eighth more before values that nothing supposed has a part in were worked out once, and a twelfth more before
-expressions were named tuples; no function that is left takes a twentieth of it by itself. The machine counts as well: one state of the
-code took 3.25 s at one hour and 2.8 s at another. Beside one busy process it has taken a tenth to a quarter more. Beside such, the
-quadruped has come out at 1.12 to 1.23, and FindBallRandom at 1.28 to 1.36: what it remembers of the way is worked out in every step.""",
-    tables=tuple(map(Benchmark, ("step_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
+Steps of the environment are compared with bare physics: the same engine, world, substeps and motion, without resets. "Layered by hand" is
+an ordinary environment with a supervisor, a robot and messages, written directly upon PyBullet and numpy (`tests/benchmarks/layered.py`).
+Its cost depends on its style: values clipped as one array, or joints read in one batch, make it quicker; the file says by how much. "A plain
+environment by hand" is one class around PyBullet's functions with PyBullet's defaults (`tests/benchmarks/plain_cost.py`); docs/engines.md
+says what makes the difference. Each sensor is timed by itself, on a rover that drives in an arena, and has no bar. Answers of the language
+server are timed over its standard streams at random places, a quarter of them right after a change of the text. Linting is timed as
+installed, with modules compiled before. Times depend on the machine: a busy neighbour adds a tenth to a quarter. Beside such, the
+quadruped has come out at 1.12 to 1.23 and FindBallRandom at 1.28 to 1.36; FindBallRandom works out what it remembers of the way in every step.""",
+    tables=tuple(map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
 )
 PHYSICS = Part(
     name="physics",
