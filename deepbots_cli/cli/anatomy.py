@@ -75,7 +75,7 @@ def sections(scenario: CompiledScenario, root: Node, run: Run | None = None) -> 
         "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
         "curriculum": _curriculum(scenario, root),
         "scripts": _scripts(scenario, root),
-        "training": _training(scenario),
+        "training": _training(scenario, run),
         "hyperparameters": _hyperparameters(scenario, root, run),
     }
     return {name: rows for name, rows in tables.items() if rows}
@@ -465,13 +465,13 @@ def _scripts(scenario: CompiledScenario, root: Node) -> list[Row]:
     ]
 
 
-def _training(scenario: CompiledScenario) -> Row:
+def _training(scenario: CompiledScenario, run: Run | None) -> Row:
     training = scenario.training
     if training is None:
         return {}
     return {
         "algorithm": training.algorithm,
-        "total_timesteps": training.total_timesteps,
+        "total_timesteps": run.record.total_timesteps if run else training.total_timesteps,
         "evaluation_episodes": scenario.evaluation.episodes,
     }
 

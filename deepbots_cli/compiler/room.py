@@ -13,6 +13,9 @@ from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Placement, TaskLayout
 from deepbots_cli.urdf.model import Box, Cylinder, Mesh
 
+_DWARFS = 16.0
+"""Times the area of a top that a body covers whose unit has slipped."""
+
 
 def check_room(place: Placement, region: ir.Region, world: ir.WorldModel, namespace: Namespace, path: Path) -> None:
     """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
@@ -95,6 +98,8 @@ def _check_top(
             *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
         ]
         help = " or ".join(["give a larger top", *ways])
+        if min(kind.area for kind in kinds) > _DWARFS * top.area:
+            help = f"check the size of `{place.body}`: a length without a unit is in metres"
         add("DB105", span, f"the top of `{spot.of}`, {_size(top)}, is too small for {covers}", help=help)
     elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
         headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"

@@ -98,8 +98,7 @@ class _Painter:
         lines = [f"{head}: {self.paint('bold', said(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
-            arrow = "-->" if source is finding.span.source else ":::"
-            lines.append(f"{' ' * gutter}{self.paint('frame', arrow)} {safe(first.where)}")
+            lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {safe(first.where)}")
             lines.extend(f"{' ' * gutter}    included from {safe(span.where)}" for span in source.chain)
             lines.extend(self.snippet(source, finding, gutter))
         frame = f"{' ' * gutter} {self.paint('frame', '=')} "

@@ -131,9 +131,9 @@ def pose_out_of_reach(probed: Probed) -> Iterator[Finding]:
     """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
     told: set[tuple[str, str]] = set()
     for missed in probed.report.missed:
-        if missed.out >= _OFTEN * missed.commands and (missed.robot, missed.actuator) not in told:
+        if (missed.turn or missed.out >= _OFTEN * missed.commands) and (missed.robot, missed.actuator) not in told:
             told.add((missed.robot, missed.actuator))
-            yield _missed(probed, missed)
+            yield _turned(probed, missed) if missed.turn else _missed(probed, missed)
 
 
 def _missed(probed: Probed, missed: Missed) -> Finding:
@@ -149,6 +149,17 @@ def _missed(probed: Probed, missed: Missed) -> Finding:
     headline = f"`{missed.actuator}` is commanded to a pose that the inverse kinematics misses by {by}"
     help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
     return Finding("DB315", span, headline, help=help, notes=tuple(notes))
+
+
+def _turned(probed: Probed, missed: Missed) -> Finding:
+    """Of a command that an arm reaches by contorting itself: its link is told another attitude than it starts in."""
+    span = probed.names.values.span(("robots", missed.robot, "actuators", missed.actuator, "rpy"))
+    angles = [round(degrees(angle)) for angle in missed.start]
+    start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
+    headline = f"the first command turns `{missed.actuator}` by {degrees(missed.turn):.3g} deg in place"
+    help = f"write `rpy: {start} deg`, which is about the attitude at the start, or let the arm start in another pose"
+    notes = (probed.when(Where(missed.by, missed.seed, missed.step)), "the arm contorts itself, and may swing far on its way")
+    return Finding("DB315", span, headline, help=help, notes=notes)
 
 
 def _stop(joint: Joint, stop: float) -> str:

@@ -18,6 +18,9 @@ from deepbots_cli.urdf.model import RobotModel
 _DISTANCE = 0.005  # m
 _ANGLE = radians(1.0)
 """What a pose may be missed by. Where the search succeeds it ends within 0.1 um."""
+_TURN = radians(90.0)
+_IN_PLACE = 0.2
+"""rad and m: an arm that starts elsewhere, such as stretched out, turns on its way and is not meant."""
 _AT_LIMIT = 1e-6  # rad or m; the search clips positions to the limits exactly
 
 
@@ -69,11 +72,22 @@ class Reaches:
         distance = dist(place, target)
         angle = 0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
         if distance <= _DISTANCE and angle <= _ANGLE:
+            self._look_for_turn(world, key, actuator, drive, target)
             return
         if key not in self._missed:
             stops = {name: stop for name, position in found.items() for stop in _stops(model, name, position)}
             self._missed[key] = Missed(robot, actuator.name, distance, angle, stops, step=world.step_count)
         self._missed[key] = replace(self._missed[key], out=self._missed[key].out + 1)
+
+    def _look_for_turn(self, world: Supervisor, key: tuple[str, str], actuator: ir.Cartesian, drive: Cartesian, target: Triple) -> None:
+        """Whether the first command of an episode asks a link to stay about where it is and to turn."""
+        if drive.attitude is None or self.commands[key] > 1 or key in self._missed:
+            return
+        place, attitude = world.engine.pose(key[0], actuator.link)()
+        turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
+        if turn > _TURN and dist(place, target) < _IN_PLACE:
+            start = frames.roll_pitch_yaw(attitude)
+            self._missed[key] = Missed(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
 
 
 def _angle(q: frames.Quaternion) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -55,7 +55,9 @@ class Played:
 class Missed:
     """The first command of an episode to a `cartesian` actuator that the inverse kinematics does not reach, and how many there are (`out`).
 
-    `distance` (m) and `angle` (rad) are what is missing; `stops` are the joints that end at a limit, with that limit (rad or m).
+    `distance` (m) and `angle` (rad) are what is missing; `stops` are the joints that end at a limit, with that limit (rad or m). With
+    `turn` (rad) it is instead a first command that the arm reaches by turning its link in place; `start` (roll, pitch, yaw in rad) is
+    the attitude of the link before it.
     """
 
     robot: str
@@ -63,6 +65,8 @@ class Missed:
     distance: float
     angle: float
     stops: Mapping[str, float]
+    turn: float = 0.0
+    start: Sequence[float] = ()
     by: str = ""
     seed: int = 0
     step: int = 0

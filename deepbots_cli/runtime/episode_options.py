@@ -33,6 +33,8 @@ def episode_values(scenario: CompiledScenario, options: Mapping[str, Any], fixed
     Raises:
         UsageError: A name is unknown, or a value has the wrong type or shape, is not finite or outside its range.
     """
+    if not isinstance(options, Mapping):
+        raise UsageError(f"options of reset must be a mapping from names to values, not {type(options).__name__}")
     known = {entry.name: entry for entry in scenario.settable}
     found: dict[str, float] = {}
     for given, value in options.items():

@@ -12,6 +12,7 @@ from deepbots_cli.source.nodes import Mapping, Node, Scalar, Sequence
 _SHOWN = 60
 _NUMBER = r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?"
 _ENDS = re.compile(rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*")
+_RANGE = re.compile(rf"({_NUMBER})(?: ?[A-Za-z%][\w*/^%]*)?\s*\.\.\s*({_NUMBER})(?: ?([A-Za-z%][\w*/^%]*))?")
 _THOUSANDS = re.compile(r"([0-9]{1,6})([kKM])")
 _MANY = {"k": 1_000, "K": 1_000, "M": 1_000_000}
 
@@ -65,11 +66,22 @@ def habit_of(node: Node) -> Habit | None:
 
 
 def range_meant(value: object) -> str | None:
-    """The range that two numbers with another sign between them were meant to be."""
+    """The range that two numbers with another sign between them, or a mapping of ranges per component, were meant to be."""
+    if isinstance(value, dict):
+        return _vector_range(list(value.values()))
     if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
         return f"{value[0]:g} .. {value[1]:g}"
     ends = _ENDS.fullmatch(value) if isinstance(value, str) else None
     return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
+
+
+def _vector_range(parts: list[object]) -> str | None:
+    """`0.3 -0.4 .. 0.9 0.4 m` for the ranges `0.3 .. 0.9 m` and `-0.4 .. 0.4 m`."""
+    found = [_RANGE.fullmatch(part.strip()) for part in parts if isinstance(part, str)]
+    if not found or len(found) < len(parts) or len({match and match[3] for match in found}) > 1:
+        return None
+    lows, highs = (" ".join(match[side] for match in found if match) for side in (1, 2))
+    return f"{lows} .. {highs} {found[0][3] if found[0] else ''}".strip()
 
 
 def count_meant(value: object) -> str | None:

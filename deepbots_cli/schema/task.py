@@ -25,7 +25,7 @@ class ContinuousAction(Part):
 
     range: Annotated[str, Range("any")] = field(description="What -1 and 1 of the agent stand for, such as `0.25 .. 1`.")
     each: Annotated[str, Reference("group")] | None = field(
-        default=None, description="One number for each member of this group, actuator or vector."
+        default=None, description="One number for each member of this group or actuator."
     )
 
 

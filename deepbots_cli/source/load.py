@@ -266,7 +266,7 @@ class _Reader:
             steps, reached, rest = merge.follow(tree, item.text)
             if not rest and steps:
                 paths.append(steps)
-                self.warn_of_lost(own, steps, item)
+                self.warn_of_lost(own, steps, item, reached)
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 names = (
@@ -276,9 +276,15 @@ class _Reader:
         pruned = merge.without(tree, paths)
         return pruned if isinstance(pruned, Mapping) else tree
 
-    def warn_of_lost(self, own: Mapping, path: NodePath, remove: Scalar) -> None:
-        _, key, reached = descend(own, path)
+    def warn_of_lost(self, own: Mapping, path: NodePath, remove: Scalar, removed: Node) -> None:
+        """DB205 where `remove` takes out what the same file writes; `removed` is the node as merged with the extended file."""
+        node, key, reached = descend(own, path)
         if reached == len(path) and key is not None and key.span.source is remove.span.source:
-            headline = f"`{'.'.join(map(str, path))}` is written here, and taken out by `remove`"
+            name = ".".join(map(str, path))
+            headline = f"`{name}` is written here, and taken out by `remove`"
             help = "take one of the two out; what is written anew needs no `remove`"
+            if isinstance(node, Mapping) and isinstance(removed, Mapping):
+                extended = [f"{name}.{entry}" for entry in removed.entries if entry not in node.entries]
+                if extended:
+                    help = f"to replace what the extended file has in `{name}`, remove it by name: `remove: [{', '.join(extended[:10])}]`"
             self.findings.add("DB205", key.span, headline, help=help, also=(Label(remove.span, "taken out here"),))

@@ -112,6 +112,11 @@ def test_an_option_that_the_episode_could_not_have_drawn_is_refused(env: Supervi
         env.reset(options=options)
 
 
+def test_options_that_are_no_mapping_are_refused(env: Supervisor) -> None:
+    with pytest.raises(UsageError, match="options of reset must be a mapping from names to values, not list"):
+        env.reset(options=["mark"])  # type: ignore[arg-type]
+
+
 def test_the_episode_goes_on_after_options_that_were_refused(env: Supervisor) -> None:
     env.reset(options={"side": 1})
     with pytest.raises(UsageError):
