@@ -143,14 +143,15 @@ COSTS = Part(
     name="costs",
     title="What it costs",
     prose="""\
-Steps of the environment are compared with bare physics: the same engine, world, substeps and motion, without resets. "Layered by hand" is
-an ordinary environment with a supervisor, a robot and messages, written directly upon PyBullet and numpy (`tests/benchmarks/layered.py`).
-Its cost depends on its style: values clipped as one array, or joints read in one batch, make it quicker; the file says by how much. "A plain
-environment by hand" is one class around PyBullet's functions with PyBullet's defaults (`tests/benchmarks/plain_cost.py`); docs/engines.md
-says what makes the difference. Each sensor is timed by itself, on a rover that drives in an arena, and has no bar. Answers of the language
-server are timed over its standard streams at random places, a quarter of them right after a change of the text. Linting is timed as
-installed, with modules compiled before. Times depend on the machine: a busy neighbour adds a tenth to a quarter. Beside such, the
-quadruped has come out at 1.12 to 1.23 and FindBallRandom at 1.28 to 1.36; FindBallRandom works out what it remembers of the way in every step.""",
+Steps of the environment are compared with bare physics: the same engine, world, substeps and motion, without resets. "Layered by hand"
+is an ordinary environment with a supervisor, a robot and messages, written directly upon PyBullet and numpy
+(`tests/benchmarks/layered.py`). Its cost depends on its style: values clipped as one array, or joints read in one batch, make it
+quicker; the file says by how much. "A plain environment by hand" is one class around PyBullet's functions with PyBullet's defaults
+(`tests/benchmarks/plain_cost.py`); docs/engines.md says what makes the difference. Each sensor is timed by itself, on a rover that
+drives in an arena, and has no bar. Answers of the language server are timed over its standard streams at random places, a quarter of
+them right after a change of the text. Linting is timed as installed, with modules compiled before. Times depend on the machine: a busy
+neighbour adds a tenth to a quarter. Beside such, the quadruped has come out at 1.12 to 1.23 and FindBallRandom at 1.28 to 1.36;
+FindBallRandom works out what it remembers of the way in every step.""",
     tables=tuple(map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
 )
 PHYSICS = Part(
