@@ -94,7 +94,7 @@ def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_a
 def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     places = Places(*(tmp_path / name for name in ("records", "page.md", "pictures", "runs")))
     assert main(["--list", "cartpole", "costs"], places) == 0
-    assert capsys.readouterr().out.split() == ["cartpole", "11", "missing", "costs", "5", "missing"]
+    assert capsys.readouterr().out.split() == ["cartpole", "11", "missing", "costs", "6", "missing"]
     assert list(tmp_path.iterdir()) == []
 
 
