@@ -27,7 +27,8 @@ EXPERIMENTS = (
     Experiment(
         scenario="cartpole_continuous",
         title="CartPole with a range of speeds",
-        prose="The same cart and pole; the wheels turn at any speed up to the limit. PPO with the same networks.",
+        prose="The same cart and pole; the wheels turn at any speed up to the limit. PPO with the same networks. "
+        "Trained before the engine ignored contacts that carry nothing.",
         trainings=(Training(seeds(5)),),
         baselines=(RANDOM,),
         bars=BARS,
