@@ -20,7 +20,7 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
 _MISSING = object()
 _AXES = {"rpy": "roll pitch yaw"} | dict.fromkeys(("", "xyz", "size", "axis", "spacing", "scale"), "x y z")
-"""What the three figures of a member are called; those of a whole value, such as gravity, too."""
+"""Names of the three components of a member, and of a whole value such as gravity."""
 
 Kind = Literal["changed", "added", "removed"]
 

@@ -23,7 +23,7 @@ def place_lines(places: Sequence[Place], space: Workspace, printer: Printer) -> 
 
 
 def _ordered(places: Sequence[Place]) -> list[Place]:
-    """By how they are placed, then in their own order, but what stands on another body after that body."""
+    """Places by how they are found, then in file order; a body that stands on another comes after it."""
     ranks = {Region: 2, Top: 2, Cells: 1}
     waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
     found: list[Place] = []

@@ -33,8 +33,8 @@ CONTACT_DISTANCE = 1e-4
 PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a wheel that rolls takes along
 points that carry nothing, and the solver iterates over all of them. With this limit a step of CartPole costs 0.68 of what it
 did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the ground between two steps and sink by 0.3 mm. On
-terrain there is no such limit: a ball that rolls over an edge of a triangle is further away for a step, and without contact
-its accelerometer is noisier; two trainings of PitEscape took 1.25 and 1.65 times as many steps.
+terrain there is no such limit: with it, two trainings of PitEscape took 1.25 and 1.65 times as many steps. The cause was not
+measured; a ball that rolls over an edge of a triangle may be further away than this for a step.
 """
 
 
