@@ -29,6 +29,7 @@ from deepbots_cli.urdf.xml import Element
 
 Colour = tuple[float, float, float, float]
 
+BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
 JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
@@ -230,15 +231,40 @@ def joint(element: Element, name: str, report: Report) -> Joint | None:
     )
 
 
+def hinges(ball: Joint) -> tuple[list[Link], list[Joint]]:
+    """A ball joint as three hinges at one place, about x, then y, then z, with two links between them that have neither mass nor shape.
+
+    Each hinge has the effort, velocity, damping and friction of the ball joint. The angles are
+    those of intrinsic rotations about x, y, z: near -90 or 90 deg about y, the axes of x and z coincide.
+    """
+    between = [Link(f"{ball.name}_{axis}") for axis in "xy"]
+    names = [ball.parent, *(link.name for link in between), ball.child]
+    axes: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    joints = [
+        Joint(
+            f"{ball.name}_{letter}",
+            "continuous",
+            above,
+            below,
+            origin=ball.origin if letter == "x" else Pose(),
+            axis=axis,
+            limit=ball.limit,
+            damping=ball.damping,
+            friction=ball.friction,
+        )
+        for letter, axis, above, below in zip("xyz", axes, names, names[1:], strict=False)
+    ]
+    return between, joints
+
+
 def _joint_type(element: Element, report: Report) -> JointType | None:
     word = report.text(element, "type")
     if word is None:
         return None
+    if word == BALL:
+        return "continuous"
     kind = next((known for known in JOINT_TYPES if known == word), None)
-    if word == "spherical":
-        help = "replace it by three revolute joints at one place, about x, y and z"
-        report.error(element, "ball joints are not supported", attribute="type", help=help)
-    elif kind is None:
+    if kind is None:
         help = known_names(word, JOINT_TYPES, "joint types")
         report.error(element, f"unknown joint type {quoted(word)}", attribute="type", help=help)
     return kind

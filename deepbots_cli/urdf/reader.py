@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from deepbots_cli.diagnostics import Finding, Findings, Label, Source, Span
 from deepbots_cli.reading import read_at_most
 from deepbots_cli.urdf import checks, parts, vocabulary, xml
 from deepbots_cli.urdf.mesh import Meshes, Refusal, ResolveMesh, beside
-from deepbots_cli.urdf.model import Joint, Mesh, RobotModel
+from deepbots_cli.urdf.model import Joint, Link, Mesh, RobotModel
 from deepbots_cli.urdf.report import Report, quoted
 from deepbots_cli.urdf.xml import Element
 
@@ -112,6 +112,9 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if model is None:
         return None
     checks.inertia(model, links, report)
+    model = _without_balls(model, joints, report)
+    if report.errors:
+        return None
     return RobotFile(model, source, hashlib.sha256(data).hexdigest(), _spans(links), _spans(joints))
 
 
@@ -179,6 +182,35 @@ def _model(root: Element, links: dict[str, Element], joints: dict[str, Element],
         return None
     name = root.attributes.get("name", "").strip() or "robot"
     return RobotModel(name[:MAX_NAME], tuple(read_links), tuple(read_joints.values()), base)
+
+
+def _without_balls(model: RobotModel, elements: dict[str, Element], report: Report) -> RobotModel:
+    """The model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them."""
+    balls = {joint.name: joint for joint in model.joints if elements[joint.name].attributes["type"] == parts.BALL}
+    links: list[Link] = list(model.links)
+    joints: list[Joint] = []
+    taken = {link.name for link in model.links} | elements.keys()
+    for joint in model.joints:
+        element = elements[joint.name]
+        if joint.mimic and (joint.name in balls or joint.mimic.joint in balls):
+            report.error(element.all("mimic")[0], "a ball joint has three angles: it cannot follow a joint or be followed")
+        if joint.name not in balls:
+            joints.append(joint)
+            continue
+        between, hinges = parts.hinges(joint)
+        names = [hinge.name for hinge in hinges]
+        clash = next((name for name in names if name in taken), None)
+        if clash:
+            headline = f"{quoted(joint.name)} is a ball joint, and {quoted(clash)}, the name of one of its hinges, is taken"
+            report.error(element, headline, attribute="name", help="rename one of the two")
+            continue
+        limited = " Its lower and upper limits are not read." if element.all("limit") else ""
+        headline = f"ball joint {quoted(joint.name)} is read as three hinges at one place: {', '.join(names)}"
+        help = f"near -90 and 90 deg about y, its axes x and z coincide.{limited}"
+        report.warn("DB311", element, headline, attribute="type", help=help)
+        links += between
+        joints += hinges
+    return replace(model, links=tuple(links), joints=tuple(joints))
 
 
 def _read_joints(joints: dict[str, Element], report: Report) -> dict[str, Joint]:

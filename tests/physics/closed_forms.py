@@ -12,6 +12,7 @@ EXPERIMENTS: dict[str, Callable[[], Iterable[Row]]] = {
     for experiment in (
         motion.free_fall,
         motion.pendulum,
+        motion.conical_pendulum,
         motion.circular_motion,
         motion.torque_limit,
         motion.lag,

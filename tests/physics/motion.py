@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import cos, hypot, pi, radians, sqrt
+from math import cos, hypot, pi, radians, sin, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,27 @@ def pendulum() -> Iterator[Row]:
         while abs(a - b) > 1e-15:
             a, b = (a + b) / 2, sqrt(a * b)
         yield Row(f"period of a rod that swings by {amplitude:g} deg", off(period(amplitude, 5), 2 * pi * sqrt(2 / (3 * G)) / a), "%", 0.5)
+
+
+def conical_pendulum() -> Iterator[Row]:
+    """A rod of length L on a ball joint goes round at an angle a to the vertical, at w = sqrt(3 g / (2 L cos a)), in 2 pi / w."""
+    angle, tick = radians(30.0), 0.01
+    rate = sqrt(1.5 * G / cos(angle))
+    subject = "urdf: pendulum.urdf, base: fixed, pose: {z: 3 m}, sensors: {end: {type: position, link: rod, pose: {z: -1 m}}}, emit: [end]"
+    start = f"subject.ball_x: {angle} rad, subject.ball_y: {{position: 0 deg, velocity: {rate * sin(angle)} rad/s}}"
+    with trial(
+        {"subject.end": ("", "m")},
+        timestep=tick,
+        substeps=10,
+        robot=subject,
+        reset=f"set: {{{start}}}",
+        files={"pendulum.urdf": robots.BALL_PENDULUM},
+    ) as world:
+        ticks = 400
+        x, y, z = world.run(ticks)[:, :3].T
+    turned = np.unwrap(np.arctan2(y, x))[-1] - np.arctan2(y[0], x[0])
+    yield Row("conical pendulum on a ball joint: rate", off(abs(turned) / (ticks * tick), rate), "%", 0.5)
+    yield Row("conical pendulum on a ball joint: height of its end, of 13 cm", 100 * float(np.ptp(z)) / (1 - cos(angle)), "%", 2.0)
 
 
 def circular_motion() -> Iterator[Row]:

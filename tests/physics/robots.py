@@ -25,6 +25,9 @@ PENDULUM = """<robot name="pendulum">
 """
 """A thin rod of 1 m and 0.3 kg, which hangs from its end."""
 
+BALL_PENDULUM = PENDULUM.replace('type="continuous"', 'type="spherical"').replace("hinge", "ball")
+"""The same rod on a ball joint."""
+
 ARM = """<robot name="arm">
   <link name="stand"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <link name="arm">

@@ -109,7 +109,10 @@ ERRORS = {
     "short vector": (broken('xyz="1 0 0"', 'xyz="1 0"'), "'xyz' needs 3 numbers, not 2", "1 0"),
     "long vector": (broken('xyz="1 0 0"', 'xyz="1 0 0 0 0"'), "'xyz' needs 3 numbers, not 5", "1 0 0 0 0"),
     "commas without blanks": (broken('size="1 2 3"', 'size="1,2,3"'), "'1,2,3' is not a finite number", "1,2,3"),
-    "ball joint": (broken('"revolute"', '"spherical"'), "ball joints are not supported", "spherical"),
+    "name of a hinge": (
+        broken('"revolute"', '"spherical"').replace('"hand"', '"elbow_y"'),
+        "'elbow' is a ball joint, and 'elbow_y', the name of one of its hinges, is taken", "elbow",
+    ),
     "flat box": (broken('size="1 2 3"', 'size="1 -2 3"'), "'size' must be above 0", "1 -2 3"),
     "thin cylinder": (broken('radius="0.1"', 'radius="0"'), "'radius' must be above 0", "0"),
     "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> without a shape that is known", "<geometry>"),
@@ -176,6 +179,18 @@ def test_what_pybullet_reads_with_certainty_is_read_with_a_warning_at_its_place(
     assert (finding.code, finding.headline) == ("DB311", headline)
     assert (finding.span.text, finding.span.begin) == (place, position)
     assert robot.model == read_text(ARM)[0].model
+
+
+def test_a_ball_joint_is_read_as_three_hinges_with_a_warning_at_its_type(read_text):
+    robot, findings = read_text(broken('"revolute"', '"spherical"'))
+    finding = single(findings)
+    assert finding.code == "DB311"
+    assert finding.headline == "ball joint 'elbow' is read as three hinges at one place: elbow_x, elbow_y, elbow_z"
+    assert finding.span.where == "robot.urdf:13:29"
+    hinges = [robot.model.joint(f"elbow_{axis}") for axis in "xyz"]
+    assert [hinge.axis for hinge in hinges] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    assert [(hinge.parent, hinge.child) for hinge in hinges] == [("base", "elbow_x"), ("elbow_x", "elbow_y"), ("elbow_y", "hand")]
+    assert [hinge.origin for hinge in hinges] == [read_text(ARM)[0].model.joint("elbow").origin, Pose(), Pose()]
 
 
 def test_blank_lines_before_the_declaration_shift_no_place(read_text):

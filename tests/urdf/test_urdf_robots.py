@@ -30,6 +30,8 @@ PUBLISHED = {
     "differential/diff_ring.urdf": {"DB311"},
     "quadruped/microtaur/microtaur.urdf": {"DB311"},
     "racecar/racecar_differential.urdf": {"DB311"},
+    "humanoid/humanoid.urdf": {"DB311"},
+    "spherical_joint_limit.urdf": {"DB306", "DB311"},
 }
 
 
@@ -102,11 +104,9 @@ def test_the_cart_on_a_rail_is_that_of_the_textbooks():
 
 
 REFUSED = {
-    "humanoid/humanoid.urdf": "ball joints are not supported",
     "kuka_iiwa/model_for_sdf.urdf": "the mesh does not exist",  # nor does PyBullet load it
     "plane_implicit.urdf": "<geometry> without a shape that is known",  # an endless plane
     "random_urdfs/168/168.urdf": "the OBJ file holds a vertex that is not finite",
-    "spherical_joint_limit.urdf": "ball joints are not supported",
     "torus_deform.urdf": "the robot has no links",  # a soft body; nor does PyBullet load it
     "toys/concave_box.urdf": "<geometry> without a shape that is known",  # a file that is not there; nor does PyBullet load it
 }
