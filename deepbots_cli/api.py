@@ -24,10 +24,10 @@ from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import MOST_FINDINGS, Finding
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.document import load as read
+from deepbots_cli.document import shipped
+from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
-from deepbots_cli.source import load as read
-from deepbots_cli.source import shipped
-from deepbots_cli.source.load import NO_DRAFTS, Drafts
 
 if TYPE_CHECKING:
     from deepbots_cli.ir import CompiledScenario

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 
 Array = NDArray[Any]
 

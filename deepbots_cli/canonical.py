@@ -19,9 +19,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from deepbots_cli import ir
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.expressions import scalar
 from deepbots_cli.ir.records import is_record_class, members, with_members
-from deepbots_cli.lang import scalar
-from deepbots_cli.urdf import model
+from deepbots_cli.robots import model
 
 _CLASSES: dict[str, type] = {cls.__name__: cls for module in (model, scalar, ir) for cls in vars(module).values() if is_record_class(cls)}
 

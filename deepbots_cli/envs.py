@@ -15,9 +15,9 @@ from typing import Any
 import gymnasium
 
 from deepbots_cli.api import make
+from deepbots_cli.document import Scalar, load, shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.source import Scalar, load, shipped
 
 ANY = "deepbots/Scenario-v1"
 

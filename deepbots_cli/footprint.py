@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.urdf.mesh import extent
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Geometry, Joint, Mesh, RobotModel, Shape, Sphere
-from deepbots_cli.urdf.rotation import quaternion
+from deepbots_cli.robots.mesh import extent
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Mesh, RobotModel, Shape, Sphere
+from deepbots_cli.robots.rotation import quaternion
 
 Spot = tuple[float, float]
 

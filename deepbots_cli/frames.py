@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import asin, atan2, cos, hypot, sin
 
-from deepbots_cli.urdf.model import Pose
-from deepbots_cli.urdf.rotation import quaternion
+from deepbots_cli.robots.model import Pose
+from deepbots_cli.robots.rotation import quaternion
 
 Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from deepbots_cli import ir
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.lang.typed import Redraw, Typed
-from deepbots_cli.lang.types import Components
+from deepbots_cli.expressions.typed import Redraw, Typed
+from deepbots_cli.expressions.types import Components
 
 
 @dataclass(frozen=True, eq=False)

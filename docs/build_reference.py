@@ -13,21 +13,21 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER, TIME
-from deepbots_cli.lang.examples import EXAMPLES
-from deepbots_cli.lang.functions import ALLOWED, Family, Function
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.types import Context, Kind
-from deepbots_cli.lang.units import UNITS
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME
+from deepbots_cli.expressions.examples import EXAMPLES
+from deepbots_cli.expressions.functions import ALLOWED, Family, Function
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.types import Context, Kind
+from deepbots_cli.expressions.units import UNITS
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.rules.pages import Page, every_page
-from deepbots_cli.schema.examples import example_of
-from deepbots_cli.schema.fields import Expression, Leaf, Quantity
-from deepbots_cli.schema.hover import default_of, unit_of
-from deepbots_cli.schema.hyperparameters import ALGORITHMS
-from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import PythonTerm
+from deepbots_cli.scenario.examples import example_of
+from deepbots_cli.scenario.fields import Expression, Leaf, Quantity
+from deepbots_cli.scenario.hover import default_of, unit_of
+from deepbots_cli.scenario.hyperparameters import ALGORITHMS
+from deepbots_cli.scenario.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import PythonTerm
 
 FOLDER = Path(__file__).parent / "reference"
 _NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"

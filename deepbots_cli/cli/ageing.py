@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from deepbots_cli.cli.tables import Row
+from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.ir import Choices, CompiledScenario, Faults, Observed, Robot, Route
-from deepbots_cli.lang.scalar import Const, Name, Scalar, State, children, names_in
 
 Ages = dict[str, float]
 """The age of each named value in ticks; infinite where it varies."""

@@ -13,6 +13,8 @@ from deepbots_cli import canonical
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.compiler.joints import carries
+from deepbots_cli.document import Mapping, Node, descend, one_line
+from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.ir import (
     ActionNoise,
@@ -32,12 +34,10 @@ from deepbots_cli.ir import (
     Variation,
     viewed,
 )
-from deepbots_cli.lang.scalar import names_in
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.record import number, solved
 from deepbots_cli.learning.run import Run
-from deepbots_cli.source import Mapping, Node, descend, one_line
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.robots.model import Joint
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor

@@ -10,10 +10,10 @@ from pathlib import Path, PurePosixPath
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.document import Scalar, roots, shipped, walk
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import Scalar, roots, shipped, walk
-from deepbots_cli.source.parse import parse
-from deepbots_cli.urdf import reader
+from deepbots_cli.robots import reader
 
 Files = dict[PurePosixPath, bytes]
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deepbots_cli.cli.settings import Settings
+from deepbots_cli.document import roots
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import roots
 
 _VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _LOOKED_AT = 65_536

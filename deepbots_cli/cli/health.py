@@ -13,8 +13,8 @@ from typing import Literal
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import DeepbotsError, installing
-from deepbots_cli.source import shipped
 
 State = Literal["ok", "missing", "broken"]
 

@@ -44,7 +44,7 @@ class Look:
         from dataclasses import replace
 
         from deepbots_cli.compiler import check
-        from deepbots_cli.source import files, load
+        from deepbots_cli.document import files, load
 
         path = Path(self.stdin_name or _NAMELESS).resolve()
         data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""

@@ -19,11 +19,11 @@ from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
 from deepbots_cli.cli.rewriting import Rewrite
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
+from deepbots_cli.document import files, roots, shipped
+from deepbots_cli.document.load import NO_DRAFTS, Drafts
+from deepbots_cli.document.nodes import Mapping, around, to_data
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import files, roots, shipped
-from deepbots_cli.source.load import NO_DRAFTS, Drafts
-from deepbots_cli.source.nodes import Mapping, around, to_data
-from deepbots_cli.source.parse import parse
 
 _ROUNDS = 10
 _LOOKS = 150

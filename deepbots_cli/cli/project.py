@@ -10,7 +10,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli.copying import Files
 from deepbots_cli.compiler.emit.names import class_name
 from deepbots_cli.errors import UsageError, cloned
-from deepbots_cli.urdf.writer import write as to_urdf
+from deepbots_cli.robots.writer import write as to_urdf
 
 _README = """\
 # {name}

@@ -10,8 +10,8 @@ from io import StringIO
 from pathlib import Path
 
 from deepbots_cli.cli.terminal import printable
+from deepbots_cli.document.roots import display
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source.roots import display
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from deepbots_cli.cli.tables import Row
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.render import render
+from deepbots_cli.document import roots, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import add
-from deepbots_cli.source import roots, shipped
-from deepbots_cli.urdf import mesh
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, Pose, RobotModel, Sphere
-from deepbots_cli.urdf.reader import RobotFile, read
+from deepbots_cli.robots import mesh
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.robots.reader import RobotFile, read
 
 
 def named(reference: str) -> bool:

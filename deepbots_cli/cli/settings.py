@@ -14,8 +14,8 @@ from typing import Literal, get_args
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.selection import Words
+from deepbots_cli.document import roots
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import roots
 
 Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
 FailOn = Literal["error", "warning", "never"]

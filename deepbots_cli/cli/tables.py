@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from deepbots_cli.cli.terminal import printable
 from deepbots_cli.diagnostics.render import columns
-from deepbots_cli.lang.emit import python
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.emit import python
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]
 

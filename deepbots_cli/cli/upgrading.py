@@ -12,11 +12,11 @@ from pathlib import Path
 
 from deepbots_cli.cli.rewriting import Rewrite
 from deepbots_cli.diagnostics import Findings
+from deepbots_cli.document import Mapping as Tree
+from deepbots_cli.document import Scalar, files, roots
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.schema.scenario import VERSION
-from deepbots_cli.source import Mapping as Tree
-from deepbots_cli.source import Scalar, files, roots
-from deepbots_cli.source.parse import parse
+from deepbots_cli.scenario.scenario import VERSION
 
 Step = Callable[[str, Tree], str]
 """From a text and its tree to the text in the next version of the language."""

@@ -10,16 +10,16 @@ from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.lang.examples import EXAMPLES
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.units import UNITS
-from deepbots_cli.schema.examples import example_of
-from deepbots_cli.schema.fields import article
-from deepbots_cli.schema.hover import default_of, unit_of
-from deepbots_cli.schema.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields, noun_of
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import to_data
-from deepbots_cli.source.parse import parse
+from deepbots_cli.document.nodes import to_data
+from deepbots_cli.document.parse import parse
+from deepbots_cli.expressions.examples import EXAMPLES
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.scenario.examples import example_of
+from deepbots_cli.scenario.fields import article
+from deepbots_cli.scenario.hover import default_of, unit_of
+from deepbots_cli.scenario.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields, noun_of
+from deepbots_cli.scenario.scenario import Scenario
 
 TOPICS = Path(__file__).with_name("topics.yaml")
 # A name such as `range` is a key of many parts.

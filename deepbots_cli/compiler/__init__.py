@@ -57,17 +57,17 @@ from deepbots_cli.compiler.training import training
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
 from deepbots_cli.diagnostics import Finding, Findings, Fix, TooManyFindings
+from deepbots_cli.document import Document
+from deepbots_cli.document.nodes import Mapping as Tree
+from deepbots_cli.document.nodes import descend
+from deepbots_cli.document.scalars import as_a_number
+from deepbots_cli.expressions import agree
+from deepbots_cli.expressions.dimensions import TIME
+from deepbots_cli.expressions.types import Context, Stage, Symbol
 from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
-from deepbots_cli.lang import agree
-from deepbots_cli.lang.dimensions import TIME
-from deepbots_cli.lang.types import Context, Stage, Symbol
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.validate import validate
-from deepbots_cli.schema.walk import visit
-from deepbots_cli.source import Document
-from deepbots_cli.source.nodes import Mapping as Tree
-from deepbots_cli.source.nodes import descend
-from deepbots_cli.source.scalars import as_a_number
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.validate import validate
+from deepbots_cli.scenario.walk import visit
 from deepbots_cli.task import Task, Valued
 
 __all__ = ["Checked", "check"]

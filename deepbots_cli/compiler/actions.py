@@ -8,14 +8,14 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.actuators import driven_parts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.lang.dimensions import NUMBER
-from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.types import Components, Context, Stage, Symbol, Type
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import ContinuousAction, DiscreteAction
-from deepbots_cli.source.nodes import Mapping, Path
+from deepbots_cli.document.nodes import Mapping, Path
+from deepbots_cli.expressions.dimensions import NUMBER
+from deepbots_cli.expressions.expect import expect
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.types import Components, Context, Stage, Symbol, Type
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction
 from deepbots_cli.task import Forbidden, Valued
 
 

@@ -10,12 +10,12 @@ from deepbots_cli.compiler.joints import carries, effort_of, joint_dimension, jo
 from deepbots_cli.compiler.matching import expand, joints_of, links_of, unmatched
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, Dimension
-from deepbots_cli.lang.intervals import exact
-from deepbots_cli.lang.types import SPACE, Components
-from deepbots_cli.schema.actuators import Actuator, Cartesian, Gripper, Motor, PositionMotor, Thrust, VelocityMotor
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.intervals import exact
+from deepbots_cli.expressions.types import SPACE, Components
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.actuators import Actuator, Cartesian, Gripper, Motor, PositionMotor, Thrust, VelocityMotor
 
 _KINDS: dict[str, ir.MotorKind] = {
     "velocity_motor": "velocity_motor",

@@ -9,13 +9,13 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.mounts import mount
 from deepbots_cli.compiler.sensors import SensorKind
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER, Dimension
-from deepbots_cli.lang.expect import ANY_SHAPE
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.types import Components, NoNames
-from deepbots_cli.schema.sensors import Fan, RaySensor, Reflectance
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Pose
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
+from deepbots_cli.expressions.expect import ANY_SHAPE
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.types import Components, NoNames
+from deepbots_cli.robots.model import Pose
+from deepbots_cli.scenario.sensors import Fan, RaySensor, Reflectance
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from deepbots_cli.compiler.files import mesh
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.variations import figure
-from deepbots_cli.lang.dimensions import LENGTH, MASS, NUMBER
-from deepbots_cli.lang.types import SPACE, Context
-from deepbots_cli.schema import objects as spec
-from deepbots_cli.schema.plain import COLOURS
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.inertia import volume
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, MASS, NUMBER
+from deepbots_cli.expressions.types import SPACE, Context
+from deepbots_cli.robots.inertia import volume
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from deepbots_cli.scenario import objects as spec
+from deepbots_cli.scenario.plain import COLOURS
 
 _WATER = 1000.0  # kg/m^3, the default density of objects
 _GREY: ir.Colour = (*COLOURS["grey"], 1.0)

@@ -14,11 +14,11 @@ from deepbots_cli import interface, ir
 from deepbots_cli.compiler.lower import lower
 from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
-from deepbots_cli.schema.plain import read_until
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source import Document, Entry, Mapping, Path, descend
-from deepbots_cli.source.merge import follow, measure, without
-from deepbots_cli.source.overrides import place
+from deepbots_cli.document import Document, Entry, Mapping, Path, descend
+from deepbots_cli.document.merge import follow, measure, without
+from deepbots_cli.document.overrides import place
+from deepbots_cli.scenario.plain import read_until
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Task, TaskCase, TaskStage
 
 if TYPE_CHECKING:

@@ -6,15 +6,15 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.values import Text, Values
-from deepbots_cli.lang.dimensions import LENGTH, NUMBER, TIME, Dimension
-from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.functions import Family
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.typed import Invocation, Redraw, Typed, children
-from deepbots_cli.lang.types import Context, Stage
-from deepbots_cli.schema.robot import Route
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.expect import expect
+from deepbots_cli.expressions.functions import Family
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.typed import Invocation, Redraw, Typed, children
+from deepbots_cli.expressions.types import Context, Stage
+from deepbots_cli.scenario.robot import Route
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import TaskRoute, Valued
 
 _FIGURES: tuple[tuple[str, Dimension, Stage], ...] = (

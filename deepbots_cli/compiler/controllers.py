@@ -13,8 +13,8 @@ from deepbots_cli.compiler.scopes import RobotScope, SupervisorScope
 from deepbots_cli.compiler.sensing import Sensing
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.lang.types import Context, Stage, Symbol
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.types import Context, Stage, Symbol
 from deepbots_cli.task import Command, TaskRobot, Valued
 
 

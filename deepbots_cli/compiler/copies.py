@@ -5,10 +5,10 @@ from __future__ import annotations
 from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.dimensions import LENGTH, NUMBER
-from deepbots_cli.lang.types import SPACE, Context
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
+from deepbots_cli.expressions.types import SPACE, Context
+from deepbots_cli.scenario.scenario import Scenario
 
 _NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
 _TOGETHER: tuple[tuple[Path, str], ...] = (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.dimensions import FORCE, TIME, TORQUE, Dimension
-from deepbots_cli.lang.types import SPACE, Components, Context, Kind, Stage
-from deepbots_cli.schema.reset import Disturbance
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import FORCE, TIME, TORQUE, Dimension
+from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Stage
+from deepbots_cli.scenario.reset import Disturbance
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Push, Valued
 
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})

@@ -10,12 +10,12 @@ from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.variations import figure, figures
-from deepbots_cli.lang.dimensions import NUMBER, TIME, Dimension
-from deepbots_cli.lang.intervals import Interval, exact
-from deepbots_cli.lang.types import Context
-from deepbots_cli.schema.actuators import Actuator
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
+from deepbots_cli.expressions.intervals import Interval, exact
+from deepbots_cli.expressions.types import Context
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.actuators import Actuator
 
 Limits = tuple[float | None, ...]
 

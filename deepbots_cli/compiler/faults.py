@@ -10,11 +10,11 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.variations import figure, figures
-from deepbots_cli.lang.dimensions import NUMBER, TIME, Dimension
-from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.lang.types import Context, Type
-from deepbots_cli.schema.sensors import Sensor
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.types import Context, Type
+from deepbots_cli.scenario.sensors import Sensor
 
 MOST_TICKS = 100_000
 """The longest period and latency; a reading that old tells nothing, and each is kept."""

@@ -8,15 +8,15 @@ from pathlib import Path as FilePath
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.diagnostics import Fix
-from deepbots_cli.lang.dimensions import NUMBER
-from deepbots_cli.lang.types import SPACE, Context
+from deepbots_cli.document import roots
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import NUMBER
+from deepbots_cli.expressions.types import SPACE, Context
 from deepbots_cli.reading import read_at_most
-from deepbots_cli.source import roots
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.robots import mesh as meshes
+from deepbots_cli.robots.mesh_format import measure
+from deepbots_cli.robots.model import Mesh
 from deepbots_cli.terrain import png
-from deepbots_cli.urdf import mesh as meshes
-from deepbots_cli.urdf.mesh_format import measure
-from deepbots_cli.urdf.model import Mesh
 
 MOST_TRIANGLES = 200_000
 _SMALLEST, _SMALL, _LARGE, _LARGEST = 1e-5, 1e-4, 1e3, 1e6  # m; beyond the inner two a mesh is probably in another unit

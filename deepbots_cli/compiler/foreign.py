@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.lang.intervals import TRUTH, Interval
-from deepbots_cli.lang.typed import Constant
-from deepbots_cli.lang.types import Stage, Type
-from deepbots_cli.schema.task import PythonTerm
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.intervals import TRUTH, Interval
+from deepbots_cli.expressions.typed import Constant
+from deepbots_cli.expressions.types import Stage, Type
+from deepbots_cli.scenario.task import PythonTerm
 from deepbots_cli.task import Valued
 
 

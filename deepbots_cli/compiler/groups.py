@@ -7,10 +7,10 @@ import math
 from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.dimensions import NUMBER
-from deepbots_cli.lang.types import Context, Stage
-from deepbots_cli.schema.objects import Placed
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import NUMBER
+from deepbots_cli.expressions.types import Context, Stage
+from deepbots_cli.scenario.objects import Placed
 from deepbots_cli.task import TaskGroup, Valued
 
 

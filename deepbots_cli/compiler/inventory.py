@@ -10,11 +10,11 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import SupervisorScope
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.lang.types import Context, Kind
-from deepbots_cli.schema.fields import article
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import DiscreteAction
-from deepbots_cli.source.nodes import Mapping, Path, descend
+from deepbots_cli.document.nodes import Mapping, Path, descend
+from deepbots_cli.expressions.types import Context, Kind
+from deepbots_cli.scenario.fields import article
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import DiscreteAction
 
 _OF_ROBOTS = {
     "joint": ("joints",),

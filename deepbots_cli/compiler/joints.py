@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from deepbots_cli.expressions import intervals
+from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, TIME, TORQUE, Dimension
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.frames import HERE, Frame, inside
 from deepbots_cli.frames import frame as pose_frame
-from deepbots_cli.lang import intervals
-from deepbots_cli.lang.dimensions import ANGLE, FORCE, LENGTH, TIME, TORQUE, Dimension
-from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.urdf.model import Joint, RobotModel
+from deepbots_cli.robots.model import Joint, RobotModel
 
 
 def joint_dimension(joint: Joint) -> Dimension:

@@ -9,12 +9,12 @@ from deepbots_cli.compiler.inventory import names
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import SupervisorScope
-from deepbots_cli.lang.types import Context, Stage
-from deepbots_cli.schema.known import Known, Names, Offer, figure_topic
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import DiscreteAction
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.types import Context, Stage
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.known import Known, Names, Offer, figure_topic
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import DiscreteAction
 
 # What is listed stands in the schema once for each key that takes it, and for each robot.
 _MOST_NAMES = 500

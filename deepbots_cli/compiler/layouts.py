@@ -12,15 +12,15 @@ from deepbots_cli.compiler.places import Places, owner_of
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.lang.dimensions import LENGTH, NUMBER
-from deepbots_cli.lang.intervals import exact
-from deepbots_cli.lang.typed import Constant
-from deepbots_cli.lang.types import Context, Type
-from deepbots_cli.schema.reset import MapLayout
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
+from deepbots_cli.expressions.intervals import exact
+from deepbots_cli.expressions.typed import Constant
+from deepbots_cli.expressions.types import Context, Type
+from deepbots_cli.robots.model import Box
+from deepbots_cli.scenario.reset import MapLayout
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Placement, TaskGroup, TaskLayout, Valued
-from deepbots_cli.urdf.model import Box
 
 _NOTHING = "."
 _WALL = "wall"

@@ -8,10 +8,10 @@ from fnmatch import fnmatchcase
 from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.lang.types import Kind
-from deepbots_cli.schema.plain import choose_from
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Joint, RobotModel
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.types import Kind
+from deepbots_cli.robots.model import Joint, RobotModel
+from deepbots_cli.scenario.plain import choose_from
 
 Group = tuple[Kind, tuple[str, ...]]
 """Joints or links, and the short names of its members."""

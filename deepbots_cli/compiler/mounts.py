@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH
-from deepbots_cli.lang.types import SPACE, Components
-from deepbots_cli.schema.pose import Mount
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Pose, Vector
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
+from deepbots_cli.expressions.types import SPACE, Components
+from deepbots_cli.robots.model import Pose, Vector
+from deepbots_cli.scenario.pose import Mount
 
 _TURNS: Components = ("roll", "pitch", "yaw")
 

@@ -15,11 +15,11 @@ from pathlib import Path as FilePath
 from deepbots_cli.compiler.lost import ANY
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import Values
+from deepbots_cli.document import Document
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.intervals import EVERYTHING, exact
+from deepbots_cli.expressions.types import Context, Kind, Subject, Symbol
 from deepbots_cli.ir import Variation
-from deepbots_cli.lang.intervals import EVERYTHING, exact
-from deepbots_cli.lang.types import Context, Kind, Subject, Symbol
-from deepbots_cli.source import Document
-from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import TaskGroup, Varied
 
 _SHOWN = 12

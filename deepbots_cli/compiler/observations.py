@@ -9,12 +9,12 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.compiler.variations import noise
-from deepbots_cli.lang import syntax
-from deepbots_cli.lang.typed import Typed
-from deepbots_cli.lang.types import Context
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.task import Observed
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import syntax
+from deepbots_cli.expressions.typed import Typed
+from deepbots_cli.expressions.types import Context
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import Observed
 from deepbots_cli.task import ObservedValue, Valued
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]

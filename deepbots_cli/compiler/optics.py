@@ -6,10 +6,10 @@ import math
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, NUMBER
-from deepbots_cli.lang.types import PLANE, NoNames
-from deepbots_cli.schema.sensors import Camera
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
+from deepbots_cli.expressions.types import PLANE, NoNames
+from deepbots_cli.scenario.sensors import Camera
 
 
 def optics(values: Values, path: Path, spec: Camera) -> ir.Optics | None:

@@ -14,14 +14,14 @@ from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.matching import Group, expand, motionless, unmatched
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.lang.dimensions import MASS, NUMBER, TIME, Dimension
-from deepbots_cli.lang.intervals import exact
-from deepbots_cli.lang.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type
-from deepbots_cli.schema.robot import JointOverride, LinkOverride
-from deepbots_cli.schema.robot import Robot as RobotSpec
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf import override
-from deepbots_cli.urdf.model import Joint, Limit, Link, RobotModel
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import MASS, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.intervals import exact
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type
+from deepbots_cli.robots import override
+from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
+from deepbots_cli.scenario.robot import JointOverride, LinkOverride
+from deepbots_cli.scenario.robot import Robot as RobotSpec
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace

@@ -10,16 +10,16 @@ from deepbots_cli import footprint, ir
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.room import check_room, has_top
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH, TIME, Dimension
-from deepbots_cli.lang.intervals import exact
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Constant
-from deepbots_cli.lang.types import PLANE, SPACE, Context, Stage, Type
-from deepbots_cli.schema.pose import Pose
-from deepbots_cli.schema.reset import Placement as PlacementSpec
-from deepbots_cli.schema.reset import Region
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, TIME, Dimension
+from deepbots_cli.expressions.intervals import exact
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.typed import Constant
+from deepbots_cli.expressions.types import PLANE, SPACE, Context, Stage, Type
+from deepbots_cli.scenario.pose import Pose
+from deepbots_cli.scenario.reset import Placement as PlacementSpec
+from deepbots_cli.scenario.reset import Region
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Coordinate, Placement, Valued
 
 _TURNS = ("roll", "pitch", "yaw")

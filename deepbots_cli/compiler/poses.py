@@ -7,9 +7,9 @@ from deepbots_cli.compiler.matching import expand, joint_missing
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.types import Context, Symbol, Type
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.types import Context, Symbol, Type
 
 
 def poses(scene: RobotScene, namespace: Namespace) -> dict[str, Symbol]:

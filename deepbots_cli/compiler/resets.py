@@ -10,10 +10,10 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.places import Places
 from deepbots_cli.compiler.room import check_surroundings
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Invocation, Typed, children
-from deepbots_cli.lang.types import Context
-from deepbots_cli.schema.scenario import Scenario
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.typed import Invocation, Typed, children
+from deepbots_cli.expressions.types import Context
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Beginnings, Placement, TaskLayout, Valued
 
 # Before the first step nothing has touched or acted, and no picture was taken.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.ir.records import members, with_members
-from deepbots_cli.lang.scalar import Scalar
 
 
 def rewritten(part: Any, change: Callable[[Scalar], Scalar | None]) -> Any:

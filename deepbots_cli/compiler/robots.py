@@ -11,13 +11,13 @@ from deepbots_cli.compiler.matching import Group, expand, unmatched
 from deepbots_cli.compiler.overrides import Overrides
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Fix
-from deepbots_cli.lang.types import Kind, Scope, Subject, shown
-from deepbots_cli.schema.robot import Robot as RobotSpec
-from deepbots_cli.source import Document, roots, shipped
-from deepbots_cli.source.nodes import Path as NodePath
-from deepbots_cli.urdf import mesh
-from deepbots_cli.urdf.model import RobotModel
-from deepbots_cli.urdf.reader import RobotFile, read
+from deepbots_cli.document import Document, roots, shipped
+from deepbots_cli.document.nodes import Path as NodePath
+from deepbots_cli.expressions.types import Kind, Scope, Subject, shown
+from deepbots_cli.robots import mesh
+from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.robots.reader import RobotFile, read
+from deepbots_cli.scenario.robot import Robot as RobotSpec
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace

@@ -7,11 +7,11 @@ from math import hypot
 
 from deepbots_cli import footprint, ir
 from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.lower import constant
 from deepbots_cli.footprint import Footprint, Patch
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.robots.model import Box, Cylinder, Mesh
 from deepbots_cli.task import Placement, TaskLayout
-from deepbots_cli.urdf.model import Box, Cylinder, Mesh
 
 _DWARFS = 16.0
 """Times the area of a top that a body covers whose unit has slipped."""

@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.lang.dimensions import NUMBER, TIME
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol, Type
+from deepbots_cli.expressions.dimensions import NUMBER, TIME
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.types import Context, Kind, Stage, Subject, Symbol, Type
 
 _ENDLESS = Interval(0.0, float("inf"))
 _NO_POSES: Mapping[str, Symbol] = MappingProxyType({})

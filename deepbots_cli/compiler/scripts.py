@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import SupervisorScope
-from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.types import Components, Context
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.expect import expect
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.types import Components, Context
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Pick, TaskScript, Valued
 
 _WORD = re.compile(r"\w+", re.ASCII)

@@ -15,11 +15,11 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.optics import optics
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.sensors import SENSOR_KINDS, SensorKind
-from deepbots_cli.lang.dimensions import Dimension
-from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.lang.types import Components, Kind, Stage, Symbol, Type
-from deepbots_cli.schema.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
+from deepbots_cli.scenario.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
 
 _LINKS = frozenset({Kind.LINK})
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, Dimension
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import Scalar, World
+from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
 from deepbots_cli.ir import Sensor
-from deepbots_cli.lang import intervals as iv
-from deepbots_cli.lang.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, Dimension
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Scalar, World
-from deepbots_cli.lang.types import QUATERNION, SPACE, Components
-from deepbots_cli.urdf.model import Pose
+from deepbots_cli.robots.model import Pose
 
 Mounting = Literal["joints", "link", "links", "rays", "camera"]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from deepbots_cli import ir
 from deepbots_cli.compiler.rewriting import rewritten
 from deepbots_cli.compiler.sensors import is_fact
-from deepbots_cli.lang.scalar import Name, Op, Scalar, World
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
 
 Layout = Callable[[str, ir.Direction, tuple[ir.Field, ...]], ir.MessageLayout]
 

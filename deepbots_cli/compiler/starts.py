@@ -8,12 +8,12 @@ from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.compiler.matching import joint_missing
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.lang.dimensions import TIME, Dimension
-from deepbots_cli.lang.types import Context, Kind, Stage, Subject, Symbol
-from deepbots_cli.schema.plain import choose_from
-from deepbots_cli.schema.reset import JointState
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import TIME, Dimension
+from deepbots_cli.expressions.types import Context, Kind, Stage, Subject, Symbol
+from deepbots_cli.scenario.plain import choose_from
+from deepbots_cli.scenario.reset import JointState
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import JointStart, Valued
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})

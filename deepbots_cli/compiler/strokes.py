@@ -10,14 +10,14 @@ from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.variations import figure
-from deepbots_cli.lang.dimensions import LENGTH, NUMBER
-from deepbots_cli.lang.types import PLANE, Context
-from deepbots_cli.schema.plain import COLOURS
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.schema.world import Line as LineSpec
-from deepbots_cli.schema.world import Wall as WallSpec
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.model import Box, Pose
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
+from deepbots_cli.expressions.types import PLANE, Context
+from deepbots_cli.robots.model import Box, Pose
+from deepbots_cli.scenario.plain import COLOURS
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.world import Line as LineSpec
+from deepbots_cli.scenario.world import Wall as WallSpec
 
 
 def lines(spec: Scenario, namespace: Namespace) -> tuple[ir.Line, ...]:

@@ -10,14 +10,14 @@ from deepbots_cli.compiler.files import mesh, picture
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.variations import figure
-from deepbots_cli.lang.dimensions import LENGTH, NUMBER
-from deepbots_cli.lang.fold import op
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.lower import lower
-from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
-from deepbots_cli.lang.types import PLANE, Context, Stage, Symbol, Type
-from deepbots_cli.schema import world as spec
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
+from deepbots_cli.expressions.fold import op
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
+from deepbots_cli.scenario import world as spec
 
 _PATH: Path = ("world", "terrain")
 _RIM = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is

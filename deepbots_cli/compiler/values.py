@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
-from deepbots_cli.lang import agree, check, parser, syntax
-from deepbots_cli.lang.dimensions import Dimension
-from deepbots_cli.lang.expect import expect, expect_range
-from deepbots_cli.lang.lower import constant
-from deepbots_cli.lang.typed import Redraw, Typed, TypedRange, zero
-from deepbots_cli.lang.types import Components, NoNames, Report, Rewriting, Scope, Stage
-from deepbots_cli.schema.fields import Leaf, Quantity
-from deepbots_cli.schema.habits import other_name
-from deepbots_cli.schema.plain import choose_from
-from deepbots_cli.source.nodes import Mapping, Path, Scalar, descend
+from deepbots_cli.document.nodes import Mapping, Path, Scalar, descend
+from deepbots_cli.expressions import agree, check, parser, syntax
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.expect import expect, expect_range
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.typed import Redraw, Typed, TypedRange, zero
+from deepbots_cli.expressions.types import Components, NoNames, Report, Rewriting, Scope, Stage
+from deepbots_cli.scenario.fields import Leaf, Quantity
+from deepbots_cli.scenario.habits import other_name
+from deepbots_cli.scenario.plain import choose_from
 
 
 class Text(NamedTuple):

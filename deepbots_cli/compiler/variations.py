@@ -6,13 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.values import Text, Values
-from deepbots_cli.lang.dimensions import NUMBER, Dimension
-from deepbots_cli.lang.expect import expect
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.typed import Typed, zero
-from deepbots_cli.lang.types import Components, Scope, Stage
-from deepbots_cli.schema.fields import Quantity
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import NUMBER, Dimension
+from deepbots_cli.expressions.expect import expect
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.typed import Typed, zero
+from deepbots_cli.expressions.types import Components, Scope, Stage
+from deepbots_cli.scenario.fields import Quantity
 from deepbots_cli.task import TaskNoise, Valued, Varied
 
 if TYPE_CHECKING:

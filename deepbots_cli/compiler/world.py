@@ -12,10 +12,10 @@ from deepbots_cli.compiler.strokes import walls
 from deepbots_cli.compiler.terrain import terrain
 from deepbots_cli.compiler.variations import figure, figures
 from deepbots_cli.diagnostics import Edit, Fix
-from deepbots_cli.lang.dimensions import ACCELERATION, LENGTH, NUMBER, TIME
-from deepbots_cli.lang.types import PLANE, SPACE, Context
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import ACCELERATION, LENGTH, NUMBER, TIME
+from deepbots_cli.expressions.types import PLANE, SPACE, Context
+from deepbots_cli.scenario.scenario import Scenario
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
 _SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0

@@ -24,7 +24,7 @@ from deepbots_cli.engines.motion import CartPole, Drive, RigidBody
 from deepbots_cli.engines.servo import Servo
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
-from deepbots_cli.urdf import inertia
+from deepbots_cli.robots import inertia
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         VelocityReader,
         View,
     )
-    from deepbots_cli.urdf.model import RobotModel
+    from deepbots_cli.robots.model import RobotModel
 
 
 class ExactEngine:

@@ -19,7 +19,7 @@ from deepbots_cli.frames import HERE, Frame, Quaternion, Triple
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.urdf.model import Joint, RobotModel
+    from deepbots_cli.robots.model import Joint, RobotModel
 
     Figures = NDArray[np.float64]
 

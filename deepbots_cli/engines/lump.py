@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import HERE, Frame, Triple, cross, dot, rotate, scaled, subtract
-from deepbots_cli.urdf import inertia, rotation
-from deepbots_cli.urdf.model import RobotModel
-from deepbots_cli.urdf.rotation import Matrix
+from deepbots_cli.robots import inertia, rotation
+from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.robots.rotation import Matrix
 
 _NOTHING: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 

@@ -14,7 +14,7 @@ from deepbots_cli.engines.lump import Lump
 from deepbots_cli.engines.servo import SERVO_TIME
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import HERE, Frame, Quaternion, Triple, add, cross, dot, inverse, multiply, rotate, scaled, subtract
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.robots.model import Joint
 
 FINE = 5e-4  # s; keeps the energy of a pendulum that goes round to 1e-10 over 10 s
 SWEEPS = 30  # rounds in which motors on both joints settle what each has to exert

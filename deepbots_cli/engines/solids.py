@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from deepbots_cli.ir import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
-from deepbots_cli.urdf import inertia
-from deepbots_cli.urdf.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
+from deepbots_cli.robots import inertia
+from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
 
 
 def moves(body: ObjectBody) -> bool:

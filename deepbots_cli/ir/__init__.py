@@ -31,6 +31,7 @@ from dataclasses import dataclass
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.ir.actuation import Actuator, Cartesian, Motor, MotorKind, Response, Thrust
 from deepbots_cli.ir.channels import OnLoss, Order, Route, Setting
 from deepbots_cli.ir.disturbances import NOTHING, Disturbance
@@ -102,7 +103,6 @@ from deepbots_cli.ir.world import (
     Variant,
     WorldModel,
 )
-from deepbots_cli.lang.scalar import is_drawn
 
 __all__ = [
     "ARENA_WALLS",

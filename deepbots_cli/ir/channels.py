@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.ir.values import Redraw
-from deepbots_cli.lang.scalar import Const, Scalar
 
 Order = Literal["sent", "arrival", "newest"]
 OnLoss = Literal["hold", "zero", "skip"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deepbots_cli.lang.scalar import Const, Scalar
+from deepbots_cli.expressions.scalar import Const, Scalar
 
 Vector = tuple[Scalar, Scalar, Scalar]
 NOTHING: Vector = (Const(0.0), Const(0.0), Const(0.0))

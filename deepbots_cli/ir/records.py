@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.expressions.scalar import Scalar
 
 
 def is_record_class(kind: object) -> bool:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from deepbots_cli.expressions.scalar import Scalar, is_drawn
 from deepbots_cli.ir.values import NamedValues
-from deepbots_cli.lang.scalar import Scalar, is_drawn
 
 MOST_SPOTS = 1_000_000  # of a region with a grid
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.expressions.scalar import Scalar
 
 # Conditions of one choice in a script: Python's compiler goes down one level for each.
 MOST_CONDITIONS = 1000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from deepbots_cli.urdf.model import Pose
+from deepbots_cli.robots.model import Pose
 
 MOST_RAYS = 4096
 MOST_SENSED_RAYS = 4 * MOST_RAYS  # of all sensors of a robot

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.ir.values import Noise
-from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
-from deepbots_cli.urdf.model import Vector
+from deepbots_cli.robots.model import Vector
 
 Outcome = Literal["success", "failure"]
 

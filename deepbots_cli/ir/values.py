@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.expressions.scalar import Scalar
 
 
 @dataclass(frozen=True)

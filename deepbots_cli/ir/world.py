@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deepbots_cli.lang.scalar import Scalar
-from deepbots_cli.urdf.model import Mesh, Pose, RobotModel, Shape, Vector
+from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
 
 # What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
 MOST_BODIES = 500

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.ir import ActionNoise, CompiledScenario, Schedule, Training
-from deepbots_cli.schema.hyperparameters import ALGORITHMS
+from deepbots_cli.scenario.hyperparameters import ALGORITHMS
 
 LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}
 """The package of each algorithm that Stable-Baselines3 does not have itself."""

@@ -29,7 +29,7 @@ from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
 from deepbots_cli.learning.record import Record
-from deepbots_cli.urdf.soundness import is_sound, is_sound_shape
+from deepbots_cli.robots.soundness import is_sound, is_sound_shape
 
 ModelName = Literal["best", "last"]
 

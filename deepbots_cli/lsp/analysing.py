@@ -14,10 +14,10 @@ from deepbots_cli.compiler import Checked, check
 from deepbots_cli.compiler.values import Reading
 from deepbots_cli.diagnostics import Finding, Source
 from deepbots_cli.diagnostics.selection import Selection
+from deepbots_cli.document import load, to_data
+from deepbots_cli.document.load import Drafts
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.source import load, to_data
-from deepbots_cli.source.load import Drafts
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from deepbots_cli.schema.fields import Leaf, Reference
-from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
-from deepbots_cli.schema.scenario import Scenario
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.scenario.fields import Leaf, Reference
+from deepbots_cli.scenario.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.scenario.scenario import Scenario
 
 _OPTION = Reference("option")
 

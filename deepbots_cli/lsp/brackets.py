@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any, Literal
 
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.source.parse import MAX_DEPTH
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.parse import MAX_DEPTH
 
 Role = Literal["key", "value", "aside"]
 

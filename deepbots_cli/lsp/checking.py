@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from lsprotocol import types
 
+from deepbots_cli.document.load import Drafts
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.diagnosing import diagnostics
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.source.load import Drafts
 
 _PAUSE = 0.05
 """Seconds that a change waits for the next one; people type up to ten letters a second."""

@@ -22,20 +22,20 @@ from lsprotocol.types import (
 
 from deepbots_cli.compiler.inventory import names
 from deepbots_cli.diagnostics.registry import RULES
-from deepbots_cli.lang.functions import Family
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.functions import Family
 from deepbots_cli.lsp.asking import at, key_of, specs
 from deepbots_cli.lsp.describing import brief, of_key, of_kind
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.expressing import BODY, Choice, awaited, awaits_unit, begun, choices, functions, is_expression, scope_of, units
 from deepbots_cli.lsp.files import files
 from deepbots_cli.lsp.written import defines, written
-from deepbots_cli.schema.examples import example_of
-from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Quantity, Reference
-from deepbots_cli.schema.fields import Range as RangeLeaf
-from deepbots_cli.schema.part import Kinds, Mapped, Part, fields
-from deepbots_cli.schema.plain import COLOURS, Colour, Switch, Word
-from deepbots_cli.schema.scenario import VERSION
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.scenario.examples import example_of
+from deepbots_cli.scenario.fields import FilePath, Leaf, Pattern, Quantity, Reference
+from deepbots_cli.scenario.fields import Range as RangeLeaf
+from deepbots_cli.scenario.part import Kinds, Mapped, Part, fields
+from deepbots_cli.scenario.plain import COLOURS, Colour, Switch, Word
+from deepbots_cli.scenario.scenario import VERSION
 
 _INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; what stands beside it is merged over it")
 _OF_FILES = {

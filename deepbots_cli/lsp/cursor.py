@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
+from deepbots_cli.document.files import MAX_BYTES
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.parse import MAX_DEPTH
 from deepbots_cli.lsp.brackets import QUOTED, Brackets, Role, TooDeepError
-from deepbots_cli.source.files import MAX_BYTES
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.source.parse import MAX_DEPTH
 
 _COLON = re.compile(r":(?=[ \t\r]|$)")
 _COMMENT = re.compile(r"(?:^|(?<=[ \t]))#")

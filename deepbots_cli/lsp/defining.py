@@ -9,16 +9,16 @@ from lsprotocol import types
 
 from deepbots_cli.compiler.inventory import definition, names
 from deepbots_cli.diagnostics import Span
+from deepbots_cli.document import Mapping, descend
+from deepbots_cli.document.merge import follow
 from deepbots_cli.lsp.asking import leaves, specs
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.diagnosing import Places
 from deepbots_cli.lsp.documents import uri_of
 from deepbots_cli.lsp.files import located
 from deepbots_cli.lsp.pointing import Pointed, piece, pointed
-from deepbots_cli.schema.fields import FilePath, Leaf, Pattern, Reference
-from deepbots_cli.schema.part import Mapped
-from deepbots_cli.source import Mapping, descend
-from deepbots_cli.source.merge import follow
+from deepbots_cli.scenario.fields import FilePath, Leaf, Pattern, Reference
+from deepbots_cli.scenario.part import Mapped
 
 _START = types.Range(types.Position(0, 0), types.Position(0, 0))
 _ALIAS = re.compile(r"\*([\w-]+)")

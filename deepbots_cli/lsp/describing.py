@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
-from deepbots_cli.lang.examples import EXAMPLES
-from deepbots_cli.lang.functions import Function
-from deepbots_cli.lang.intervals import EVERYTHING, Interval
-from deepbots_cli.lang.types import Shape, Symbol, Type, shown
+from deepbots_cli.expressions.examples import EXAMPLES
+from deepbots_cli.expressions.functions import Function
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.types import Shape, Symbol, Type, shown
 from deepbots_cli.rules.pages import pages_of
-from deepbots_cli.schema.hover import hover
-from deepbots_cli.schema.part import Part, Spec, fields, noun_of
+from deepbots_cli.scenario.hover import hover
+from deepbots_cli.scenario.part import Part, Spec, fields, noun_of
 
 _LONGEST = 120
 

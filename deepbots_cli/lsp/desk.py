@@ -11,13 +11,13 @@ from typing import Any
 from lsprotocol import types
 
 from deepbots_cli.diagnostics import Source, Span
+from deepbots_cli.document import Mapping, Path, descend
+from deepbots_cli.document.load import Drafts
+from deepbots_cli.document.nodes import Node
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.asking import at
 from deepbots_cli.lsp.cursor import Place, place
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.source import Mapping, Path, descend
-from deepbots_cli.source.load import Drafts
-from deepbots_cli.source.nodes import Node
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,17 +11,17 @@ from lsprotocol.types import CompletionItemKind
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import definition
 from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
-from deepbots_cli.lang import parser, syntax
-from deepbots_cli.lang.check import check
-from deepbots_cli.lang.functions import ALLOWED, Family, Form, Param
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.types import Context, Kind, Scope, Type
-from deepbots_cli.lang.units import UNITS, Unit
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.check import check
+from deepbots_cli.expressions.functions import ALLOWED, Family, Form, Param
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.types import Context, Kind, Scope, Type
+from deepbots_cli.expressions.units import UNITS, Unit
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.describing import of_function, of_symbol
 from deepbots_cli.lsp.pointing import ignored
-from deepbots_cli.schema.fields import MEASURES, Column, Expression, Leaf, Quantity, Range
-from deepbots_cli.source.nodes import Path
+from deepbots_cli.scenario.fields import MEASURES, Column, Expression, Leaf, Quantity, Range
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")
 _BEHIND_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")

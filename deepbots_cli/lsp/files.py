@@ -7,10 +7,10 @@ from pathlib import Path
 
 from lsprotocol.types import CompletionItemKind
 
+from deepbots_cli.document import roots, shipped
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.expressing import Choice
-from deepbots_cli.source import roots, shipped
-from deepbots_cli.urdf import mesh
+from deepbots_cli.robots import mesh
 
 _MOST = 300
 

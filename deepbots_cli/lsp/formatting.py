@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from lsprotocol import types
 
+from deepbots_cli.document.layout import tidy
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.source.layout import tidy
 
 
 def formatting(document: Document) -> list[types.TextEdit]:

@@ -8,16 +8,16 @@ from lsprotocol import types
 
 from deepbots_cli.compiler.inventory import Named, definition, names
 from deepbots_cli.compiler.scopes import RobotScope
-from deepbots_cli.lang import syntax
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.units import UNITS
+from deepbots_cli.document import Scalar, descend
+from deepbots_cli.expressions import syntax
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.units import UNITS
 from deepbots_cli.lsp.asking import key_of, leaves, specs
 from deepbots_cli.lsp.describing import of_finding, of_function, of_key, of_kind, of_symbol, of_type
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.pointing import Piece, Pointed, piece, pointed
-from deepbots_cli.schema.fields import Leaf, Pattern, Reference
-from deepbots_cli.schema.part import Kinds, Mapped
-from deepbots_cli.source import Scalar, descend
+from deepbots_cli.scenario.fields import Leaf, Pattern, Reference
+from deepbots_cli.scenario.part import Kinds, Mapped
 
 _CODE = re.compile(r"DB\d{3}")
 _LONGEST = 300

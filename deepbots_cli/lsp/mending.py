@@ -9,13 +9,13 @@ from lsprotocol import types
 
 from deepbots_cli.cli.mending import Mender
 from deepbots_cli.diagnostics import Edit, Finding, Source
+from deepbots_cli.document.nodes import to_data
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.diagnosing import Places, diagnostic
 from deepbots_cli.lsp.documents import Document
 from deepbots_cli.lsp.formatting import rewritten
-from deepbots_cli.source.nodes import to_data
 
 FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
 KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from lsprotocol import types
 
+from deepbots_cli.document import Entry, Mapping
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.source import Entry, Mapping
 
 _DEPTH = 4
 _SECTIONS = {

@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 from deepbots_cli.compiler.scopes import RobotScope
 from deepbots_cli.compiler.values import Reading, Text
-from deepbots_cli.lang import parser, syntax
-from deepbots_cli.lang.check import check
-from deepbots_cli.lang.functions import Form
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.typed import Typed, children
-from deepbots_cli.lang.types import Kind, Type
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.check import check
+from deepbots_cli.expressions.functions import Form
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.typed import Typed, children
+from deepbots_cli.expressions.types import Kind, Type
 from deepbots_cli.lsp.desk import View
-from deepbots_cli.source.nodes import Path
 
 _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
 _COLON = re.compile(r"[\"']?[ \t]*:")

@@ -17,6 +17,7 @@ from pygls.lsp.server import LanguageServer
 from pygls.protocol import LanguageServerProtocol
 
 import deepbots_cli
+from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lsp.analysing import analyse
 from deepbots_cli.lsp.checking import Checker
@@ -28,7 +29,6 @@ from deepbots_cli.lsp.formatting import formatting
 from deepbots_cli.lsp.hovering import hover
 from deepbots_cli.lsp.mending import KINDS, Actions
 from deepbots_cli.lsp.outlining import outline
-from deepbots_cli.source.load import allowed_folders
 
 _WATCHED = ("**/*.{yaml,yml,urdf}", "**/*.{obj,stl,dae,png}", "**/{deepbots,pyproject}.toml")
 _TRIGGERS = [".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]

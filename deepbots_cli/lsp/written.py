@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from deepbots_cli.document.nodes import Path
 from deepbots_cli.lsp.asking import at
-from deepbots_cli.source.nodes import Path
 
 _SECTIONS: dict[str, tuple[Path, ...]] = {
     "action": (("action",),),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.lang.scalar import Name, Scalar, walk
+from deepbots_cli.expressions.scalar import Name, Scalar, walk
 from deepbots_cli.probing.probed import Probed
 
 Section = Literal["observation", "reward", "other"]

@@ -12,8 +12,8 @@ from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.probing.probed import Probed
 from deepbots_cli.probing.report import Missed, Overlap, Where
+from deepbots_cli.robots.model import Joint
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.urdf.model import Joint
 
 _DEEP = 0.005
 """m; engines let what rests sink in by less than a millimetre, and what is placed by hand is often a little off.

@@ -10,10 +10,10 @@ from deepbots_cli import ir
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
+from deepbots_cli.document.nodes import Path
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.probing.plan import Plan
 from deepbots_cli.probing.report import Measured, Paid, Report, Where
-from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import ObservedValue, Placement, Task, Valued
 
 

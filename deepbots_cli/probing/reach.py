@@ -11,9 +11,9 @@ from deepbots_cli import frames, ir
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Triple
 from deepbots_cli.probing.report import Missed
+from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
-from deepbots_cli.urdf.model import RobotModel
 
 _DISTANCE = 0.005  # m
 _ANGLE = radians(1.0)

@@ -11,18 +11,18 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.joints import carries, joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label, Span
+from deepbots_cli.expressions.dimensions import TIME
+from deepbots_cli.expressions.intervals import Interval, hull
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.lang.dimensions import TIME
-from deepbots_cli.lang.intervals import Interval, hull
-from deepbots_cli.lang.scalar import Const, Name, Op, Scalar
+from deepbots_cli.robots.inertia import matrix
+from deepbots_cli.robots.model import Joint, RobotModel
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import NEVER, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import figure, span_of
 from deepbots_cli.task import Command, TaskRobot
-from deepbots_cli.urdf.inertia import matrix
-from deepbots_cli.urdf.model import Joint, RobotModel
 
 _VAGUE = 0.2  # rad or m; where a joint begins is known if it is drawn from no more
 

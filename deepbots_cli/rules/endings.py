@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.lang.intervals import INF, Interval, hull
-from deepbots_cli.lang.scalar import Name, Op, Scalar, World, children
+from deepbots_cli.expressions.intervals import INF, Interval, hull
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, World, children
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
 from deepbots_cli.rules.precedence import forestalled

@@ -9,15 +9,15 @@ from typing import NamedTuple
 from deepbots_cli import footprint, ir
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.lang.dimensions import LENGTH
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import World
+from deepbots_cli.expressions.dimensions import LENGTH
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import World
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Shape, Sphere
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.thresholds import Threshold, has_choice, thresholds
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.urdf.model import Box, Capsule, Cylinder, Shape, Sphere
 
 _SURE = 0.98
 """Engines let bodies sink into each other a little."""

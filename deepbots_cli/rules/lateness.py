@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.lang.dimensions import TIME
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.payments import versions
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Task, Valued
 
 

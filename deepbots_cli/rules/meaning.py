@@ -11,15 +11,15 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import Lowering, Scalars
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import children as parts
+from deepbots_cli.expressions.typed import Constant, Invocation, Operation, Reference, Typed
+from deepbots_cli.expressions.types import Stage, Symbol, Type
 from deepbots_cli.ir import Sensor
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.lower import Lowering, Scalars
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
-from deepbots_cli.lang.scalar import children as parts
-from deepbots_cli.lang.typed import Constant, Invocation, Operation, Reference, Typed
-from deepbots_cli.lang.types import Stage, Symbol, Type
+from deepbots_cli.robots.model import Pose
 from deepbots_cli.task import Task, TaskGoal, TaskRobot, Valued
-from deepbots_cli.urdf.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")

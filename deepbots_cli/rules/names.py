@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.lang.typed import Invocation, Reference, Typed, children
-from deepbots_cli.lang.types import Kind
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.source.removal import removing
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.removal import removing
+from deepbots_cli.expressions.typed import Invocation, Reference, Typed, children
+from deepbots_cli.expressions.types import Kind
 from deepbots_cli.task import Task, Valued
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)

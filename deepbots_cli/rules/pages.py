@@ -13,9 +13,9 @@ from pathlib import Path
 from textwrap import dedent, fill, indent
 
 from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document.nodes import to_data
+from deepbots_cli.document.parse import parse
 from deepbots_cli.rules import Rule, everything
-from deepbots_cli.source.nodes import to_data
-from deepbots_cli.source.parse import parse
 
 FILE = Path(__file__).with_name("pages.yaml")
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.lang import intervals as iv
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Scalar
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, Supposing
 from deepbots_cli.task import Task, TaskEnding, Valued

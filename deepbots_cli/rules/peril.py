@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.lang.dimensions import ANGLE, LENGTH
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Name, Op, Scalar, State, World, children
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
 from deepbots_cli.rules.meaning import Book, Comparison
 from deepbots_cli.rules.payments import Payments, payments_of
 from deepbots_cli.rules.progress import Slope

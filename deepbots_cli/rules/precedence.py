@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 
-from deepbots_cli.lang.intervals import INF, Interval
-from deepbots_cli.lang.scalar import Const, Name, Op, Scalar, World
+from deepbots_cli.expressions.intervals import INF, Interval
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, World
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import ALWAYS, Kept, reach_of
 from deepbots_cli.rules.thresholds import has_choice, is_clock, thresholds

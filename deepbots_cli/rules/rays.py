@@ -10,15 +10,15 @@ from deepbots_cli import footprint, frames, ir
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.frames import Frame
-from deepbots_cli.lang.dimensions import LENGTH
+from deepbots_cli.robots.mesh import extent
+from deepbots_cli.robots.model import Joint, Mesh, RobotModel
+from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.start import AtStart, is_level
 from deepbots_cli.rules.wording import figure
 from deepbots_cli.task import Task
-from deepbots_cli.urdf.mesh import extent
-from deepbots_cli.urdf.model import Joint, Mesh, RobotModel
-from deepbots_cli.urdf.rotation import quaternion
 
 CLEAR = 0.001
 """m; engines let bodies sink in by less, and round what rays meet."""

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 
-from deepbots_cli.lang import intervals as iv
-from deepbots_cli.lang.intervals import EVERYTHING, INF, TRUTH, Interval, exact, hull
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar, State, World
-from deepbots_cli.lang.table import FUNCTIONS
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, TRUTH, Interval, exact, hull
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.table import FUNCTIONS
 from deepbots_cli.rules.meaning import Book
 
 NEVER, ALWAYS = iv.NEVER, iv.ALWAYS

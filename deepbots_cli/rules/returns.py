@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Span
-from deepbots_cli.lang.intervals import INF, Interval
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.intervals import INF, Interval
 from deepbots_cli.rules.payments import payments_of, versions
 from deepbots_cli.rules.reach import reach_of
-from deepbots_cli.source.nodes import Path
 from deepbots_cli.task import Task
 
 _ROUNDING = 1e-9

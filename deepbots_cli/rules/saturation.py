@@ -10,9 +10,9 @@ from deepbots_cli import footprint, frames
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.joints import held
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.lang.dimensions import ACCELERATION
-from deepbots_cli.lang.intervals import Interval, exact
-from deepbots_cli.lang.scalar import Draw, Name, Scalar, World, children
+from deepbots_cli.expressions.dimensions import ACCELERATION
+from deepbots_cli.expressions.intervals import Interval, exact
+from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.observation import Seen, another_range, numbers_seen, once, range_span
 from deepbots_cli.rules.precedence import forestalled

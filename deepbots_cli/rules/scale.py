@@ -10,15 +10,15 @@ from deepbots_cli import footprint, ir
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, MASS
+from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.footprint import sides
-from deepbots_cli.lang.dimensions import LENGTH, MASS
-from deepbots_cli.lang.intervals import exact
+from deepbots_cli.robots.inertia import volume
+from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, RobotModel, Shape, Sphere
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.start import AtStart, is_level
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.source.nodes import Path
-from deepbots_cli.urdf.inertia import volume
-from deepbots_cli.urdf.model import Capsule, Cylinder, Mesh, RobotModel, Shape, Sphere
 
 _LIGHTEST, _HEAVIEST = 0.1, 25_000.0
 """kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from math import cos, sin
 
 from deepbots_cli import ir
-from deepbots_cli.lang import intervals as iv
-from deepbots_cli.lang.intervals import EVERYTHING, TURN, Interval, exact, hull
-from deepbots_cli.lang.lower import lower
-from deepbots_cli.lang.scalar import State, World
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import EVERYTHING, TURN, Interval, exact, hull
+from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.scalar import State, World
 from deepbots_cli.rules.meaning import Book
 from deepbots_cli.rules.reach import NEVER, Reach
 from deepbots_cli.task import Placement

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from deepbots_cli.lang import intervals as iv
-from deepbots_cli.lang.dimensions import Dimension
-from deepbots_cli.lang.intervals import Interval
-from deepbots_cli.lang.scalar import Name, Op, Scalar, State
-from deepbots_cli.lang.types import Stage
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, State
+from deepbots_cli.expressions.types import Stage
 from deepbots_cli.rules.meaning import Book, Comparison
 from deepbots_cli.rules.reach import Reach
 from deepbots_cli.task import Valued

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from deepbots_cli.lang.dimensions import ANGLE, NUMBER, Dimension
-from deepbots_cli.lang.intervals import Interval
+from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
+from deepbots_cli.expressions.intervals import Interval
 
 
 def figure(value: float, dimension: Dimension) -> str:

@@ -18,6 +18,7 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
+from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
 from deepbots_cli.runtime.foreign import foreign
 from deepbots_cli.runtime.lines import Follower
@@ -28,7 +29,6 @@ from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
 from deepbots_cli.runtime.team import assemble
 from deepbots_cli.runtime.ways import Ways
-from deepbots_cli.urdf.rotation import quaternion
 
 __all__ = [
     "MALFORMED",

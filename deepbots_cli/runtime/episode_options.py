@@ -14,10 +14,10 @@ import numpy as np
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.intervals import EVERYTHING, OPERATORS, Interval, exact, hull
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
+from deepbots_cli.expressions.table import FUNCTIONS
 from deepbots_cli.ir import CompiledScenario, NamedValues
-from deepbots_cli.lang.intervals import EVERYTHING, OPERATORS, Interval, exact, hull
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, Scalar
-from deepbots_cli.lang.table import FUNCTIONS
 
 _ROUNDING = 1e-6
 """Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is 0.60000002."""

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
+from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.ir import CompiledScenario, Goal
-from deepbots_cli.lang.scalar import Name
 
 Goals = NDArray[np.floating[Any]]
 

@@ -7,9 +7,9 @@ from heapq import heappop, heappush
 from math import hypot, inf
 from typing import Any
 
+from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.frames import Triple
 from deepbots_cli.ir import Route, Setting
-from deepbots_cli.lang.scalar import Const
 from deepbots_cli.runtime.streams import Streams
 
 _ROUNDING = 1e-9

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.ir import CompiledScenario, ObjectBody, Picture, Pit, Place, Region, Top, WorldModel
-from deepbots_cli.lang.scalar import Const, Draw, Scalar
 from deepbots_cli.port import STILL, View
 from deepbots_cli.runtime.share import offset
 

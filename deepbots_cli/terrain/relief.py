@@ -14,11 +14,11 @@ import numpy as np
 from deepbots_cli import ir
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError, EngineError
-from deepbots_cli.lang.scalar import Name
+from deepbots_cli.expressions.scalar import Name
+from deepbots_cli.robots.model import Mesh
 from deepbots_cli.terrain.png import MAX_BYTES, fault
 from deepbots_cli.terrain.png import heights as pixels
 from deepbots_cli.terrain.triangles import triangles
-from deepbots_cli.urdf.model import Mesh
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

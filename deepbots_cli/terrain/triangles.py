@@ -13,7 +13,7 @@ from deepbots_cli.errors import EngineError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.urdf.model import Mesh
+    from deepbots_cli.robots.model import Mesh
 
 
 def triangles(mesh: Mesh) -> NDArray[np.float64]:

@@ -13,8 +13,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit import emit
+from deepbots_cli.expressions.scalar import Const, State, World
 from deepbots_cli.ir import CompiledScenario, Response, Variation
-from deepbots_cli.lang.scalar import Const, State, World
 
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 

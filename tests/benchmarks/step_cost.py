@@ -24,9 +24,9 @@ from typing import Any
 import gymnasium as gym
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.source import shipped
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 
 with hushed():  # PyBullet prints when it is imported and when it connects

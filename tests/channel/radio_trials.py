@@ -8,8 +8,8 @@ from itertools import groupby
 from math import erfc, exp, gamma, sqrt
 from typing import Any
 
+from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.ir import Route, Setting
-from deepbots_cli.lang.scalar import Const
 from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.streams import Streams
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.ir import Route, Setting
-from deepbots_cli.lang.scalar import Const
 from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.streams import Streams
 from tests.channel.radio_trials import (

@@ -206,7 +206,7 @@ def test_what_runs_nothing_needs_no_extra(tmp_path):
 def test_the_overview_imports_no_verb_and_not_even_the_language():
     code = "import sys; from deepbots_cli.cli import main; main(['--help']); print([*sys.modules])"
     loaded = in_process_of_its_own(code)
-    assert "'deepbots_cli.schema'" not in loaded
+    assert "'deepbots_cli.scenario'" not in loaded
     assert "'deepbots_cli.cli.verbs.train'" not in loaded
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import api, canonical
 from deepbots_cli.cli import copying
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 
 @pytest.mark.parametrize("name", shipped.scenario_names())

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.learning.record import Record
-from deepbots_cli.source import shipped
 
 SINGLE = [
     ("observation.speed=-1 .. 1 m/s", "policy", "observation.speed"),

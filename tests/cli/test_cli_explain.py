@@ -14,8 +14,8 @@ from deepbots_cli import api
 from deepbots_cli.cli.words import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RETIRED, RULES
+from deepbots_cli.document import loads
 from deepbots_cli.rules.pages import every_page
-from deepbots_cli.source import loads
 
 ROOT = Path(__file__).parents[2]
 

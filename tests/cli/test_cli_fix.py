@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.cli import main
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8")
 

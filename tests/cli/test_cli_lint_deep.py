@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import installing
-from deepbots_cli.source import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 SUNK = CARTPOLE.replace("z: 0.04 m", "z: 0.02 m")

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from deepbots_cli.cli.group import Verbs
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 ROOT = Path(__file__).parents[2]
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 WARNED = CARTPOLE.replace("summary:", "summary: on #").replace("15 deg", "15 rad")

@@ -10,7 +10,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli.starters.templates import TEMPLATES
 from deepbots_cli.cli.verbs import new
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 
 @pytest.mark.parametrize("template", TEMPLATES)

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 BROKEN = '<robot name="r"><link name="a"/><link name="a"/></robot>'
 ODD = """<robot name="odd"><link name="base"><collision><geometry><box size="2 1 0.5"/></geometry></collision></link>

@@ -9,8 +9,8 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli.upgrading import STEPS
-from deepbots_cli.schema.scenario import VERSION
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
+from deepbots_cli.scenario.scenario import VERSION
 
 WHOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 UNNAMED = WHOLE.replace("deepbots: 1\n", "")

@@ -9,7 +9,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
 

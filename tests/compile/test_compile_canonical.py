@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError, digest, from_json, to_json
 from deepbots_cli.compiler.emit import emit
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, State, World
 from deepbots_cli.ir import CompiledScenario, Term
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 WORDS = st.text(max_size=8)

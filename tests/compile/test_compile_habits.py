@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from deepbots_cli.schema.actuators import ACTUATORS
-from deepbots_cli.schema.habits import _OTHER_NAMES, other_name
-from deepbots_cli.schema.objects import OBJECTS
-from deepbots_cli.schema.sensors import SENSORS
+from deepbots_cli.scenario.actuators import ACTUATORS
+from deepbots_cli.scenario.habits import _OTHER_NAMES, other_name
+from deepbots_cli.scenario.objects import OBJECTS
+from deepbots_cli.scenario.sensors import SENSORS
 from tests.compile.conftest import shipped_text
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from deepbots_cli import api, canonical
 from deepbots_cli.compiler.inputs import copy_names
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 

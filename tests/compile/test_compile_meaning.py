@@ -7,7 +7,7 @@ import math
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.lang.scalar import Draw, Name, walk
+from deepbots_cli.expressions.scalar import Draw, Name, walk
 
 
 def draws(compiled) -> list[str]:

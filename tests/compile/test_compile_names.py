@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from deepbots_cli.lang.scalar import World, walk
+from deepbots_cli.expressions.scalar import World, walk
 
 REWARD = "  alive: 1"
 

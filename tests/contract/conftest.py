@@ -12,10 +12,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from deepbots_cli import api, engines
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.source import shipped
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
 MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (

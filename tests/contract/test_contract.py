@@ -20,10 +20,10 @@ from rollout import actions, as_bytes, digest, episode, record
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.ir import CompiledScenario, viewed
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.source import shipped
 
 Make = Callable[..., Supervisor]
 EXACT_FORMATS = ("struct", "json", "msgpack", "csv", "none")

@@ -21,9 +21,9 @@ from deepbots_cli.cli.verbs import VERBS
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.document import loads
 from deepbots_cli.rules import run as run_rules
 from deepbots_cli.rules.pages import pages_of
-from deepbots_cli.source import loads
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))
@@ -161,7 +161,7 @@ def test_the_reference_is_current(name: str):
 
 def test_every_algorithm_of_the_language_can_be_trained_with():
     from deepbots_cli.learning.algorithms import ALGORITHMS
-    from deepbots_cli.schema import hyperparameters
+    from deepbots_cli.scenario import hyperparameters
 
     assert set(ALGORITHMS) == set(hyperparameters.ALGORITHMS)
 

@@ -9,12 +9,12 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler import Checked, check
-from deepbots_cli.lang.dimensions import NUMBER
-from deepbots_cli.lang.examples import EXAMPLES
-from deepbots_cli.lang.functions import Family
-from deepbots_cli.lang.table import FUNCTIONS
-from deepbots_cli.lang.types import Symbol
-from deepbots_cli.source import loads
+from deepbots_cli.document import loads
+from deepbots_cli.expressions.dimensions import NUMBER
+from deepbots_cli.expressions.examples import EXAMPLES
+from deepbots_cli.expressions.functions import Family
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.types import Symbol
 
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 

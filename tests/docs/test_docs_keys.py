@@ -15,15 +15,15 @@ import pytest
 from deepbots_cli import api, rules
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.schema import Scenario, hyperparameters
-from deepbots_cli.schema.examples import example_of, table
-from deepbots_cli.schema.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
-from deepbots_cli.schema.training import Training, training_with
-from deepbots_cli.schema.walk import parts
-from deepbots_cli.source import Document, load, loads
-from deepbots_cli.source.merge import merge, without
-from deepbots_cli.source.merge import replace as replaced
-from deepbots_cli.source.nodes import Entry, Mapping, Node, Path, descend, to_data
+from deepbots_cli.document import Document, load, loads
+from deepbots_cli.document.merge import merge, without
+from deepbots_cli.document.merge import replace as replaced
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data
+from deepbots_cli.scenario import Scenario, hyperparameters
+from deepbots_cli.scenario.examples import example_of, table
+from deepbots_cli.scenario.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.scenario.training import Training, training_with
+from deepbots_cli.scenario.walk import parts
 
 ROOT = FilePath(__file__).parents[2]
 FOLDERS = ("tests/data/hosts", "tests/data/scenarios", "tests/channel", "tests/placement", "scenarios")

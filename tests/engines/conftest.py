@@ -11,7 +11,7 @@ import pytest
 from deepbots_cli.engines import create
 from deepbots_cli.ir import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import Engine
-from deepbots_cli.urdf.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
 
 
 def rod(name: str, mass: float = 0.1, length: float = 1.0) -> Link:

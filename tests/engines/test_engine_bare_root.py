@@ -7,7 +7,7 @@ import pytest
 from deepbots_cli import engines, ir
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import UPRIGHT
-from deepbots_cli.urdf.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
+from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
 TENSOR = {"ixx": 0.02, "iyy": 0.05, "izz": 0.06}
 SHAPE = (Geometry(Box((0.4, 0.3, 0.2))),)

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import ObjectBody, Variant, WorldModel
 from deepbots_cli.port import View
-from deepbots_cli.urdf.model import Box, Pose, Sphere
+from deepbots_cli.robots.model import Box, Pose, Sphere
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ROUND, SQUARE, PILLAR = (

@@ -12,8 +12,8 @@ import pytest
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.ir import ObjectBody, Pit, RobotBody, Terrain, WorldModel
 from deepbots_cli.port import STILL, Engine
-from deepbots_cli.urdf import reader
-from deepbots_cli.urdf.model import Box, Pose, RobotModel, Sphere
+from deepbots_cli.robots import reader
+from deepbots_cli.robots.model import Box, Pose, RobotModel, Sphere
 
 LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "upper", "lower")]
 STAND = [0.0, 0.9, -1.8] * 4

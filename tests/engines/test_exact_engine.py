@@ -15,8 +15,8 @@ from deepbots_cli.engines.motion import CartPole, RigidBody
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
-from deepbots_cli.urdf.model import Box, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
-from deepbots_cli.urdf.rotation import quaternion
+from deepbots_cli.robots.model import Box, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
+from deepbots_cli.robots.rotation import quaternion
 
 DOWN = (0.0, 0.0, -9.81)
 

@@ -19,7 +19,7 @@ from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
-from deepbots_cli.urdf.model import Box, Cylinder, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import Box, Cylinder, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
 
 EPISODE = Path(__file__).with_name("arena_episode.py")
 trajectory = runpy.run_path(str(EPISODE))["trajectory"]

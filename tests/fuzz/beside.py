@@ -20,10 +20,10 @@ from typing import Any
 
 from deepbots_cli.cli import main as command_line
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.source import files
-from deepbots_cli.source.layout import tidy
-from deepbots_cli.source.nodes import to_data
-from deepbots_cli.source.parse import parse
+from deepbots_cli.document import files
+from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.nodes import to_data
+from deepbots_cli.document.parse import parse
 from tests.fuzz.mutations import CORPUS, PIECES, READS, ROOT, Case, case, damaged
 from tests.fuzz.workbench import FailedError, Workbench, check_rules
 from tests.lsp.client import Client, edited

@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 OUTSIDE: list[str] = []
 """What was opened since the list was last cleared, and lies nowhere that it may."""

@@ -16,6 +16,7 @@ import gymnasium as gym
 import numpy as np
 
 from deepbots_cli import canonical
+from deepbots_cli.expressions.scalar import Const, Name
 from deepbots_cli.ir import (
     Choices,
     CompiledScenario,
@@ -34,7 +35,6 @@ from deepbots_cli.ir import (
     Truncation,
     WorldModel,
 )
-from deepbots_cli.lang.scalar import Const, Name
 
 FALL = math.radians(15)
 TRACK = 0.39

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.learning import evaluate, evaluate_cases, resume, train
-from deepbots_cli.source import shipped
 
 KINDS = {
     "goal": """

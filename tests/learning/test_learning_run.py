@@ -15,12 +15,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api, canonical, interface
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario, Evaluation, ObjectBody, RobotBody, Solved, Variant, WorldModel
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run, inside, new_directory
-from deepbots_cli.source import shipped
-from deepbots_cli.urdf.model import Geometry, Inertial, Joint, Link, RobotModel, Sphere
+from deepbots_cli.robots.model import Geometry, Inertial, Joint, Link, RobotModel, Sphere
 
 
 def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -> None:

@@ -22,8 +22,8 @@ import stand_in
 from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
+from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.ir import Ending, Hyperparameter, Policy, Schedule, Solved, Training
-from deepbots_cli.lang.scalar import Const
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
 from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.progress import Lines, Standing

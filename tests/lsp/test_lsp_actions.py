@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.document.layout import tidy
 from deepbots_cli.lsp.documents import Document
 from deepbots_cli.lsp.formatting import rewritten
-from deepbots_cli.source.layout import tidy
 from tests.lsp.client import Client, edited
 
 FIX_ALL = ["source.fixAll.deepbots"]

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from lsprotocol.types import Position
 
 from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document import Mapping, Scalar, walk
+from deepbots_cli.document.parse import parse
 from deepbots_cli.lsp.cursor import place
 from deepbots_cli.lsp.positions import Lines
-from deepbots_cli.source import Mapping, Scalar, walk
-from deepbots_cli.source.parse import parse
 
 ROOT = Path(__file__).parents[2]
 FILES = [

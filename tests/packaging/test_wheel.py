@@ -75,7 +75,7 @@ def test_an_installed_wheel_uses_its_own_data_from_an_empty_folder(installed: Pa
     explained = deepbots(installed, tmp_path, "explain", "DB402")
     assert (explained.returncode, explained.stderr) == (0, "")
     assert "abs(cart.pole_angle) > fall_angle" in explained.stdout
-    script = "from deepbots_cli.source import shipped; print(shipped.data_dir())"
+    script = "from deepbots_cli.document import shipped; print(shipped.data_dir())"
     environment = os.environ | {"PYTHONPATH": str(installed)}
     where = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     assert Path(where.stdout.strip()).is_relative_to(installed)
@@ -109,7 +109,7 @@ def test_an_editable_install_uses_the_data_of_its_checkout(tmp_path: Path) -> No
         pytest.skip("the tests run on an installed wheel")
     checkout = Path(url2pathname(urlsplit(origin["url"]).path))
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    script = "import deepbots_cli; from deepbots_cli.source import shipped; print(deepbots_cli.__file__, shipped.data_dir(), sep='\\n')"
+    script = "import deepbots_cli; from deepbots_cli.document import shipped; print(deepbots_cli.__file__, shipped.data_dir(), sep='\\n')"
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     package, data = map(Path, done.stdout.splitlines())
     assert package.parent == checkout / "deepbots_cli"

@@ -10,9 +10,9 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import shipped
 from deepbots_cli.probing import probe
 from deepbots_cli.probing.plan import idle, planned
-from deepbots_cli.source import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"

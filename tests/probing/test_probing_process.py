@@ -18,9 +18,9 @@ from deepbots_cli import api
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import shipped
 from deepbots_cli.probing import Limits, Probe, probe
 from deepbots_cli.probing.process import measured
-from deepbots_cli.source import shipped
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 MODULE = """\

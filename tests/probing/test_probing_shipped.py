@@ -8,8 +8,8 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli.starters import templates
+from deepbots_cli.document import shipped
 from deepbots_cli.probing import probe
-from deepbots_cli.source import shipped
 
 CHEAP = ("cartpole_continuous", "balancer", "quadrotor", "find_ball_as_printed")
 """Without teams, pictures and arms; the others are marked as slow (1 to 7 s of CPU each)."""

@@ -15,9 +15,9 @@ from pathlib import PurePath
 from typing import Any
 
 from deepbots_cli import api, canonical
+from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.ir import CompiledScenario, Evaluation
 from deepbots_cli.ir.records import members
-from deepbots_cli.lang.scalar import Scalar
 from tests.results.experiment import Baseline, Training
 from tests.results.experiment import Evaluation as HeldOut
 from tests.results.places import ROOT

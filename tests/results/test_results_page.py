@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 from tests.results import asked, fingerprint, picture, records, render
 from tests.results.__main__ import main
 from tests.results.catalogue import experiments, reasons

@@ -11,9 +11,9 @@ import pytest
 from deepbots_cli.engines import create
 from deepbots_cli.ir import Faults, Ground, ObjectBody, RobotBody, Sensor, WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Joint, Link, Pose, RobotModel
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
-from deepbots_cli.urdf.model import Box, Friction, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
 TIMESTEP, SUBSTEPS = 0.02, 4
 ORIGIN, ABOVE = Pose(), Pose((0, 0, 1))

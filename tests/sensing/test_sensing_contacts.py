@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from deepbots_cli.ir import ObjectBody, Sensor
-from deepbots_cli.urdf.model import Box, Pose
+from deepbots_cli.robots.model import Box, Pose
 from tests.sensing.conftest import Scene, brick
 
 Build = Callable[..., Scene]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from deepbots_cli.ir import Beams, Line, Sensor
-from deepbots_cli.urdf.model import Pose
+from deepbots_cli.robots.model import Pose
 from tests.sensing.conftest import DEGREE, Scene, brick
 
 Build = Callable[..., Scene]

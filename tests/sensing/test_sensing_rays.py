@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from deepbots_cli.ir import Beams, Lookup, ObjectBody, Sensor
+from deepbots_cli.robots.model import Box, Pose, Sphere
 from deepbots_cli.runtime.sensing.ranging import Table
 from deepbots_cli.runtime.streams import Streams
-from deepbots_cli.urdf.model import Box, Pose, Sphere
 from tests.sensing.conftest import DEGREE, Scene, brick
 
 Build = Callable[..., Scene]

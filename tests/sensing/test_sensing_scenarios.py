@@ -12,8 +12,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.lower import lower
+from deepbots_cli.document import loads
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.source import loads
 
 TEXT = """\
 deepbots: 1

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.frames import cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.share import copy_name
 from deepbots_cli.runtime.view import around, overview
-from deepbots_cli.source import shipped
 
 
 def seen_at(view: View, point: tuple[float, float, float]) -> tuple[float, float]:

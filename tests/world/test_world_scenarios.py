@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.source import shipped
+from deepbots_cli.document import shipped
 
 
 def drive(name: str, steps: int) -> None:

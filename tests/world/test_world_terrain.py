@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api, engines, ir
 from deepbots_cli.errors import EngineError
+from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import UPRIGHT, about
-from deepbots_cli.lang.scalar import Const, Name, Op
+from deepbots_cli.robots.model import Sphere
 from deepbots_cli.terrain import png
 from deepbots_cli.terrain.relief import CREST, grid, height
-from deepbots_cli.urdf.model import Sphere
 
 PIT = ir.Pit(3.2, 2.7 * CREST, 0.15)
 SLOPE = ir.Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))

@@ -12,9 +12,9 @@ from deepbots_cli import canonical
 from deepbots_cli.cli.comparison.items import LOOK, VALUE, Group, Item, items
 from deepbots_cli.cli.comparison.sides import Side
 from deepbots_cli.cli.tables import cell, formula
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, State, World
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.ir.records import members
-from deepbots_cli.lang.scalar import Const, Draw, Name, Op, State, World
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3

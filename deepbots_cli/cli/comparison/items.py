@@ -11,9 +11,9 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from deepbots_cli import canonical, interface
+from deepbots_cli.expressions.scalar import Draw, Scalar
 from deepbots_cli.ir import CompiledScenario, MeasuredGoal, MessageLayout, Robot, RobotBody, Variation, WorldModel
 from deepbots_cli.ir.records import members
-from deepbots_cli.lang.scalar import Draw, Scalar
 
 
 class Group(StrEnum):

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding, Findings, Source
+from deepbots_cli.document import Mapping, Node, descend, one_line, shipped
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.run import Run
-from deepbots_cli.source import Mapping, Node, descend, one_line, shipped
-from deepbots_cli.source.parse import parse
 
 _MOST_TEXT = 4_000_000
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, degrees, floor, radians
 
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.robots.model import Joint
 
 _COMMENTS: Mapping[str, str] = {
     "parameters": "figures by name; try another one with --set",

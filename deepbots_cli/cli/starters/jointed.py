@@ -12,7 +12,7 @@ from deepbots_cli.cli.starters.limbs import Limb, Positions, bring, centre, swin
 from deepbots_cli.cli.starters.parts import Robot, by_unit, train
 from deepbots_cli.cli.starters.survey import Survey
 from deepbots_cli.frames import Quaternion, Triple
-from deepbots_cli.urdf.rotation import quaternion
+from deepbots_cli.robots.rotation import quaternion
 
 _SIDES: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
 _CLOSE = 0.02  # of its reach: so near a search must get

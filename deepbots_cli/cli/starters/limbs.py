@@ -13,7 +13,7 @@ from math import atan2, dist, pi
 from deepbots_cli import frames
 from deepbots_cli.footprint import behind
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.robots.model import Joint
 
 ROUNDS = 80
 BENT = 0.4  # rad; where a search begins, since a straight limb does not know which way to bend

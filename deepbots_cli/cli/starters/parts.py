@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from deepbots_cli.cli.starters.draft import Draft, figure, fresh, listed, pose, settled, word
 from deepbots_cli.cli.starters.limbs import Positions, neutral
 from deepbots_cli.cli.starters.survey import Survey
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.robots.model import Joint
 
 GRAVITY = 9.81
 _SUNK = 1e-3  # m

@@ -13,9 +13,9 @@ from deepbots_cli.cli.starters.draft import Draft
 from deepbots_cli.cli.starters.parts import Robot
 from deepbots_cli.cli.starters.survey import Survey
 from deepbots_cli.cli.starters.templates import title
+from deepbots_cli.document import roots, shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import roots, shipped
-from deepbots_cli.urdf.model import RobotModel
+from deepbots_cli.robots.model import RobotModel
 
 
 def files(robot: str, name: str, folder: Path) -> Files:

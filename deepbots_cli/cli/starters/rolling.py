@@ -10,7 +10,7 @@ from deepbots_cli.cli.starters.draft import Draft, figure, word
 from deepbots_cli.cli.starters.parts import Robot, by_unit, train
 from deepbots_cli.cli.starters.survey import Survey, Wheel
 from deepbots_cli.frames import Triple
-from deepbots_cli.urdf.model import Joint
+from deepbots_cli.robots.model import Joint
 
 _TILTED = 30  # deg
 _UP: Triple = (0.0, 0.0, 1.0)

@@ -15,8 +15,8 @@ from deepbots_cli import frames
 from deepbots_cli.cli.starters.limbs import Limb
 from deepbots_cli.footprint import Bounds, bounds, link_frames
 from deepbots_cli.frames import UPRIGHT, Frame, Quaternion, Triple
-from deepbots_cli.urdf import inertia
-from deepbots_cli.urdf.model import Joint, Link, RobotModel
+from deepbots_cli.robots import inertia
+from deepbots_cli.robots.model import Joint, Link, RobotModel
 
 _ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
 _LEVEL, _UPRIGHT = 0.3, 0.7  # the height of a unit axis: of one that lies, at most; of one that stands, at least

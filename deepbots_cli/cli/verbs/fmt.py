@@ -15,10 +15,10 @@ from deepbots_cli.cli.folders import scenarios_in
 from deepbots_cli.cli.rewriting import Rewrite, show, write
 from deepbots_cli.cli.settings import settings
 from deepbots_cli.diagnostics import Findings
+from deepbots_cli.document import files
+from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.source import files
-from deepbots_cli.source.layout import tidy
-from deepbots_cli.source.parse import parse
 
 _BOM = b"\xef\xbb\xbf"
 

@@ -15,10 +15,10 @@ from deepbots_cli.cli.comparison.sides import opened
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Json, Sets, Stage, chosen
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
+from deepbots_cli.document import Mapping
+from deepbots_cli.document.overrides import under
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.ir import CompiledScenario
-from deepbots_cli.source import Mapping
-from deepbots_cli.source.overrides import under
 
 _CAPTIONS = {
     "observation": "low .. high becomes what the policy sees; values beyond are clipped",

@@ -10,9 +10,9 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.document import Scalar, load, shipped
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.record import NAME, Record, number, solved
-from deepbots_cli.source import Scalar, load, shipped
 
 
 def command(

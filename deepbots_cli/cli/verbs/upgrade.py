@@ -12,7 +12,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.rewriting import show, write
 from deepbots_cli.cli.upgrading import upgrade
-from deepbots_cli.schema.scenario import VERSION
+from deepbots_cli.scenario.scenario import VERSION
 
 
 def command(

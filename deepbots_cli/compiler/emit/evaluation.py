@@ -13,8 +13,8 @@ from deepbots_cli.compiler.emit.observation import print_noise, print_observatio
 from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.text import flat, quoted
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.ir import Ending
-from deepbots_cli.lang.scalar import names_in
 
 _SUMMANDS = 100
 

@@ -7,8 +7,8 @@ from deepbots_cli.compiler.emit.redraws import print_draws_of_message
 from deepbots_cli.compiler.emit.robot import decode_lines, observes
 from deepbots_cli.compiler.emit.text import flat, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.ir import Robot
-from deepbots_cli.lang.scalar import names_in
 
 
 def print_sending(space: Workspace, printer: Printer, robot: Robot) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.ir import Cells, Group, Place, Region, Top
-from deepbots_cli.lang.scalar import Scalar
 
 
 def is_sought(place: Place) -> bool:

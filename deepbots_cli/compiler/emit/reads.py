@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple
-from deepbots_cli.lang.scalar import Scalar, World, walk
+from deepbots_cli.expressions.scalar import Scalar, World, walk
 
 _FOLLOWED = ("beside", "along")
 """What is told of a body and a line; a follower computes it from the body's pose."""

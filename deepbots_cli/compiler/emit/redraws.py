@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import indent
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.expressions.scalar import Const, Scalar, names_in
 from deepbots_cli.ir import Parameter, Redraw, Route, Setting
-from deepbots_cli.lang.scalar import Const, Scalar, names_in
 
 _ROUNDING = 1e-9
 """In s: a period of a whole number of steps must not become one more by rounding."""

@@ -15,8 +15,8 @@ from deepbots_cli.compiler.emit.redraws import print_first_draws
 from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
 from deepbots_cli.compiler.emit.variations import setting
 from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
 from deepbots_cli.ir import CompiledScenario, Place, Reset
-from deepbots_cli.lang.scalar import Const, Name, Scalar, World
 
 
 def begin(space: Workspace) -> list[str]:

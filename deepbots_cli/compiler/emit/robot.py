@@ -8,8 +8,8 @@ from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.sensing import Sensing, devices
 from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, sentence_list, targets_code, tuple_code
+from deepbots_cli.expressions.scalar import Name, Scalar, World
 from deepbots_cli.ir import CompiledScenario, Robot
-from deepbots_cli.lang.scalar import Name, Scalar, World
 
 
 class RobotPrinter:

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
 from deepbots_cli.compiler.sensors import is_fact, reading
+from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.ir import CompiledScenario, Robot, Sensor
-from deepbots_cli.lang.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 
 
 class Sensing:

@@ -8,8 +8,8 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import ARRIVALS, Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
+from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in
 from deepbots_cli.ir import Choices, CompiledScenario, Robot, own_action
-from deepbots_cli.lang.scalar import Name, Scalar, World, is_drawn, names_in
 
 
 class Workspace:

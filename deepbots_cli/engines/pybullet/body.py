@@ -14,7 +14,7 @@ from deepbots_cli.port import STILL
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.urdf.model import Link, RobotModel
+    from deepbots_cli.robots.model import Link, RobotModel
 
 
 @dataclass(frozen=True)

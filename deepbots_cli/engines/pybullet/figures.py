@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
     from deepbots_cli.engines.pybullet.floor import Floor
     from deepbots_cli.frames import Triple
-    from deepbots_cli.urdf.model import Friction
+    from deepbots_cli.robots.model import Friction
 
 Colour = tuple[float, float, float, float]
 

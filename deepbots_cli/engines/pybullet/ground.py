@@ -12,9 +12,9 @@ from deepbots_cli.engines.pybullet.loadable import require_unchanged
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import UPRIGHT
 from deepbots_cli.ir import GROUND
+from deepbots_cli.robots.model import Friction, Link, Mesh, RobotModel
 from deepbots_cli.terrain.relief import Grid, grid
 from deepbots_cli.terrain.triangles import triangles
-from deepbots_cli.urdf.model import Friction, Link, Mesh, RobotModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,11 +9,11 @@ from pathlib import Path
 from deepbots_cli.engines.lump import held_by
 from deepbots_cli.errors import EngineError
 from deepbots_cli.reading import read_at_most
-from deepbots_cli.urdf import inertia
-from deepbots_cli.urdf.mesh import MAX_BYTES
-from deepbots_cli.urdf.mesh_format import fault
-from deepbots_cli.urdf.model import Inertial, Joint, Limit, Mesh, RobotModel
-from deepbots_cli.urdf.override import with_link
+from deepbots_cli.robots import inertia
+from deepbots_cli.robots.mesh import MAX_BYTES
+from deepbots_cli.robots.mesh_format import fault
+from deepbots_cli.robots.model import Inertial, Joint, Limit, Mesh, RobotModel
+from deepbots_cli.robots.override import with_link
 
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 NOWHERE = 1e9  # rad or m; the open end of a range with one end

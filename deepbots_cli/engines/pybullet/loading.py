@@ -19,8 +19,8 @@ from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.errors import EngineError
 from deepbots_cli.ir import GROUND
 from deepbots_cli.port import STILL
-from deepbots_cli.urdf.model import Mesh, RobotModel
-from deepbots_cli.urdf.writer import write
+from deepbots_cli.robots.model import Mesh, RobotModel
+from deepbots_cli.robots.writer import write
 
 if TYPE_CHECKING:
     from deepbots_cli.ir import ObjectBody, WorldModel

@@ -13,7 +13,7 @@ from deepbots_cli.engines.pybullet import readers
 from deepbots_cli.engines.pybullet.library import BASE
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.errors import EngineError
-from deepbots_cli.urdf.model import Capsule, Cylinder, Sphere
+from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import Engine
+from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.runtime.actuation.motors import Figures, Motor
-from deepbots_cli.urdf.rotation import quaternion
 
 
 class Cartesian(Motor):

@@ -15,11 +15,11 @@ from deepbots_cli.footprint import Patch, Spot
 from deepbots_cli.frames import Triple
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.runtime.placement.floor import EVERYWHERE, TOUCHING, Area, Floor, Surface, anywhere, cut, on_grid
 from deepbots_cli.runtime.placement.forms import Forms
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.terrain.relief import height
-from deepbots_cli.urdf.rotation import quaternion
 
 Pose = tuple[Triple, Triple]
 """Position (m) and roll, pitch, yaw (rad)."""

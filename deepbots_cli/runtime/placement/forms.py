@@ -8,8 +8,8 @@ from deepbots_cli import footprint
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.frames import Triple
 from deepbots_cli.ir import ObjectBody, Variant, WorldModel
+from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
-from deepbots_cli.urdf.model import Shape
 
 LEVEL = (0.0, 0.0, 0.0)
 

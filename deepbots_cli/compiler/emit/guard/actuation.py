@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
+from deepbots_cli.expressions.scalar import State, World
 from deepbots_cli.ir import Actuator, Cartesian, CompiledScenario, Motor, Thrust, Variation
-from deepbots_cli.lang.scalar import State, World
 
 _LONGEST = 1e9  # s or substeps; a delay or lag beyond is nothing that was compiled
 _MOST = 1e30

@@ -7,10 +7,10 @@ import re
 from collections.abc import Iterator
 
 from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.expressions.emit import PYTHON
+from deepbots_cli.expressions.scalar import Draw, Name, Op, State, World
+from deepbots_cli.expressions.state import RULES
 from deepbots_cli.ir.records import members
-from deepbots_cli.lang.emit import PYTHON
-from deepbots_cli.lang.scalar import Draw, Name, Op, State, World
-from deepbots_cli.lang.state import RULES
 
 _DRAWS = frozenset({"uniform", "integer", "normal", "choice"})
 # The least and the greatest number of arguments; what is not here takes one or more.

@@ -9,9 +9,9 @@ from dataclasses import fields
 from deepbots_cli import footprint
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
+from deepbots_cli.expressions.scalar import State, World
 from deepbots_cli.ir import MOST_BODIES, MOST_SPOTS, Cells, CompiledScenario, Place, Region, Top
-from deepbots_cli.lang.scalar import State, World
-from deepbots_cli.urdf.model import Box, Cylinder
+from deepbots_cli.robots.model import Box, Cylinder
 
 MOST_ATTEMPTS = 100_000
 

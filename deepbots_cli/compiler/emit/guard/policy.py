@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from deepbots_cli.canonical import CanonicalError
+from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.ir import MOST_SEEN, MOST_SEEN_BYTES, CompiledScenario
-from deepbots_cli.lang.scalar import Name
 
 _LEAST, _MOST = 1e-300, 1e300
 

@@ -10,8 +10,8 @@ from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.emit.reads import ARRIVALS
 from deepbots_cli.compiler.emit.sensing import devices
 from deepbots_cli.compiler.emit.text import action_variables, flat
+from deepbots_cli.expressions.scalar import Name, World
 from deepbots_cli.ir import CompiledScenario, Ending, Measured, MeasuredGoal, own_action
-from deepbots_cli.lang.scalar import Name, World
 
 _FLAGS = tuple((name, None) for name in ("terminated", "truncated", "ended"))
 _BUILT_IN = tuple((name, None) for name in ("time", "step", "previous_reward", "episode_return"))

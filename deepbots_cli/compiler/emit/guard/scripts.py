@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
+from deepbots_cli.expressions.scalar import Draw, State
 from deepbots_cli.ir import MOST_CONDITIONS, Aim, Choices, CompiledScenario, Interval, Pick
-from deepbots_cli.lang.scalar import Draw, State
 
 _LEAST, _MOST = 1e-300, 1e300
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit.guard.expressions import nodes
 from deepbots_cli.compiler.sensors import SENSOR_KINDS
+from deepbots_cli.expressions.scalar import World
 from deepbots_cli.ir import (
     FINEST,
     MOST_PIXELS,
@@ -23,8 +24,7 @@ from deepbots_cli.ir import (
     Sensor,
     Variation,
 )
-from deepbots_cli.lang.scalar import World
-from deepbots_cli.urdf.model import Pose
+from deepbots_cli.robots.model import Pose
 
 _MOST_TICKS = 1e5
 _LATEST = 60.0  # s

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.ir import MOST_POINTS, CompiledScenario, Formula, Picture, Pit
 from deepbots_cli.ir.records import members
-from deepbots_cli.urdf.model import Mesh
+from deepbots_cli.robots.model import Mesh
 
 _SMALLEST, _LARGEST = 1e-4, 1e5  # m
 

@@ -1,0 +1,174 @@
+"""Texts to trees: what is read, and what is refused with what advice."""
+
+import pytest
+
+from deepbots_cli.expressions import syntax
+from deepbots_cli.expressions.lexer import MAX_LENGTH
+from deepbots_cli.expressions.parser import MAX_NESTING
+from deepbots_cli.expressions.types import Context
+
+# One of each form that the shipped kinds of scenario use.
+SCENARIO_TEXTS = """\
+0.6 -0.4 m
+clamp(gas - turn, -1 .. 1) * top_speed
+10 * delta(driven) / m
+-0.1 * abs(offset) / width
+driven > length(track)
+duration(abs(offset) > 2 * width) > 1 s
+uniform(-20 .. 20 deg)
+smooth(atan2(-accel.x, accel.z) + tau * gyro.y, tau)
+-0.1 * push^2
+-0.2 * abs(velocity(bot).x) / (m/s)
+uniform(-0.5 .. 1 m/s) every 5 s
+urdf * uniform(0.8 .. 1.3)
+1 N*m*s/rad
+q - stand
+stand + swing * stride
+local(dog, angular_velocity(dog))
+duration(not contact(dog.feet, ground))
+rising(contact(dog.feet, ground))
+exp(-((v.x - vx)^2 + v.y^2) / (0.5 m/s)^2)
+0.5 * exp(-((w.z - wz) / (0.5 rad/s))^2)
+sum(where(landed, previous(air) - 0.3 s, 0 s)) / s
+-0.0002 * sum((joint_torque(dog.legs) / (N*m))^2)
+-0.01 * sum(delta(stride)^2)
+contact(dog.trunk, ground) or tilt(dog) > 60 deg
+uniform(-60 -60 0 .. 60 60 0 N)
+drive * wheel_speed
+abs(cart.pole_angle) > fall_angle
+-0.4 .. 0.4 m
+-top .. top
+0 0 1 m
+local(drone, home - position(drone))
+exp(-norm(error) / 30 cm)
+-0.01 * norm(angular_velocity(drone)) / (rad/s)
+normal(0 0 0 +- 0.02 0.02 0.01 N)
+uniform(-0.5 -0.5 0.7 .. 0.5 0.5 1.3 m)
+vector(accumulate(stride * dx, 0.3 .. 0.65 m, 0.4 m), accumulate(stride * dy, -0.25 .. 0.25 m, 0 m), 0.03 m)
+position(block).xy
+0.1 -0.5 .. 0.9 0.5 m
+-1 when not goal_reached
+norm(position(block).xy - mark) > 8 cm
+0.2 0.3 0.7 4.06 1.47 2.41 2.87 4.23 3.07 4.9 %
+where(max(proximity) > 150, -0.5, 0.6 - whim - 0.2 * sin(threat)) * speed
+10 when caught
+-0.1 when collided(hunter) and not caught
+0.01 when visible(epuck.camera, ball)
+running_max(norm(position(roller).xy))
+hold(where(reach < radius, 0.5 * reach / radius, 0.5 + 0.5 * (time_limit - time) / time_limit), reach > previous(reach))
+-0.05 when min(gap(epuck, obstacle)) < 8 mm
+integer(1 .. 3)
+choice(0 deg | 90 deg)
+accumulate(dl * increment, -top .. top, 0 rad/s)
+rover.left_bumper and rover.right_bumper
+1 1 pole
+radio + uniform(0 .. 20 ms) each step
+2.0 * omega * radius / rad
+""".splitlines()
+
+REFUSED = [
+    ("x ** 2", "**", "a ^ b"),
+    ("flag && flag", "&&", "`and`"),
+    ("flag || flag", "||", "`or`"),
+    ("!flag", "!", "`not`"),
+    ("x = 3 m", "=", "`==`"),
+    ("flag ? 1 : 2", "?", "where("),
+    ("1 if flag else 2", "if", "where("),
+    ("cart.rays[0]", "[", "`v.x`"),
+    ('"text"', '"', "no text"),
+    ("x % 2", "%", "wrap("),
+    ("lambda x: x", "lambda", "signals"),
+    ("clamp(x, low=3)", "=", "without their names"),
+    ("1 m < x < 2 m", "1 m < x <", "a < b and b < c"),
+    ("x ≤ 3 m", "≤", "`<=`"),
+    ("angle − 3°", "−", "plain minus"),
+    ("1,5 m", ",", "point"),
+    ("x // 2", "//", "`/`"),
+    ("x 1 2", "1", None),
+    ("3 sin(angle)", "sin", None),
+    ("math.fabs(angle) > 1 deg", "(", "plain names"),
+    ("x +", "", None),
+    ("(x", "(", None),
+    ("x)", ")", None),
+    ("", "", None),
+    ("* x", "*", None),
+    ("1_00 m", "1_00", "100_000"),
+    ("1e999", "1e999", "largest"),
+    ("2 m^99", "^99", "parentheses"),
+    ("x .. y .. x", "..", None),
+    ("gas each tick", "tick", "each step"),
+]
+
+
+@pytest.mark.parametrize("text", SCENARIO_TEXTS)
+def test_what_scenarios_write_is_read(bench, text):
+    assert bench.read(text) is not None
+    assert bench.said == []
+
+
+@pytest.mark.parametrize(("text", "piece", "advice"), REFUSED)
+def test_habits_of_other_languages_are_refused_with_advice(bench, text, piece, advice):
+    said = bench.only(text)
+    assert (said.code, said.piece) == ("DB401", piece)
+    if advice is not None:
+        assert advice in said.help
+
+
+def test_minus_binds_weaker_than_a_power_and_powers_group_to_the_right(bench):
+    assert bench.values("-2^2 + 2^3^2 - (-2)^2") == [-4 + 512 - 4]
+    assert bench.values("2^-1") == [0.5]
+
+
+def test_and_binds_tighter_than_or_and_not_tighter_than_both(bench):
+    for a in (False, True):
+        for x in (-1.0, 1.0):
+            expected = a or (not a and x > 0)
+            assert bench.values("flag or not flag and x > 0", flag=a, x=x) == [expected]
+
+
+def test_numbers_side_by_side_are_a_vector_but_a_detached_minus_subtracts(bench):
+    assert isinstance(bench.read("2 -1 m"), syntax.Vector)
+    assert isinstance(bench.read("2 - 1 m"), syntax.Binary)
+    assert isinstance(bench.read("2-1"), syntax.Binary)
+    assert isinstance(bench.read("gas -1"), syntax.Binary)
+
+
+def test_every_node_knows_its_place(bench):
+    text = "  abs( x ) + cart.pole_angle "
+    tree = bench.read(text)
+    assert text[tree.start : tree.end] == "abs( x ) + cart.pole_angle"
+    assert text[tree.left.start : tree.left.end] == "abs( x )"
+    assert text[tree.right.start : tree.right.end] == "cart.pole_angle"
+
+
+def test_a_text_may_be_nested_only_so_deep(bench):
+    assert bench.values("(" * MAX_NESTING + "1" + ")" * MAX_NESTING) == [1.0]
+    assert bench.codes("(" * (MAX_NESTING + 1) + "1" + ")" * (MAX_NESTING + 1)) == ["DB005"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "(" * (MAX_LENGTH - 1),
+        "-" * (MAX_LENGTH - 1) + "1",
+        "not " * 2000 + "flag",
+        "+".join(["x"] * 4000),
+        "(" + "+x" * 100 + ")*(" * 3 + "x" * 50,
+        "2^" * 4000 + "2",
+        "x" + ".x" * 4000,
+        "position(cart)" + ".x" * 4000,
+        "1 " * 4000,
+        "x" * 1_000_000,
+        "5 " + "m*" * 4000 + "m",
+        "where(flag, " * 800 + "1",
+        "9" * 9000,
+        "((x" + "+x" * 127 + ")" + "+x" * 127 + ")",
+    ],
+)
+def test_hostile_length_and_depth_give_one_finding_at_once(bench, text):
+    bench.typed(text)
+    assert len(bench.said) <= 1 or {said.code for said in bench.said} == {"DB402"}
+
+
+def test_a_draw_may_be_repeated_and_nothing_else(bench):
+    assert bench.codes("uniform(0 .. 1) each step", Context.PARAMETER) == ["DB407"]

@@ -1,0 +1,88 @@
+"""Stateful functions, run from their printed statements."""
+
+import textwrap
+
+import pytest
+
+from deepbots_cli.expressions.emit import python
+from deepbots_cli.expressions.functions import Family
+from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.scalar import Name, State, walk
+from deepbots_cli.expressions.state import RULES, advance_lines, reset_lines
+from deepbots_cli.expressions.table import FUNCTIONS
+
+DT = 0.5
+
+
+def run(bench, text, rows):
+    """The value at the reset (first row) and in each tick after it."""
+    (scalar,) = lower(bench.clean(text), "item")
+
+    def leaf(read):
+        match read:
+            case State(slot=slot):
+                return slot.replace("#", "_now_")
+            case Name(name=name):
+                return name
+        raise AssertionError(read)
+
+    reset, tick = [], []
+    for state in dict.fromkeys(node for node in walk(scalar) if isinstance(node, State)):
+        now, memory = leaf(state), state.slot.replace("#", "_memory_")
+        args = [python(arg, leaf) for arg in state.args]
+        reset += reset_lines(state, memory, now, args)
+        tick += advance_lines(state, memory, now, args, "dt")
+    result = python(scalar, leaf)
+    kept = {"dt": DT}
+    seen = []
+    for number, row in enumerate(rows):
+        kept |= row
+        exec(textwrap.dedent("\n".join(reset if number == 0 else tick)), kept)
+        seen.append(eval(result, kept))
+    return seen
+
+
+def xs(*values):
+    return [{"x": value, "flag": value > 0} for value in values]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("delta(x)", [0, 1, 2, -6]),
+        ("delta(x, 0)", [0, 3, 2, -6]),
+        ("previous(x)", [2, 2, 3, 5]),
+        ("previous(x, 9 m)", [9, 9, 3, 5]),
+        ("running_max(x)", [2, 3, 5, 5]),
+        ("running_min(x)", [2, 2, 2, -1]),
+        ("hold(x, x < 4 m)", [2, 3, 3, -1]),
+        ("smooth(x, 0.5 s)", [2, 2.5, 3.75, 1.375]),
+        ("smooth(x, 0)", [2, 3, 5, -1]),
+        ("integral(x)", [0, 1.5, 4, 3.5]),
+        ("accumulate(x, -1 .. 7 m, 1 m)", [1, 4, 7, 6]),
+        ("duration(x > 2 m)", [0, 0.5, 1, 0]),
+        ("rising(x > 2 m)", [False, True, False, False]),
+        ("rising(not flag)", [False, False, False, True]),
+        ("smooth(x, where(flag, 0.5 s, 1 s))", [2, 2.5, 3.75, 13 / 6]),
+        ("duration(where(flag, x > 2 m, false))", [0, 0.5, 1, 0]),
+        ("previous(flag)", [True, True, True, True]),
+    ],
+)
+def test_each_function_at_the_reset_and_in_the_ticks_after_it(bench, text, expected):
+    assert run(bench, text, xs(2, 3, 5, -1)) == pytest.approx(expected)
+
+
+def test_an_inner_state_advances_before_the_outer_one(bench):
+    assert run(bench, "hold(x, x > previous(x))", xs(2, 3, 1, 2, 5)) == [2, 3, 3, 2, 5]
+    assert run(bench, "delta(delta(x))", xs(0, 1, 3, 6)) == [0, 1, 1, 1]
+
+
+def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
+    """From rest, and with both readings true, smooth(measured + tau * rate, tau) has no lag."""
+    rows = [{"x": 0.1 * k * DT, "speed": 0.1 if k else 0.0} for k in range(20)]
+    seen = run(bench, "smooth(x + 2 s * speed, 2 s)", rows)
+    assert seen == pytest.approx([row["x"] for row in rows], abs=1e-12)
+
+
+def test_every_stateful_function_of_the_table_has_a_rule():
+    assert set(RULES) == {function.name for function in FUNCTIONS.values() if function.family is Family.STATEFUL}

@@ -1,0 +1,269 @@
+"""Dimensions, shapes, stages and names of whole expressions, and what is found wrong with them."""
+
+import pytest
+
+from deepbots_cli.expressions.check import check, check_drawn, check_range
+from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, NUMBER, SPEED, TIME, TORQUE
+from deepbots_cli.expressions.expect import ANY_SHAPE, expect, expect_range
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.types import SPACE, Context, NoNames, Stage
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "components"),
+    [
+        ("x + y", LENGTH, None),
+        ("x / time", SPEED, None),
+        ("sqrt(x * y)", LENGTH, None),
+        ("x^2 / m^2", NUMBER, None),
+        ("(x * y)^0.5", LENGTH, None),
+        ("sin(angle) * x", LENGTH, None),
+        ("angle / rad", NUMBER, None),
+        ("atan2(x, y)", ANGLE, None),
+        ("integral(speed)", LENGTH, None),
+        ("delta(angle)", ANGLE, None),
+        ("duration(x > 0)", TIME, None),
+        ("smooth(atan2(-cart.accel.x, cart.accel.z) + 0.5 s * cart.gyro.y, 0.5 s)", ANGLE, None),
+        ("home - position(cart)", LENGTH, SPACE),
+        ("position(cart).xy", LENGTH, ("x", "y")),
+        ("velocity(cart.tip).x", SPEED, None),
+        ("angular_velocity(cart)", ANGULAR_VELOCITY, SPACE),
+        ("local(cart, velocity(cart))", SPEED, SPACE),
+        ("joint_position(cart.pole_hinge)", ANGLE, None),
+        ("joint_velocity(cart.slider)", SPEED, None),
+        ("joint_torque(cart.legs)", TORQUE, ("hip", "knee")),
+        ("joint_torque(cart.slider)", FORCE, None),
+        ("joint_position(cart.legs) + 0.1 rad * stride", ANGLE, ("hip", "knee")),
+        ("max(cart.rays)", LENGTH, None),
+        ("max(x, y, 0)", LENGTH, None),
+        ("cart.rays.ps1", LENGTH, None),
+        ("where(bumps, stride, 0)", NUMBER, ("hip", "knee")),
+        ("vector(x, y)", LENGTH, ("x", "y")),
+        ("5 when flag", NUMBER, None),
+        ("x > 0", NUMBER, None),
+    ],
+)
+def test_dimension_and_components_follow_from_the_parts(bench, text, dimension, components):
+    found = bench.clean(text).type
+    assert (found.dimension, found.components) == (dimension, components)
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "piece"),
+    [
+        ("speed + 3", "DB502", "3"),
+        ("x > 2 * 3", "DB502", "2 * 3"),
+        ("speed + x", "DB503", "speed + x"),
+        ("max(x, time)", "DB503", "max(x, time)"),
+        ("exp(x)", "DB503", "x"),
+        ("sin(gas)", "DB503", "gas"),
+        ("sin(30)", "DB502", "30"),
+        ("x^gas", "DB503", "gas"),
+        ("x^(1/7)", "DB503", "(1/7)"),
+        ("home + stride", "DB404", "home + stride"),
+        ("norm(x)", "DB404", "x"),
+        ("vector(home, x)", "DB404", "home"),
+        ("local(cart, stride)", "DB404", "stride"),
+        ("x + flag", "DB403", "flag"),
+        ("not x", "DB403", "x"),
+        ("flag and gas", "DB403", "gas"),
+        ("where(x, 1, 2)", "DB403", "x"),
+        ("sum(bumps)", "DB403", "bumps"),
+        ("spede", "DB402", "spede"),
+        ("home.q", "DB402", "home.q"),
+        ("x.y", "DB402", "x.y"),
+        ("position(crat)", "DB402", "crat"),
+        ("flatten(x)", "DB402", "flatten"),
+        ("distance", "DB402", "distance"),
+        ("cart + 1", "DB203", "cart"),
+        ("position(x)", "DB203", "x"),
+        ("position(home - home)", "DB203", "home - home"),
+        ("joint_position(cart)", "DB203", "cart"),
+        ("velocity(cart.pole_hinge)", "DB203", "cart.pole_hinge"),
+        ("1 / y", "DB405", "y"),
+        ("1 / (gas - gas)", "DB405", "(gas - gas)"),
+        ("1 / 0", "DB405", "0"),
+        ("sqrt(y)", "DB406", "y"),
+        ("log(gas)", "DB406", "gas"),
+        ("1e300 * 1e300", "DB406", "1e300 * 1e300"),
+        ("9^9^9^9", "DB406", "9^9^9"),
+        ("angle > 30 rad", "DB504", "30 rad"),
+        ("cos(90 rad)", "DB504", "90 rad"),
+        ("radio > 0", "DB407", "radio"),
+        ("clamp(x)", "DB401", "clamp(x)"),
+        ("clamp(x, 3 m)", "DB401", "3 m"),
+        ("abs(1 .. 2)", "DB401", "1 .. 2"),
+        ("2 speed", "DB401", "2 speed"),
+        ("1 .. 2 m", "DB401", "1 .. 2 m"),
+    ],
+)
+def test_a_fault_is_one_finding_at_its_place(bench, text, code, piece):
+    said = bench.only(text)
+    assert (said.code, said.piece) == (code, piece)
+
+
+def test_a_fault_below_satisfies_every_check_above(bench):
+    assert bench.codes("max(spede + 3 m, flag and 2) > 3 when norm(broken)") == ["DB402", "DB403"]
+    assert bench.codes("broken + flag") == []
+
+
+def test_an_unknown_name_lists_what_is_known_and_suggests_the_nearest(bench):
+    said = bench.only("spede + 1 m/s")
+    assert "did you mean `speed`?" in said.help
+    assert "cart.pole_angle" in said.help
+
+
+def test_a_bare_zero_fits_every_dimension(bench):
+    for text in ("x > 0", "where(flag, x, 0)", "max(speed, 0)", "clamp(x, 0 .. 1 m)", "delta(angle, 0)", "vector(x, 0, -0)"):
+        bench.clean(text)
+
+
+def test_a_joint_is_bounded_by_its_limits(bench):
+    assert bench.clean("joint_position(cart.pole_hinge)").type.interval == Interval(-1.3, 1.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "context", "codes"),
+    [
+        ("uniform(0 .. 1)", Context.REWARD, ["DB407"]),
+        ("uniform(0 .. 1)", Context.PARAMETER, []),
+        ("uniform(0 .. 1)", Context.RESET, []),
+        ("position(cart).x", Context.APPLY, ["DB407"]),
+        ("position(cart).x", Context.REQUIRE, []),
+        ("delta(x)", Context.REQUIRE, ["DB407"]),
+        ("delta(x)", Context.EMIT, []),
+        ("gap(cart, ball)", Context.EMIT, ["DB407"]),
+        ("abs(x)", Context.FIXED, []),
+    ],
+)
+def test_functions_stand_only_where_their_knowledge_is(bench, text, context, codes):
+    assert bench.codes(text, context) == codes
+
+
+@pytest.mark.parametrize(
+    ("text", "stage"),
+    [
+        ("track * 2", Stage.FIXED),
+        ("wind + 1 m/s", Stage.EPISODE),
+        ("x", Stage.STEP),
+        ("position(cart).x", Stage.STEP),
+        ("previous(track)", Stage.STEP),
+    ],
+)
+def test_an_expression_is_as_late_as_its_latest_part(bench, text, stage):
+    assert bench.clean(text).type.stage == stage
+
+
+def test_a_draw_is_settled_once_per_episode_unless_it_is_repeated(bench):
+    assert bench.clean("uniform(0 .. 1)", Context.PARAMETER).type.stage == Stage.EPISODE
+    drawn = check_drawn(bench.read("uniform(0 .. 1 m/s) every 5 s"), bench.scope.__class__(Context.PARAMETER), bench.report)
+    assert drawn.value.type.stage == Stage.STEP
+    assert constant(drawn.redraw.period) == (5.0,)
+    stepped = check_drawn(bench.read("normal(0 +- 0.1 m) each step"), bench.scope.__class__(Context.PARAMETER), bench.report)
+    assert stepped.redraw.period is None
+    assert bench.said == []
+
+
+def test_a_repetition_needs_a_draw_and_a_duration(bench):
+    scope = bench.scope.__class__(Context.PARAMETER)
+    check_drawn(bench.read("3 m every 5 s"), scope, bench.report)
+    assert [said.code for said in bench.said] == ["DB401"]
+    check_drawn(bench.read("uniform(0 .. 1) every 5"), scope, bench.report)
+    assert [said.code for said in bench.said] == ["DB502"]
+
+
+def test_a_range_has_two_ends_that_fit(bench):
+    def codes(text):
+        check_range(bench.read(text), bench.scope, bench.report)
+        return [said.code for said in bench.said]
+
+    assert codes("-0.5 -0.5 0.7 .. 0.5 0.5 1.3 m") == []
+    assert codes("-track .. track") == []
+    assert codes("3 m") == ["DB401"]
+    assert codes("2 .. 1 m") == ["DB105"]
+    assert codes("1 s .. 2 m") == ["DB503"]
+    assert codes("0 0 .. 1 1 1 m") == ["DB404"]
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "code"),
+    [
+        ("0.5", LENGTH, None),
+        ("2 * 3", MASS, None),
+        ("0", TIME, None),
+        ("32", TIME, "DB502"),
+        ("15", ANGLE, "DB502"),
+        ("32 ms", TIME, None),
+        ("3 m", TIME, "DB503"),
+        ("15 rad", ANGLE, "DB504"),
+        ("5000 km", LENGTH, "DB505"),
+        ("true", NUMBER, "DB403"),
+        ("1 2 m", LENGTH, "DB404"),
+    ],
+)
+def test_a_field_takes_what_it_declares(bench, text, dimension, code):
+    value = check(bench.read(text), NoNames(), bench.report)
+    taken = expect(value, bench.report, "the field", dimension=dimension)
+    assert [said.code for said in bench.said] == ([code] if code else [])
+    if code is None:
+        assert taken.type.dimension == dimension
+
+
+def test_a_field_says_its_name_and_what_it_needs(bench):
+    expect(bench.clean("3 m"), bench.report, "the timestep", dimension=TIME)
+    assert bench.said[0].headline == "the timestep is a length (m), not a duration (s)"
+
+
+def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):
+    expect(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
+    assert [said.code for said in bench.said] == ["DB106"]
+    assert expect(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
+    assert expect(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
+    assert expect(bench.clean("wind"), bench.report, "the gravity", stage=Stage.FIXED) is None
+    assert [said.code for said in bench.said] == ["DB407"]
+
+
+def test_both_ends_of_a_range_take_the_dimension_of_their_field(bench):
+    found = check_range(bench.read("0.1 .. 0.5"), NoNames(), bench.report)
+    assert expect_range(found, bench.report, "the field", dimension=LENGTH).high.type.dimension == LENGTH
+    assert expect_range(found, bench.report, "the field", dimension=TIME) is None
+    assert [said.code for said in bench.said] == ["DB502"]
+
+
+def test_a_huge_expression_is_refused_before_it_is_written_out(bench):
+    text = "norm(home / m * " * 20 + "1" + ")" * 20
+    assert bench.codes(text) == ["DB005"]
+    deep = "local(cart, " * 20 + "home" + ")" * 20
+    assert bench.codes(deep) == ["DB005"]
+
+
+def test_every_function_is_documented_in_one_sentence():
+    for function in FUNCTIONS.values():
+        assert function.doc.endswith("."), function.name
+        assert function.signature.startswith(function.name + "(")
+
+
+@pytest.mark.parametrize(
+    ("text", "help"),
+    [
+        ("0,5 when flag", "decimals take a point: `0.5`"),
+        ("delta(", "a value and the closing `)` are missing behind `(`"),
+        ("1 +", "a value is missing behind `+`"),
+        ("1 when", "a value is missing behind `when`"),
+        ("random()", "a draw is `uniform(low .. high)`, or `normal(mean +- deviation)`"),
+        ("clip(x, 0 m, 1 m)", "write `clamp(x, low .. high)`"),
+    ],
+)
+def test_a_habit_of_another_language_is_told_what_to_write_here(bench, text, help):
+    assert bench.only(text).help == help
+
+
+def test_a_component_without_its_robot_or_as_a_piece_of_a_name_is_known(bench):
+    assert "did you mean `cart.gyro.x`?" in bench.only("gyro.x > 0 rad/s").help
+    assert "did you mean `knee`?" in bench.only("stride.kne > 0").help
+
+
+def test_a_message_to_a_robot_that_nobody_sends_is_told_where_actions_are_named(bench):
+    assert "named under `action`" in bench.only("engine * 2", Context.APPLY).help

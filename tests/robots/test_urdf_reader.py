@@ -1,0 +1,344 @@
+"""What the reader makes of a robot file, and what it says about a wrong one."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.diagnostics import Finding, Findings
+from deepbots_cli.robots.model import Box, Cylinder, Friction, Limit, Mimic, Pose
+from deepbots_cli.robots.reader import read
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+ARM = f"""<?xml version="1.0"?>
+<robot name="arm">
+  <material name="red"><color rgba="1 0 0 1"/></material>
+  <link name="base">
+    {INERTIAL}
+    <visual><geometry><box size="1 2 3"/></geometry><material name="red"/></visual>
+  </link>
+  <link name="hand">
+    {INERTIAL}
+    <collision><origin xyz="0 0 0.5" rpy="0.1 0 0"/><geometry><cylinder radius="0.1" length="2"/></geometry></collision>
+    <contact><lateral_friction value="0.7"/></contact>
+  </link>
+  <joint name="elbow" type="revolute">
+    <parent link="base"/>
+    <child link="hand"/>
+    <origin xyz="1 0 0"/>
+    <axis xyz="0 3 4"/>
+    <limit lower="-1" upper="2" effort="5" velocity="0"/>
+    <dynamics damping="0.1" friction="0.2"/>
+  </joint>
+</robot>
+"""
+
+
+def single(findings: list[Finding]) -> Finding:
+    assert len(findings) == 1, [f.headline for f in findings]
+    return findings[0]
+
+
+def test_a_sound_robot_is_read_without_a_word(read_text):
+    robot, findings = read_text(ARM)
+    assert findings == []
+    assert robot is not None
+    model = robot.model
+    assert (model.name, model.root) == ("arm", "base")
+    assert model.link("base").visuals[0].shape == Box((1.0, 2.0, 3.0))
+    assert model.link("base").visuals[0].colour == (1.0, 0.0, 0.0, 1.0)
+    assert model.link("hand").collisions[0].shape == Cylinder(0.1, 2.0)
+    assert model.link("hand").collisions[0].origin == Pose((0.0, 0.0, 0.5), (0.1, 0.0, 0.0))
+    assert model.link("hand").friction == Friction(lateral=0.7)
+    elbow = model.joint("elbow")
+    assert elbow.axis == pytest.approx((0, 0.6, 0.8))
+    assert (elbow.damping, elbow.friction) == (0.1, 0.2)
+
+
+def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
+    robot, _ = read_text(ARM)
+    assert robot.model.joint("elbow").limit == Limit(-1.0, 2.0, None, 5.0)
+
+
+def test_links_and_joints_know_where_they_are_named(read_text):
+    robot, _ = read_text(ARM)
+    assert robot.link_spans["hand"].text == "hand"
+    assert robot.link_spans["hand"].begin == (8, 15)
+    assert robot.joint_spans["elbow"].where == "robot.urdf:13:16"
+
+
+def test_the_digest_is_that_of_the_file(tmp_path: Path):
+    path = tmp_path / "arm.urdf"
+    path.write_bytes(ARM.encode())
+    robot = read(path, "arm.urdf", Findings())
+    assert robot is not None
+    assert robot.digest == hashlib.sha256(ARM.encode()).hexdigest()
+
+
+def test_columns_count_characters_and_not_bytes(read_text):
+    text = ARM.replace('<axis xyz="0 3 4"/>', '<!-- äöü → 🤖 --><axis xyz="0 3 x"/>').replace('name="arm"', 'name="ärm"')
+    _, findings = read_text(text)
+    finding = single(findings)
+    assert finding.span.text == "0 3 x"
+    assert finding.span.begin.column == 1 + text.splitlines()[finding.span.begin.line - 1].index("0 3 x")
+
+
+def test_an_attribute_is_found_even_if_another_value_looks_like_it(read_text):
+    _, findings = read_text(ARM.replace('<axis xyz="0 3 4"/>', "<axis note='a xyz=\"1\" >' \n xyz = '1 2 bad'/>"))
+    finding = single(findings)
+    assert finding.span.text == "1 2 bad"
+
+
+def broken(old: str, new: str) -> str:
+    assert old in ARM
+    return ARM.replace(old, new, 1)
+
+
+ERRORS = {
+    "a number that is none": (broken('damping="0.1"', 'damping="lots"'), "'lots' is not a finite number", "lots"),
+    "not a number": (broken('damping="0.1"', 'damping="nan"'), "'nan' is not a finite number", "nan"),
+    "infinite": (broken('damping="0.1"', 'damping="1e999"'), "'damping' is larger than 1e+18", "1e999"),
+    "a number with an underscore": (broken('effort="5"', 'effort="1_0"'), "'1_0' is not a finite number", "1_0"),
+    "negative damping": (broken('damping="0.1"', 'damping="-1"'), "'damping' must not be negative", "-1"),
+    "negative mass": (broken('mass value="1"', 'mass value="-1"'), "'value' must not be negative", "-1"),
+    "negative inertia": (broken('ixx="1"', 'ixx="-1"'), "'ixx' must not be negative", "-1"),
+    "inertial without mass": (broken('<mass value="1"/>', ""), "<inertial> without <mass>", "<inertial>"),
+    "mass without value": (broken('<mass value="1"/>', "<mass/>"), "<mass> without the attribute 'value'", "<mass/>"),
+    "short vector": (broken('xyz="1 0 0"', 'xyz="1 0"'), "'xyz' needs 3 numbers, not 2", "1 0"),
+    "long vector": (broken('xyz="1 0 0"', 'xyz="1 0 0 0 0"'), "'xyz' needs 3 numbers, not 5", "1 0 0 0 0"),
+    "commas without blanks": (broken('size="1 2 3"', 'size="1,2,3"'), "'1,2,3' is not a finite number", "1,2,3"),
+    "name of a hinge": (
+        broken('"revolute"', '"spherical"').replace('"hand"', '"elbow_y"'),
+        "'elbow' is a ball joint, and 'elbow_y', the name of one of its hinges, is taken", "elbow",
+    ),
+    "flat box": (broken('size="1 2 3"', 'size="1 -2 3"'), "'size' must be above 0", "1 -2 3"),
+    "thin cylinder": (broken('radius="0.1"', 'radius="0"'), "'radius' must be above 0", "0"),
+    "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> without a shape that is known", "<geometry>"),
+    "no geometry": (broken('<geometry><box size="1 2 3"/></geometry>', ""), "<visual> without <geometry>", "<visual>"),
+    "zero axis": (broken('xyz="0 3 4"', 'xyz="0 0 0"'), "the axis has no length", "0 0 0"),
+    "joint type": (broken('"revolute"', '"revolut"'), "unknown joint type 'revolut'", "revolut"),
+    "no joint type": (broken(' type="revolute"', ""), "<joint> without the attribute 'type'", '<joint name="elbow">'),
+    "no parent": (broken('<parent link="base"/>', ""), "<joint> without <parent>", '<joint name="elbow" type="revolute">'),
+    "parent without link": (broken('<parent link="base"/>', "<parent/>"), "<parent> without the attribute 'link'", "<parent/>"),
+    "unknown child": (broken('child link="hand"', 'child link="hnd"'), "joint 'elbow' has the unknown link 'hnd' as its child", "hnd"),
+    "self joint": (broken('"hand"/>', '"base"/>'), "these links hang on each other in a circle: 'base'", '<joint name="elbow" '),
+    "second root": (broken("</robot>", f'<link name="free">{INERTIAL}</link></robot>'), "link 'free' is a second root", "free"),
+    "second link": (broken("</robot>", '<link name="hand"/></robot>'), "a second link called 'hand'", "hand"),
+    "nameless link": (broken("</robot>", "<link/></robot>"), "<link> without the attribute 'name'", "<link/>"),
+    "empty name": (broken("</robot>", '<link name=" "/></robot>'), "the attribute 'name' is empty", " "),
+    "line break in a name": (broken('"arm"', '"a"').replace("hand", "ha&#10;nd"), "holds characters that cannot be printed", "ha&#10;nd"),
+    "mimic": (broken("<dynamics", '<mimic joint="elbo"/><dynamics'), "joint 'elbow' follows the unknown joint 'elbo'", "elbo"),
+    "self mimic": (broken("<dynamics", '<mimic joint="elbow"/><dynamics'), "these joints follow each other in a circle: 'elbow'", "elbow"),
+    "macro": (broken("</robot>", "<xacro:wheel/></robot>"), "a xacro macro that has not been expanded", "<xacro:wheel/>"),
+    "another root": ("<sdf><model/></sdf>", "the outermost element is <sdf>, not <robot>", "<sdf>"),
+    "no links": ("<robot name='x'/>", "the robot has no links", "<robot name='x'/>"),
+    "no file": (broken("<robot", "<robt"), "this is not XML: mismatched tag", None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ERRORS)
+def test_an_error_is_said_once_and_at_its_place(read_text, case):
+    text, headline, place = ERRORS[case]
+    robot, findings = read_text(text)
+    assert robot is None
+    first = findings[0]
+    assert first.severity == "error"
+    assert headline in first.headline
+    if place is not None:
+        assert first.span.text.startswith(place)
+    if case not in ("line break in a name",):
+        single(findings)
+
+
+ODDITIES = {
+    "blank lines first": ("\n \n" + ARM, "the XML declaration is not at the start of the file", "<?xml", (3, 1)),
+    "zero byte": (ARM + "\0", "a zero byte after the end of the document", "\0", (22, 1)),
+    "zero bytes and blanks": (ARM + "\r\n\0\0 \n", "a zero byte after the end of the document", "\0", (23, 1)),
+    "rotation of four": (
+        broken('rpy="0.1 0 0"', 'rpy="0.1 0 0 9"'),
+        "'rpy' needs 3 numbers, not 4; the first 3 are read, as PyBullet does", "0.1 0 0 9", (10, 43),
+    ),
+    "place of four": (
+        broken('xyz="1 0 0"', 'xyz="1 0 0 9"'),
+        "'xyz' needs 3 numbers, not 4; the first 3 are read, as PyBullet does", "1 0 0 9", (16, 18),
+    ),
+    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; 1 is read, as PyBullet does", "1, 2, 3", (6, 34)),
+    "a point too many": (
+        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; -1.0 is read, as PyBullet does", "-1.0.", (18, 19),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ODDITIES)
+def test_what_pybullet_reads_with_certainty_is_read_with_a_warning_at_its_place(read_text, case):
+    text, headline, place, position = ODDITIES[case]
+    robot, findings = read_text(text)
+    finding = single(findings)
+    assert (finding.code, finding.headline) == ("DB311", headline)
+    assert (finding.span.text, finding.span.begin) == (place, position)
+    assert robot.model == read_text(ARM)[0].model
+
+
+def test_a_ball_joint_is_read_as_three_hinges_with_a_warning_at_its_type(read_text):
+    robot, findings = read_text(broken('"revolute"', '"spherical"'))
+    finding = single(findings)
+    assert finding.code == "DB311"
+    assert finding.headline == "ball joint 'elbow' is read as three hinges at one place: elbow_x, elbow_y, elbow_z"
+    assert finding.span.where == "robot.urdf:13:29"
+    hinges = [robot.model.joint(f"elbow_{axis}") for axis in "xyz"]
+    assert [hinge.axis for hinge in hinges] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    assert [(hinge.parent, hinge.child) for hinge in hinges] == [("base", "elbow_x"), ("elbow_x", "elbow_y"), ("elbow_y", "hand")]
+    assert [hinge.origin for hinge in hinges] == [read_text(ARM)[0].model.joint("elbow").origin, Pose(), Pose()]
+
+
+def test_blank_lines_before_the_declaration_shift_no_place(read_text):
+    text = "\n \n" + ARM.replace('name="arm"', 'name="ärm"').replace('xyz="0 3 4"', 'xyz="0 3 x"')
+    _, findings = read_text(text)
+    assert [finding.span.where for finding in findings if finding.severity == "error"] == ["robot.urdf:19:16"]
+    robot, _ = read_text(text.replace("0 3 x", "0 3 4"))
+    assert robot.link_spans["hand"].begin == (10, 15)
+
+
+def test_all_errors_of_a_file_are_found_at_once(read_text):
+    text = broken('damping="0.1"', 'damping="x"').replace('size="1 2 3"', 'size="0 1 1"').replace('mass value="1"', 'mass value="-2"')
+    text = text.replace("</robot>", '<link name="free"/></robot>')
+    _, findings = read_text(text)
+    assert len(findings) == 5  # both links had the mass
+
+
+def test_a_duplicate_shows_the_first_place(read_text):
+    _, findings = read_text(
+        ARM.replace("</robot>", '<joint name="elbow" type="fixed"><parent link="base"/><child link="hand"/></joint></robot>')
+    )
+    label = findings[0].also[0]
+    assert (label.text, label.span.begin) == ("first defined here", (13, 16))
+
+
+def test_two_parents_and_a_circle_are_named(read_text):
+    links = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in "abcd")
+
+    def joint(name: str, parent: str, child: str) -> str:
+        return f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/></joint>'
+
+    _, findings = read_text(
+        f'<robot name="r">{links}{joint("1", "a", "b")}{joint("2", "a", "c")}{joint("3", "b", "c")}{joint("4", "a", "d")}</robot>'
+    )
+    assert single(findings).headline == "link 'c' has two parents, 'a' and 'b'"
+    _, findings = read_text(f'<robot name="r">{links}{joint("1", "a", "b")}{joint("2", "d", "c")}{joint("3", "c", "d")}</robot>')
+    assert single(findings).headline == "these links hang on each other in a circle: 'c', 'd'"
+
+
+def test_unknown_names_suggest_the_nearest(read_text):
+    _, findings = read_text(broken('child link="hand"', 'child link="hnd"'))
+    assert single(findings).help == "did you mean 'hand'? the links are: base, hand"
+
+
+def warning(read_text, text: str) -> Finding:
+    robot, findings = read_text(text)
+    assert robot is not None
+    finding = single(findings)
+    assert finding.severity == "warning"
+    return finding
+
+
+def test_an_odd_xml_version_is_a_warning(read_text):
+    finding = warning(read_text, broken('version="1.0"', 'version="0.0" '))
+    assert (finding.code, finding.span.text) == ("DB311", '<?xml version="0.0" ?>')
+
+
+def test_what_belongs_to_other_tools_is_passed_over(read_text):
+    extra = '<gazebo reference="hand"><mu1>0.2</mu1></gazebo><transmission name="t"><joint name="elbow"/></transmission></robot>'
+    robot, findings = read_text(broken("</robot>", extra))
+    assert robot is not None
+    assert findings == []
+
+
+def test_misspelt_elements_and_attributes_are_warned_about(read_text):
+    finding = warning(
+        read_text, broken('<contact><lateral_friction value="0.7"/></contact>', '<contact><lateral_fricton value="0.7"/></contact>')
+    )
+    assert (finding.code, finding.help) == ("DB311", "did you mean 'lateral_friction'?")
+    finding = warning(read_text, broken('lower="-1"', 'lowr="-1"'))
+    assert (finding.headline, finding.span.text) == ("the attribute 'lowr' is not read", "-1")
+
+
+def test_a_moving_link_without_inertia_is_warned_about_by_itself(read_text):
+    finding = warning(read_text, ARM.replace(f'<link name="hand">\n    {INERTIAL}', '<link name="hand">'))
+    assert (finding.code, finding.headline) == ("DB305", "link 'hand' moves and has no inertial")
+
+
+FRAMES = {
+    "a tool": '<link name="tool0"/><joint name="tool" type="fixed"><parent link="hand"/><child link="tool0"/></joint>',
+    "the world": '<link name="world"/><joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>',
+}
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_frame_without_any_shape_needs_no_inertia(read_text, frame):
+    robot, findings = read_text(broken("</robot>", f"{FRAMES[frame]}</robot>"))
+    assert robot is not None
+    assert findings == []
+
+
+def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
+    shape = "<visual><geometry><sphere radius='0.1'/></geometry></visual>"
+    frames = "".join(
+        f'<link name="f{i}">{shape}</link><joint name="to_f{i}" type="fixed"><parent link="hand"/><child link="f{i}"/></joint>'
+        for i in range(3)
+    )
+    finding = warning(read_text, broken("</robot>", frames + "</robot>"))
+    assert finding.code == "DB305"
+    assert finding.notes == ("they are: f0, f1, f2",)
+
+
+@pytest.mark.parametrize(
+    "moments",
+    ['ixx="1" iyy="1" izz="2.5"', 'ixx="0" iyy="0" izz="0"', 'ixx="1" iyy="1" izz="1" ixy="2"', 'ixx="1e-9" iyy="1e-9" izz="1e-8"'],
+)
+def test_an_inertia_that_no_body_can_have_is_warned_about(read_text, moments):
+    finding = warning(read_text, broken('ixx="1" iyy="1" izz="1"', moments))
+    assert (finding.code, finding.span.begin.line) == ("DB306", 5)
+
+
+def test_a_mass_of_zero_is_warned_about(read_text):
+    assert warning(read_text, broken('mass value="1"', 'mass value="0"')).headline == "link 'base' has mass 0"
+
+
+@pytest.mark.parametrize("limit", ["", '<limit effort="5" velocity="1"/>', '<limit lower="2" upper="-1" effort="5" velocity="1"/>'])
+def test_a_joint_without_usable_limits_is_unlimited_and_warned_about(read_text, limit):
+    text = broken('<limit lower="-1" upper="2" effort="5" velocity="0"/>', limit)
+    assert warning(read_text, text).code == "DB307"
+    robot, _ = read_text(text)
+    assert (robot.model.joint("elbow").limit.lower, robot.model.joint("elbow").limit.upper) == (None, None)
+
+
+def test_a_single_bound_leaves_the_other_at_zero_as_urdf_says(read_text):
+    robot, findings = read_text(broken('lower="-1" ', ""))
+    assert findings == []
+    assert robot.model.joint("elbow").limit.lower == 0.0
+
+
+def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text):
+    robot, findings = read_text(broken("revolute", "continuous"))
+    assert findings == []
+    assert robot.model.joint("elbow").limit == Limit(effort=5.0)
+
+
+def test_a_further_element_of_the_same_kind_is_not_read(read_text):
+    finding = warning(read_text, broken('<axis xyz="0 3 4"/>', '<axis xyz="0 3 4"/><axis xyz="1 0 0"/>'))
+    assert finding.headline == "a further <axis> in the same <joint> is not read"
+
+
+def test_a_mimic_joint_is_read(read_text):
+    second = f"""<link name="b">{INERTIAL}</link>
+<joint name="j" type="continuous"><parent link="hand"/><child link="b"/><mimic joint="elbow" multiplier="-1"/></joint>"""
+    robot, findings = read_text(broken("</robot>", second + "</robot>"))
+    assert findings == []
+    assert robot.model.joint("j").mimic == Mimic("elbow", -1.0, 0.0)
+
+
+def test_an_unexpanded_default_of_xacro_is_read_with_a_warning(read_text):
+    finding = warning(read_text, broken('<origin xyz="1 0 0"/>', '<origin xyz="$(optenv WHERE 0.5 0 1)"/>'))
+    assert finding.help == "its default is read: 0.5 0 1"

@@ -1,0 +1,117 @@
+"""What is written is read again as the same robot."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.robots.mesh import beside
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    Limit,
+    Link,
+    Mimic,
+    Pose,
+    RobotModel,
+    Sphere,
+)
+from deepbots_cli.robots.reader import read, read_bytes
+from deepbots_cli.robots.writer import write
+
+numbers = st.floats(-1e17, 1e17, allow_nan=False, allow_subnormal=True)
+positive = st.floats(1e-300, 1e17)
+not_negative = st.just(0.0) | positive
+vectors = st.tuples(numbers, numbers, numbers)
+poses = st.builds(Pose, vectors, vectors)
+colours = st.none() | st.tuples(*[st.floats(0, 1)] * 4)
+shapes = (
+    st.builds(Box, st.tuples(positive, positive, positive))
+    | st.builds(Sphere, positive)
+    | st.builds(Cylinder, positive, positive)
+    | st.builds(Capsule, positive, positive)
+)
+inertials = st.builds(Inertial, not_negative, poses, not_negative, numbers, numbers, not_negative, numbers, not_negative)
+frictions = st.builds(Friction, *[st.none() | not_negative] * 4)
+names = st.text(st.characters(exclude_categories=["C", "Z"]) | st.just(" "), min_size=1, max_size=8).filter(str.strip)
+axes = st.sampled_from([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (1 / math.sqrt(3),) * 3])
+optional = st.none() | positive
+
+
+@st.composite
+def robots(draw: st.DrawFn) -> RobotModel:
+    link_names = draw(st.lists(names, min_size=1, max_size=5, unique=True))
+    links = tuple(
+        Link(
+            name,
+            draw(st.none() | inertials),
+            tuple(draw(st.lists(st.builds(Geometry, shapes, poses, colours), max_size=2))),
+            tuple(draw(st.lists(st.builds(Geometry, shapes, poses), max_size=2))),
+            draw(frictions),
+        )
+        for name in link_names
+    )
+    joint_names = draw(st.lists(names, min_size=len(links) - 1, max_size=len(links) - 1, unique=True))
+    joints = []
+    for index, name in enumerate(joint_names):
+        kind = draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]))
+        bounds = (
+            draw(st.just((None, None)) | st.tuples(numbers, numbers).map(sorted)) if kind in ("revolute", "prismatic") else (None, None)
+        )
+        joints.append(
+            Joint(
+                name,
+                kind,
+                link_names[draw(st.integers(0, index))],
+                link_names[index + 1],
+                draw(poses),
+                (1.0, 0.0, 0.0) if kind in ("fixed", "floating") else draw(axes),
+                Limit(bounds[0], bounds[1], draw(optional), draw(optional)),
+                draw(not_negative),
+                draw(not_negative),
+                Mimic(joint_names[0], draw(numbers), draw(numbers)) if index and draw(st.booleans()) else None,
+            )
+        )
+    return RobotModel(draw(names).strip(), links, tuple(joints), link_names[0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(robots())
+def test_any_robot_survives_writing_and_reading(model: RobotModel):
+    findings = Findings()
+    robot = read_bytes(write(model).encode(), "x.urdf", findings, resolve_mesh=beside(Path("/nowhere")))
+    assert robot is not None, [finding.headline for finding in findings]
+    assert robot.model == model
+
+
+def test_writing_is_the_same_every_time_and_in_short_lines():
+    robot = read(Path(__file__).parents[2] / "robots/urdf/cartpole.urdf", "cartpole.urdf", Findings())
+    assert robot is not None
+    assert write(robot.model) == write(robot.model)
+    assert max(map(len, write(robot.model).splitlines())) < 200
+
+
+def test_one_material_name_means_one_colour():
+    red, blue = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
+    visuals = tuple(Geometry(Sphere(1.0), Pose(), colour) for colour in (red, blue, red))
+    text = write(RobotModel("r", (Link("a", visuals=visuals),), (), "a"))
+    assert text.count('"colour_0"') == 2
+    assert text.count('"colour_1"') == 1
+
+
+@pytest.mark.parametrize("name", ['a"b', "a'b", "a<b>&", "é", "a b"])
+def test_names_with_special_characters_are_escaped(name):
+    model = RobotModel("r", (Link(name),), (), name)
+    robot = read_bytes(write(model).encode(), "x", Findings(), resolve_mesh=beside(Path("/nowhere")))
+    assert robot is not None
+    assert robot.model.root == name

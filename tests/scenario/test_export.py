@@ -1,0 +1,255 @@
+"""The JSON Schema for editors says what the models say."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document import load, to_data
+from deepbots_cli.document.parse import parse
+from deepbots_cli.scenario import Scenario
+from deepbots_cli.scenario.actuators import ACTUATORS
+from deepbots_cli.scenario.export import FILE_NAME, json_schema, to_text
+from deepbots_cli.scenario.fields import Column, Quantity, Range
+from deepbots_cli.scenario.hyperparameters import ALGORITHMS
+from deepbots_cli.scenario.objects import OBJECTS
+from deepbots_cli.scenario.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.scenario.sensors import SENSORS
+from deepbots_cli.scenario.world import TERRAINS
+
+ROOT = Path(__file__).parents[2]
+COMMITTED = ROOT / "schemas" / FILE_NAME
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
+CARTPOLE = (ROOT / "scenarios" / "cartpole.yaml").read_text(encoding="utf-8")
+
+Json = dict[str, Any]
+Step = str | int
+
+
+@pytest.fixture(scope="module")
+def schema() -> Json:
+    return json_schema()
+
+
+@pytest.fixture(scope="module")
+def validator(schema: Json) -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(schema)
+
+
+def data(text: str) -> object:
+    root = parse(Source("cartpole.yaml", text), Findings())
+    assert root is not None
+    return to_data(root)
+
+
+def subschemas(node: object, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Json]]:
+    """Every mapping within a schema, with its path; those that only tell forms apart (`if`, `not`) are left out."""
+    if isinstance(node, dict):
+        yield path, node
+        for key, value in node.items():
+            if key not in ("if", "not"):
+                yield from subschemas(value, (*path, key))
+    elif isinstance(node, list):
+        for index, value in enumerate(node):
+            yield from subschemas(value, (*path, index))
+
+
+def properties(schema: Json) -> Iterator[tuple[str, Json]]:
+    """Every key that is described somewhere, by its path, with what is said of it."""
+    for path, node in subschemas(schema):
+        if path[-2:-1] == ("properties",) and path[-3:-2] != ("properties",):
+            said = schema["$defs"]["include"] if node.get("$ref") == "#/$defs/include" else node
+            yield "/".join(map(str, path)), said
+
+
+def models(spec: Spec) -> Iterator[type[Part]]:
+    """Every part below a spec."""
+    match spec:
+        case Mapped(value=inner) | Listed(item=inner):
+            yield from models(inner)
+        case Alternatives(options=options):
+            for option in options:
+                yield from models(option)
+        case Kinds():
+            for part in (*map(spec.model, spec.names), *(part for _, part in spec.marked)):
+                yield from models(part)
+        case type():
+            yield spec
+            for inner in fields(spec).values():
+                yield from models(inner)
+
+
+def measures(spec: Spec) -> bool:
+    """Whether a value of this spec has a unit."""
+    match spec:
+        case Quantity() | Range() | Column():
+            return True
+        case Mapped(value=inner) | Listed(item=inner):
+            return measures(inner)
+        case Alternatives(options=options):
+            return any(map(measures, options))
+        case _:
+            return False
+
+
+def test_the_committed_schema_is_up_to_date() -> None:
+    assert COMMITTED.read_text(encoding="utf-8") == to_text(), "run: python -m deepbots_cli.scenario.export"
+
+
+def test_the_schema_is_a_schema_to_a_checker_of_schemas() -> None:
+    """It has copies of the standard's own schemas, and goes to no network for them."""
+    command = [sys.executable, "-m", "check_jsonschema", "--check-metaschema", str(COMMITTED)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert json_schema()["$id"] == FILE_NAME
+
+
+def test_a_checker_on_the_command_line_accepts_all_scenarios() -> None:
+    command = [sys.executable, "-m", "check_jsonschema", "--schemafile", str(COMMITTED), *map(str, SAMPLES)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_schema_is_written_the_same_on_every_run() -> None:
+    assert to_text() == to_text()
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_editors_accept_every_sample_as_it_is_written(validator: jsonschema.Draft202012Validator, path: Path) -> None:
+    root = parse(Source(path.name, path.read_text(encoding="utf-8")), Findings())
+    assert root is not None
+    assert [error.message for error in validator.iter_errors(to_data(root))] == []
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_editors_accept_every_sample_with_all_that_it_includes(validator: jsonschema.Draft202012Validator, path: Path) -> None:
+    root = load(path).root
+    assert root is not None
+    assert [error.message for error in validator.iter_errors(to_data(root))] == []
+
+
+def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
+    silent = []
+    for path, said in properties(schema):
+        key = path.rpartition("/")[2]
+        text = said.get("markdownDescription", "")
+        if not said.get("description") or not text.startswith(said["description"]) or f"```yaml\n{key}: " not in text:
+            silent.append(path)
+    assert silent == []
+    assert sum(1 for _ in properties(schema)) > 1000
+
+
+@pytest.mark.parametrize("part", dict.fromkeys(models(Scenario)), ids=lambda part: part.__name__)
+def test_every_figure_says_its_unit(schema: Json, part: type[Part]) -> None:
+    for definition in (part.__name__, f"{part.__name__}Fragment"):
+        said = schema["$defs"][definition]["properties"]
+        assert [key for key, spec in fields(part).items() if measures(spec) != ("**Unit:** " in said[key]["markdownDescription"])] == []
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "shown"),
+    [
+        ("World", "timestep", ["**Unit:** `s` · **Required**", "timestep: 32 ms"]),
+        ("Arena", "wall_height", ["**Unit:** `m` · **Default:** `0.1 m`", "wall_height: 20 cm"]),
+        ("PositionMotor", "stiffness", ["**Unit:** `N*m/rad` or `N/m`", "stiffness: 40 N*m/rad"]),
+        ("World", "light", ["**Unit:** none, a plain number · **Default:** `1.0`"]),
+        ("JointSensor", "noise", ["**Unit:** of the sensor · **Default:** `0`", "noise: 2 %"]),
+        ("Wall", "closed", ["**Default:** `false`", "closed: true"]),
+    ],
+)
+def test_a_hover_text_has_unit_default_and_example(schema: Json, part: str, key: str, shown: list[str]) -> None:
+    text = schema["$defs"][part]["properties"][key]["markdownDescription"]
+    assert [line for line in shown if line not in text] == []
+
+
+def test_kinds_are_told_apart_by_conditions_and_never_by_trial(schema: Json) -> None:
+    """Of `oneOf` and `anyOf` over mappings an editor shows what is wrong with every branch."""
+    assert [path for path, node in subschemas(schema) if "oneOf" in node] == []
+    tried = [node["anyOf"] for _, node in subschemas(schema) if "anyOf" in node]
+    assert all(any("enum" in form for form in forms) for forms in tried)
+    assert not any(form.keys() & {"$ref", "properties", "required"} for forms in tried for form in forms)
+
+
+@pytest.mark.parametrize(
+    ("key", "kinds"),
+    [("type", SENSORS), ("type", ACTUATORS), ("type", TERRAINS), ("shape", OBJECTS), ("algorithm", ALGORITHMS)],
+    ids=["sensors", "actuators", "terrains", "objects", "algorithms"],
+)
+def test_every_kind_is_listed_and_has_its_condition(schema: Json, key: str, kinds: dict[str, object]) -> None:
+    found = [node for _, node in subschemas(schema) if node.get("properties", {}).get(key, {}).get("enum") == list(kinds)]
+    assert found
+    for node in found:
+        told = [branch["if"]["properties"][key]["const"] for branch in node["allOf"] if key in branch["if"].get("properties", {})]
+        assert told == list(kinds)
+        said = node["properties"][key]["enumDescriptions"]
+        assert len(set(said)) == len(kinds)
+        assert all(sentence.endswith(".") for sentence in said)
+
+
+@pytest.mark.parametrize("line", ["total_timesteps: 100_000", "learning_rate: 1_000", "n_steps: 1_024"])
+def test_numbers_in_groups_of_three_which_editors_take_for_text_are_no_mistake(
+    validator: jsonschema.Draft202012Validator, line: str
+) -> None:
+    scenario: Any = data(CARTPOLE)
+    key, number = line.split(": ")
+    scenario["train"][key] = number
+    assert [error.message for error in validator.iter_errors(scenario)] == []
+
+
+FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
+    "an unknown key": ("timestep: 32 ms", "timestep: 32 ms\n  timestop: 32 ms", ("world",)),
+    "a section that there is not": ("messages:", "mesages:", ()),
+    "a missing key": ("  timestep: 32 ms\n", "", ("world",)),
+    "a key of another kind": ("joint: pole_hinge}", "joint: pole_hinge, resolution: 64 64}", ("robots", "cart", "sensors", "pole_angle")),
+    "no key that tells the kind": ("type: joint_position, ", "", ("robots", "cart", "sensors", "pole_angle")),
+    "an unknown kind of sensor": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
+    "an unknown kind of actuator": ("velocity_motor", "velocty_motor", ("robots", "cart", "actuators", "wheels", "type")),
+    "an unknown algorithm": ("algorithm: PPO", "algorithm: PPOO", ("train", "algorithm")),
+    "a hyperparameter of another algorithm": ("gamma: 0.98", "tau: 0.98", ("train",)),
+    "a text for a whole number": ("substeps: 4", "substeps: four", ("world", "substeps")),
+    "a list for a quantity": ("timestep: 32 ms", "timestep: [32 ms]", ("world", "timestep")),
+    "a single value for a mapping": ("  failure:\n    fallen:", "  failure: yes please\nsignals:\n    fallen:", ("termination", "failure")),
+    "an unknown word": ("format: csv", "format: cvs", ("messages", "format")),
+    "a number out of bounds": ("gamma: 0.98", "gamma: 1.98", ("train", "gamma")),
+    "a range without dots": ("-20 .. 20 deg", "20 deg", ("observation", "cart.pole_angle")),
+    "a name that is none": ("alive: 1", "Alive: 1", ("reward",)),
+    "keys that exclude each other": (
+        "joint: pole_hinge}",
+        "joint: pole_hinge, joints: pole_hinge}",
+        ("robots", "cart", "sensors", "pole_angle"),
+    ),
+    "one of several keys missing": (", joint: pole_hinge", "", ("robots", "cart", "sensors", "pole_angle")),
+    "an unknown colour": ("friction: 1.0", "colour: rde", ("world", "arena", "colour")),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "place"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_is_reported_once_and_in_its_place(
+    validator: jsonschema.Draft202012Validator, old: str, new: str, place: tuple[Step, ...]
+) -> None:
+    assert old in CARTPOLE
+    found = [tuple(error.absolute_path) for error in validator.iter_errors(data(CARTPOLE.replace(old, new, 1)))]
+    assert found == [place]
+
+
+def test_a_file_that_extends_another_may_leave_out_anything(validator: jsonschema.Draft202012Validator) -> None:
+    changes = {"deepbots": 1, "extends": "cartpole.yaml", "robots": {"cart": {"sensors": {"pole_angle": {"noise": "0.2 deg"}}}}}
+    assert [error.message for error in validator.iter_errors(changes)] == []
+
+
+def test_a_file_that_is_included_may_bring_what_is_missing(validator: jsonschema.Draft202012Validator) -> None:
+    scenario: Any = data(CARTPOLE)
+    scenario["world"] = {"include": "world.yaml", "substeps": 8}
+    scenario["robots"]["cart"]["sensors"]["pole_angle"] = {"include": "sensor.yaml"}
+    assert [error.message for error in validator.iter_errors(scenario)] == []
+
+
+def test_no_path_of_this_machine_is_in_the_schema() -> None:
+    assert str(ROOT) not in to_text()
+    assert json.loads(to_text()) == json_schema()

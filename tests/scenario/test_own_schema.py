@@ -1,0 +1,223 @@
+"""The JSON Schema for one scenario knows its names, whatever state the file is in."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler.known import known
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document import to_data
+from deepbots_cli.document.parse import parse
+from deepbots_cli.scenario.export import json_schema, to_text
+from tests.fuzz.mutations import case
+from tests.fuzz.workbench import Workbench
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
+UNUSUAL = sorted(ROOT.glob("tests/golden/lint/ok/*.yaml"))
+CARTPOLE = (ROOT / "scenarios" / "cartpole.yaml").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+JOINTS = ["wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right", "pole_hinge"]
+
+Step = str | int
+Json = dict[str, Any]
+Own = Callable[[str], Json]
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Own:
+    """The schema for a text."""
+
+    def of(text: str) -> Json:
+        file = tmp_path / "mine.yaml"
+        file.write_text(text, encoding="utf-8")
+        return json_schema(known(api.load(file)))
+
+    return of
+
+
+def data(text: str) -> Any:
+    root = parse(Source("mine.yaml", text), Findings())
+    assert root is not None
+    return to_data(root)
+
+
+def faults(schema: Json, scenario: object) -> list[tuple[Step, ...]]:
+    return [tuple(error.absolute_path) for error in jsonschema.Draft202012Validator(schema).iter_errors(scenario)]
+
+
+def listed(schema: Json, definition: str, key: str) -> dict[str, str]:
+    """The names that are listed for a key, with what is said of each."""
+    said = schema["$defs"][definition]["properties"][key]
+    forms = [form for form in (said, *said.get("anyOf", ()), *said.get("propertyNames", {}).get("anyOf", ())) if "enum" in form]
+    return {name: about for form in forms for name, about in zip(form["enum"], form["enumDescriptions"], strict=True)}
+
+
+@pytest.mark.parametrize("path", [*SAMPLES, *UNUSUAL], ids=lambda path: path.stem)
+def test_every_right_scenario_fits_its_own_schema_and_the_general_one(path: Path) -> None:
+    checked = api.load(path)
+    assert checked.document.root is not None
+    for schema in (json_schema(known(checked)), json_schema()):
+        assert faults(schema, data(path.read_text(encoding="utf-8"))) == []
+        assert faults(schema, to_data(checked.document.root)) == []
+
+
+def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
+    schema = to_text(known(api.load("cartpole")))
+    jsonschema.Draft202012Validator.check_schema(json.loads(schema))
+    assert schema == to_text(known(api.load("cartpole")))
+
+
+def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
+    found = listed(own(CARTPOLE), "JointSensor.cart", "joint")
+    assert list(found) == JOINTS
+    assert found["wheel_rear_left"] == "continuous"
+    assert found["pole_hinge"].startswith("revolute, -1.")
+
+
+@pytest.mark.parametrize(
+    ("definition", "key", "names"),
+    [
+        ("VelocityMotor.cart", "joints", {"pole_hinge", "wheel_rear_left"}),
+        ("LinkSensor.cart", "link", {"pole", "tip"}),
+        ("Robot.cart", "links", {"pole", "tip"}),
+        ("Robot.cart", "joints", {"pole_hinge"}),
+        ("Robot.cart", "apply", {"wheels"}),
+        ("Scenario", "observation", {"cart.pole_angle", "speed", "tip_speed", "previous_action"}),
+        ("Reset", "set", {"cart.pole_hinge", "cart.wheel_rear_left"}),
+        ("Reset", "place", {"cart"}),
+        ("Disturbance", "body", {"cart", "cart.pole"}),
+        ("Stage", "set", {"fall_angle", "track", "wheel_speed"}),
+        ("JointSensor.cart", "latency", set()),
+        ("Arena", "wall_height", {"track"}),
+        ("Mount.cart", "yaw", {"fall_angle"}),
+        ("ContinuousAction", "each", {"cart.wheels"}),
+    ],
+)
+def test_names_are_listed_where_they_may_stand(own: Own, definition: str, key: str, names: set[str]) -> None:
+    assert names <= set(listed(own(CARTPOLE), definition, key))
+    assert names or not listed(own(CARTPOLE), definition, key)
+
+
+def test_expressions_are_offered_the_names_that_they_may_use(own: Own) -> None:
+    schema = own(CARTPOLE)
+    reward = schema["$defs"]["Scenario"]["properties"]["reward"]["additionalProperties"]["anyOf"][0]
+    said = dict(zip(reward["enum"], reward["enumDescriptions"], strict=True))
+    assert said["fall_angle"] == "a parameter: 15 deg"
+    assert said["fallen"] == "an ending"
+    assert {"x", "cart.pole_angle", "time"} <= set(said)
+
+
+def test_each_robot_has_its_own_names(own: Own) -> None:
+    two = CARTPOLE.replace("robots:\n", "robots:\n  rolling: {urdf: rover}\n")
+    schema = own(two)
+    assert "pole_hinge" not in listed(schema, "JointSensor.rolling", "joint")
+    assert set(listed(schema, "JointSensor.cart", "joint")) == set(JOINTS)
+
+
+def test_a_robot_that_is_added_later_is_no_mistake(own: Own) -> None:
+    later = CARTPOLE.replace("robots:\n", "robots:\n  rolling: {urdf: rover, sensors: {turn: {type: joint_position, joint: other}}}\n")
+    assert faults(own(CARTPOLE), data(later)) == []
+
+
+def test_names_that_are_added_later_are_no_mistake(own: Own) -> None:
+    later = CARTPOLE.replace("emit: [pole_angle]", "emit: [pole_angle, turn]").replace("  cart.pole", "  cart.turn: auto\n  cart.pole")
+    assert faults(own(CARTPOLE), data(later)) == []
+
+
+FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
+    "an unknown joint": ("joint: pole_hinge", "joint: pole_hing", ("robots", "cart", "sensors", "pole_angle", "joint")),
+    "an unknown joint in a list": ("[wheel_*]", "[wheel_*, pole]", ("robots", "cart", "actuators", "wheels", "joints", 1)),
+    "a link for a joint": ("joints: [wheel_*]", "joints: pole", ("robots", "cart", "actuators", "wheels", "joints")),
+    "an unknown link": (
+        "{type: joint_position, joint: pole_hinge}",
+        "{type: gyro, link: pol}",
+        ("robots", "cart", "sensors", "pole_angle", "link"),
+    ),
+    "an unknown joint of a start": ("cart.pole_hinge: uniform", "cart.pole_hing: uniform", ("reset", "set")),
+    "an unknown joint to be changed": (
+        "    emit:",
+        "    joints: {pole_hing: {damping: 0 N*m*s/rad}}\n    emit:",
+        ("robots", "cart", "joints"),
+    ),
+    "an unknown link to be changed": ("    emit:", "    links: {pol: {mass: 1 kg}}\n    emit:", ("robots", "cart", "links")),
+    "an unknown member of a group": ("    emit:", "    groups: {all: [pol]}\n    emit:", ("robots", "cart", "groups", "all", 0)),
+    "an unknown key": ("max_torque: 10 N*m", "torque: 10 N*m", ("robots", "cart", "actuators", "wheels")),
+    "an unknown kind": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
+    "a wrong type": ("joint: pole_hinge", "joint: 3", ("robots", "cart", "sensors", "pole_angle", "joint")),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "place"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_is_reported_once_and_in_its_place(own: Own, old: str, new: str, place: tuple[Step, ...]) -> None:
+    assert old in CARTPOLE
+    assert faults(own(CARTPOLE), data(CARTPOLE.replace(old, new, 1))) == [place]
+
+
+@pytest.mark.parametrize(
+    "patterns", ["wheel_*", "'*_left'", "wheel_?????_left", "'wheel_[fr]*'", "[wheel_front_left, 'wheel_rear_*']", "[rear]", "rear"]
+)
+def test_patterns_and_groups_are_no_mistake(own: Own, patterns: str) -> None:
+    text = CARTPOLE.replace("    emit:", "    groups: {rear: [wheel_rear_*]}\n    emit:").replace("[wheel_*]", patterns)
+    assert faults(own(text), data(text)) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "robots: [",
+        "deepbots: 1",
+        "deepbots: 1\nrobots: {cart: {urdf: nowhere}}",
+        "deepbots: 1\nrobots: {cart: 3, wagon: {urdf: cartpole}}\nobservation: 4",
+        "deepbots: 9\nrobots: {cart: {urdf: cartpole}}",
+        "extends: nowhere.yaml",
+        "deepbots: 1\nparameters: {a: b, b: a, c: 3 parsecs}\nrobots: {cart: {urdf: cartpole, groups: {all: [none]}}}",
+        'deepbots: 1\nparameters: {a: "\\ud800", b: "\\x00"}\nrobots: {"\\u202e": {urdf: cartpole}}',
+        "a: &a [*a]",
+        CARTPOLE.replace("cartpole\n", "cartpole\n    groups: {}\n    poses: 3\n"),
+    ],
+    ids=range(11),
+)
+def test_of_a_broken_file_what_can_be_read_is_listed(own: Own, text: str) -> None:
+    schema = own(text)
+    assert json.dumps(schema).encode()
+    assert faults(schema, data(CARTPOLE)) == []
+
+
+def test_a_joint_that_does_not_exist_leaves_the_others_listed(own: Own) -> None:
+    schema = own(CARTPOLE.replace("joint: pole_hinge", "joint: pole_hing"))
+    assert list(listed(schema, "JointSensor.cart", "joint")) == JOINTS
+
+
+def test_where_a_robot_could_not_be_read_the_names_of_all_are_no_mistake(own: Own) -> None:
+    schema = own(CARTPOLE.replace("robots:\n", "robots:\n  other: {urdf: nowhere}\n"))
+    later = CARTPOLE.replace("cart.pole_hinge: uniform", "other.hinge: uniform")
+    assert faults(schema, data(later)) == []
+
+
+def test_more_names_than_anyone_reads_are_not_listed(own: Own) -> None:
+    text = CARTPOLE.replace("signals:", "").replace("  track:", "".join(f"  p{i}: {i} m\n" for i in range(600)) + "  track:")
+    assert listed(own(text), "Stage", "set") == {}
+
+
+def test_whatever_became_of_a_file_what_has_no_error_fits_its_schema(tmp_path: Path) -> None:
+    """Damaged files, as `make fuzz` lints them: every one gets a schema, and an editor marks nothing that the compiler takes."""
+    sound = 0
+    with Workbench(tmp_path):
+        for number in range(80):
+            damaged = case(number)
+            whole = damaged.file.read_bytes()
+            damaged.file.write_bytes(damaged.data)
+            checked = api.load(damaged.main)
+            schema = json_schema(known(checked))
+            if not checked.findings.errors and checked.document.root is not None:
+                sound += 1
+                assert faults(schema, to_data(checked.document.root)) == [], number
+                assert faults(json_schema(), data(damaged.main.read_text(encoding="utf-8"))) == [], number
+            damaged.file.write_bytes(whole)
+    assert sound > 5

@@ -1,0 +1,127 @@
+"""The shipped scenarios, and what the compiler may rely on in the models."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.document import descend, load
+from deepbots_cli.scenario import Scenario, validate, visit
+from deepbots_cli.scenario.fields import Expression, Pattern, Quantity, Range, Reference, count_literal
+from deepbots_cli.scenario.part import Part, fields
+from deepbots_cli.scenario.plain import read_schedule
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
+BY_NAME = {path.stem: path for path in SAMPLES}
+
+
+def read(path: Path) -> Scenario:
+    document = load(path)
+    assert document.root is not None
+    scenario = validate(document.root, document.findings)
+    assert [f"{finding.span.where} {finding.headline}" for finding in document.findings] == []
+    assert scenario is not None
+    return scenario
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_every_sample_of_the_language_is_valid(path: Path) -> None:
+    assert read(path).deepbots == 1
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> None:
+    document = load(path)
+    assert document.root is not None
+    visited = list(visit(read(path)))
+    for place, kind, value in visited:
+        node, _, depth = descend(document.root, place)
+        assert depth == len(place), (place, kind)
+        if isinstance(kind, (Quantity, Expression, Range)):
+            assert node.value == value  # type: ignore[union-attr]
+    assert len(visited) > 40
+
+
+def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
+    found = {(place, type(kind)): (kind, value) for place, kind, value in visit(read(BY_NAME["cartpole"]))}
+    assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True, usual="ms"), "32 ms")
+    assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
+    assert found[("observation", "speed"), Range] == (Range("any", auto=True), "-0.8 .. 0.8 m/s")
+    assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
+    assert found[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (Reference("joints"), "wheel_*")
+    assert found[("reset", "set", "cart.pole_hinge"), Quantity] == (Quantity("angle or length", stage="episode"), "uniform(-1 .. 1 deg)")
+
+
+def test_patterns_of_links_are_visited_as_keys() -> None:
+    places = {place: value for place, kind, value in visit(read(BY_NAME["quadruped"])) if kind == Pattern("link")}
+    assert places == {("robots", "dog", "links", "trunk"): "trunk", ("robots", "dog", "links", "*_toe"): "*_toe"}
+
+
+def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
+    training = read(BY_NAME["pit_escape"]).train
+    assert training is not None
+    assert dict(training.hyperparameters) == {
+        "learning_rate": 1e-3,
+        "n_steps": 64,
+        "gamma": 0.995,
+        "gae_lambda": 0.95,
+        "batch_size": 128,
+    }
+    assert training.policy.hidden == (60, 60)
+
+
+def test_every_key_has_a_sentence_for_the_editor() -> None:
+    def parts(part: type[Part], seen: set[type[Part]]) -> set[type[Part]]:
+        if part not in seen:
+            seen.add(part)
+            for spec in fields(part).values():
+                for inner in inner_parts(spec):
+                    parts(inner, seen)
+        return seen
+
+    def inner_parts(spec: object) -> list[type[Part]]:
+        if isinstance(spec, type):
+            return [spec]
+        inner = [getattr(spec, name) for name in ("item", "value") if hasattr(spec, name)] + list(getattr(spec, "options", ()))
+        if hasattr(spec, "names"):
+            return [*map(spec.model, spec.names), *(model for _, model in spec.marked)]  # type: ignore[attr-defined]
+        return [part for one in inner for part in inner_parts(one)]
+
+    found = parts(Scenario, set())
+    assert len(found) > 50
+    for part in found:
+        for name, info in part.declared.items():
+            assert info.description, f"{part.__name__}.{name}"
+            assert info.description.endswith("."), f"{part.__name__}.{name}"
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("1 1 m", 2),
+        ("0 0 -9.81 m/s^2", 3),
+        ("0.6 -0.4 m", 2),
+        ("88 %", 1),
+        ("1e-3", 1),
+        ("1 1 scale", None),
+        ("a + 1", None),
+        ("-top .. top", None),
+    ],
+)
+def test_a_literal_is_numbers_with_one_unit(text: str, count: int | None) -> None:
+    assert count_literal(text) == count
+
+
+def test_a_schedule_is_read_into_its_ends() -> None:
+    assert read_schedule("3e-4 -> 0") == (3e-4, 0.0)
+    assert read_schedule(0.5) == (0.5, 0.5)
+    assert [read_schedule(text) for text in ("high -> low", "3 ->", "1 -> 2 -> 3", "", "0x10", True, 10**400)] == [None] * 7
+
+
+def test_reading_a_scenario_needs_no_simulator_and_no_numbers_library() -> None:
+    heavy = "numpy pybullet torch gymnasium stable_baselines3 difflib"
+    code = f"import sys, deepbots_cli.scenario; print([name for name in {heavy.split()} if name in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
