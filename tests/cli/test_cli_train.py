@@ -212,7 +212,9 @@ def test_a_terminated_evaluation_ends_like_ctrl_c(trained, tmp_path):
     time.sleep(6.0)
     process.terminate()
     _, err = process.communicate(timeout=60)
-    assert (process.returncode, err.strip()) == (130, "interrupted")
+    # An interrupt that passes through exec(), as while torch is imported, makes CPython end itself by SIGINT; a shell reports 130 for both.
+    assert process.returncode in (130, -signal.SIGINT)
+    assert err.strip() == "interrupted"
 
 
 def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(tmp_path):
