@@ -12,10 +12,9 @@ from math import cos, hypot, sin
 from typing import NamedTuple
 
 from deepbots_cli import frames
-from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.robots.mesh import extent
+from deepbots_cli.frames import Frame, Triple, quaternion
+from deepbots_cli.robots.meshes import extent
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Mesh, RobotModel, Shape, Sphere
-from deepbots_cli.robots.rotation import quaternion
 
 Spot = tuple[float, float]
 

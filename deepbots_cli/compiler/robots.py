@@ -14,7 +14,7 @@ from deepbots_cli.diagnostics import Fix
 from deepbots_cli.document import Document, roots, shipped
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.expressions.types import Kind, Scope, Subject, shown
-from deepbots_cli.robots import mesh
+from deepbots_cli.robots import meshes
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.robot import Robot as RobotSpec
@@ -69,7 +69,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
         return None
-    resolve_mesh = mesh.beside(located.parent, (*document.roots, *mesh.package_of(spec.urdf)))
+    resolve_mesh = meshes.beside(located.parent, (*document.roots, *meshes.package_of(spec.urdf)))
     file = read(located, roots.display(located), values.findings, resolve_mesh=resolve_mesh)
     if file is None:
         return None
@@ -81,7 +81,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
 def _locate(reference: str, path: NodePath, document: Document, values: Values) -> Path | None:
     span = values.span(path)
     if reference.startswith("package://"):
-        found = mesh.in_package(reference)
+        found = meshes.in_package(reference)
         if found is not None:
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
@@ -93,7 +93,7 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     if by_name is not None:
         return by_name
     notes = (f"shipped robots are {shown(shipped.robot_names())}",)
-    library = mesh.library_reference(reference)
+    library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
     help = f"did you mean `{library}`?" if library else beside.help
     values.findings.add("DB204", span, beside.headline, help=help, notes=notes, fix=fix)

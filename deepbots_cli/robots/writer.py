@@ -93,7 +93,7 @@ def _shape(shape: Shape) -> str:
 
 
 def _friction(friction: Friction) -> Iterator[str]:
-    figures = {
+    values = {
         "lateral_friction": friction.lateral,
         "spinning_friction": friction.spinning,
         "rolling_friction": friction.rolling,
@@ -101,9 +101,7 @@ def _friction(friction: Friction) -> Iterator[str]:
     }
     if friction != Friction():
         yield "    <contact>"
-        for tag, figure in figures.items():
-            if figure is not None:
-                yield f"      <{tag} value={_numbers(figure)}/>"
+        yield from (f"      <{tag} value={_numbers(value)}/>" for tag, value in values.items() if value is not None)
         yield "    </contact>"
 
 
@@ -114,8 +112,8 @@ def _joint(joint: Joint) -> Iterator[str]:
     yield f"    <child link={quoteattr(joint.child)}/>"
     yield f"    <axis xyz={_numbers(*joint.axis)}/>"
     if joint.limit != Limit():
-        figures = {name: getattr(joint.limit, name) for name in ("lower", "upper", "velocity", "effort")}
-        yield f"    <limit {' '.join(f'{name}={_numbers(value)}' for name, value in figures.items() if value is not None)}/>"
+        values = {name: getattr(joint.limit, name) for name in ("lower", "upper", "velocity", "effort")}
+        yield f"    <limit {' '.join(f'{name}={_numbers(value)}' for name, value in values.items() if value is not None)}/>"
     if joint.damping or joint.friction:
         yield f"    <dynamics damping={_numbers(joint.damping)} friction={_numbers(joint.friction)}/>"
     if joint.mimic:

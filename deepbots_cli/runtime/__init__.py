@@ -18,7 +18,7 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
-from deepbots_cli.robots.rotation import quaternion
+from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
 from deepbots_cli.runtime.foreign import foreign
 from deepbots_cli.runtime.lines import Follower

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.robots import inertia
+from deepbots_cli.robots.edits import stretch, with_friction, with_joint, with_mass
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -26,7 +27,6 @@ from deepbots_cli.robots.model import (
     Shape,
     Sphere,
 )
-from deepbots_cli.robots.override import stretch, with_friction, with_joint, with_mass
 
 sizes = st.floats(0.1, 10)
 DENSITY = 3.0

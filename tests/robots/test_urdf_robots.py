@@ -10,7 +10,7 @@ import pytest
 from deepbots_cli.compiler.matching import match
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots import inertia
-from deepbots_cli.robots.mesh import beside
+from deepbots_cli.robots.meshes import beside
 from deepbots_cli.robots.model import Box, Cylinder, Sphere
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from deepbots_cli.robots.writer import write

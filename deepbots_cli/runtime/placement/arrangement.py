@@ -12,10 +12,9 @@ from math import inf
 
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Patch, Spot
-from deepbots_cli.frames import Triple
+from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.port import STILL, Engine
-from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.runtime.placement.floor import EVERYWHERE, TOUCHING, Area, Floor, Surface, anywhere, cut, on_grid
 from deepbots_cli.runtime.placement.forms import Forms
 from deepbots_cli.runtime.streams import Streams
