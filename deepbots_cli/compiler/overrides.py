@@ -15,7 +15,7 @@ from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.matching import Group, expand, motionless, unmatched
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import MASS, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.dimensions import LENGTH, MASS, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type
 from deepbots_cli.robots import edits
@@ -119,7 +119,9 @@ class Overrides:
         if factors:
             x, y, z = factors
             model = self._accepted(model, edits.stretch(model, link.name, (x, y, z)), (*place, "stretch"))
-        if change.mass is not None:
+        if change.density is not None:
+            model = self._change_density(model, link.name, change, place)
+        elif change.mass is not None:
             model = self._change_mass(model, model.link(link.name), change.mass, place)
         contact = {
             field: self._figure((*place, key), getattr(change, key), None, NUMBER, what, link.name)
@@ -128,6 +130,14 @@ class Overrides:
         paint = colour(self.namespace, (*place, "colour"), change.colour, (str(self.path[-1]), link.name))
         model = edits.with_friction(model, link.name, **contact)
         return edits.with_colour(model, link.name, paint) if paint else model
+
+    def _change_density(self, model: RobotModel, link: str, change: LinkOverride, place: Path) -> RobotModel:
+        if change.mass is not None:
+            span = self.values.key_span((*place, "density"))
+            self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
+            return model
+        density = self._figure((*place, "density"), change.density, None, MASS / LENGTH**3)
+        return self._accepted(model, edits.with_density(model, link, density), (*place, "density")) if density else model
 
     def _change_mass(self, model: RobotModel, link: Link, given: object, place: Path) -> RobotModel:
         if link.inertial is None and link.name != place[-1]:

@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 
 from deepbots_cli.frames import Matrix, diagonal, product, rotation_matrix, transposed, turned
-from deepbots_cli.robots.inertia import from_second_moments, matrix, scaled, second_moments
+from deepbots_cli.robots.inertia import from_second_moments, homogeneous, matrix, scaled, second_moments, volume
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -45,6 +45,19 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
         return f"the mass of link {link!r} must be above 0"
     tensor = scaled(matrix(old.inertial), mass / old.inertial.mass)
     return with_link(model, replace(old, inertial=_with_matrix(replace(old.inertial, mass=mass), tensor)))
+
+
+def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
+    """The link as a homogeneous body of `density` kg/m^3, whatever its file says of mass; a mesh is weighed when it is simulated."""
+    old = model.link(link)
+    shapes = old.collisions or old.visuals
+    if len(shapes) != 1:
+        return f"link {link!r} has {len(shapes)} shapes, and a density needs exactly one; give its `mass`"
+    shape = shapes[0].shape
+    if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
+        return f"the mesh of link {link!r} is a COLLADA file, whose volume is not read; give its `mass`"
+    inertial = homogeneous(shape, density * (volume(shape) or 0.0), shapes[0].origin)
+    return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
 
 
 def with_friction(

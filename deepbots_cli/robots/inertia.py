@@ -32,7 +32,7 @@ def volume(shape: Shape) -> float | None:
             return None
 
 
-def of(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
+def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
     """The inertial of a homogeneous body of `mass` kg whose shape stands at `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):

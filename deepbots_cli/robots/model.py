@@ -102,6 +102,8 @@ class Link:
     visuals: tuple[Geometry, ...] = ()
     collisions: tuple[Geometry, ...] = ()
     friction: Friction = Friction()
+    density: float | None = None
+    """kg/m^3, of a link whose mesh gives its inertial when it is simulated (`deepbots_cli.geometry`)."""
 
 
 @dataclass(frozen=True)

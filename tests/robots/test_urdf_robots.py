@@ -45,7 +45,7 @@ def shipped(name: str) -> RobotFile:
 
 def moments(link, shape, origin):
     """What the file says, beside the closed form."""
-    said, right = link.inertial, inertia.of(shape, link.inertial.mass, origin)
+    said, right = link.inertial, inertia.homogeneous(shape, link.inertial.mass, origin)
     return [said.ixx, said.iyy, said.izz], pytest.approx([right.ixx, right.iyy, right.izz], rel=1e-9)
 
 
