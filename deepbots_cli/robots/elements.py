@@ -216,13 +216,11 @@ class _Builder:
     def __init__(self, report: Report, begin: int, end: int) -> None:
         self.report = report
         self.begin = begin
-        text = report.source.text[begin:end]
-        self.data = text.encode()
+        self.data = report.source.text[begin:end].encode()
         self.root: Element | None = None
         self.open: list[Element] = []
         self.version = "1.0"
         self._count = 0
-        self._ascii = len(self.data) == len(text)
         self._mark = (0, 0)
         self.parser = expat.ParserCreate("utf-8")
         self.parser.StartElementHandler = self._start
@@ -230,15 +228,8 @@ class _Builder:
         self.parser.XmlDeclHandler = self._declaration
         self.parser.StartDoctypeDeclHandler = self._doctype
 
-    def close(self) -> None:
-        """Break the cycle of the parser and its handlers, so that the elements are freed without a search for garbage."""
-        self.parser.StartElementHandler = self.parser.EndElementHandler = None
-        self.parser.XmlDeclHandler = self.parser.StartDoctypeDeclHandler = None
-
     def offset(self, index: int) -> int:
         """The code point of the source at byte `index` of `data`; counts on from the last call, so that a file is decoded once."""
-        if self._ascii:
-            return self.begin + index
         byte, point = self._mark if self._mark[0] <= index else (0, 0)
         self._mark = (index, point + len(self.data[byte:index].decode(errors="ignore")))
         return self.begin + self._mark[1]
@@ -273,10 +264,7 @@ def parse(source: Source, findings: Findings) -> Element | None:
     early = begin if text.startswith("<?xml", begin) else 0
     late = text.find("\0", end)
     builder = _Builder(Report(source, findings), early, end if late >= 0 else len(text))
-    try:
-        root = _parsed(builder)
-    finally:
-        builder.close()
+    root = _parsed(builder)
     if root is None:
         return None
     if builder.version != "1.0":

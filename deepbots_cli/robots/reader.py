@@ -9,11 +9,10 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import get_args
 
-from deepbots_cli.diagnostics import Finding, Findings, Label, Source, Span
+from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.reading import read_at_most
 from deepbots_cli.robots.elements import Element, known_names, parse, quoted
@@ -44,7 +43,6 @@ MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
 MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
 MAX_WORDS = 200  # unknown words that are compared with the known ones
-_SMALL = 64 * 1024
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
 _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
 _JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
@@ -129,30 +127,6 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
     """The same for a file that is already in memory."""
-    known = _remembered(data, display) if len(data) <= _SMALL else None
-    if known is None:
-        return _read(data, display, findings, resolve_mesh)
-    file, found = known
-    for finding in found:
-        findings.append(finding)
-    return file
-
-
-@lru_cache(maxsize=32)
-def _remembered(data: bytes, display: str) -> tuple[RobotFile | None, tuple[Finding, ...]] | None:
-    """The result for a small file, which a folder of scenarios reads again and again; None for a robot with meshes."""
-    asked: list[str] = []
-
-    def resolve(reference: str) -> Refusal:
-        asked.append(reference)
-        return Refusal("not looked for")
-
-    findings = Findings()
-    file = _read(data, display, findings, resolve)
-    return None if asked else (file, tuple(findings))
-
-
-def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh) -> RobotFile | None:
     source = _decode(data, display, findings)
     root = parse(source, findings) if source else None
     if source is None or root is None:
