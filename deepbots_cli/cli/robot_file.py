@@ -16,7 +16,7 @@ from deepbots_cli.document import roots, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import add
-from deepbots_cli.robots import mesh
+from deepbots_cli.robots import meshes
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, Pose, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile, read
 
@@ -35,14 +35,14 @@ def opened(reference: str) -> tuple[RobotFile, list[Finding]]:
         UsageError: There is no such file.
         ScenarioError: It cannot be read as a robot; says why.
     """
-    found = mesh.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
-    if isinstance(found, mesh.Refusal) or not found.is_file():
+    found = meshes.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
+    if isinstance(found, meshes.Refusal) or not found.is_file():
         names = shipped.robot_names()
-        near = mesh.library_reference(reference) or nearest(reference, names)
+        near = meshes.library_reference(reference) or nearest(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    resolve_mesh = mesh.beside(found.absolute().parent, mesh.package_of(reference))
+    resolve_mesh = meshes.beside(found.absolute().parent, meshes.package_of(reference))
     file = read(found, roots.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))

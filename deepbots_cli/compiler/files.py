@@ -13,8 +13,8 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.types import SPACE, Context
 from deepbots_cli.reading import read_at_most
-from deepbots_cli.robots import mesh as meshes
-from deepbots_cli.robots.mesh_format import measure
+from deepbots_cli.robots import meshes
+from deepbots_cli.robots.meshes import measure
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.terrain import png
 

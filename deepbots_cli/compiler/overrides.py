@@ -15,10 +15,10 @@ from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.matching import Group, expand, motionless, unmatched
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import MASS, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.dimensions import LENGTH, MASS, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type
-from deepbots_cli.robots import override
+from deepbots_cli.robots import edits
 from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
 from deepbots_cli.scenario.robot import JointOverride, LinkOverride
 from deepbots_cli.scenario.robot import Robot as RobotSpec
@@ -26,7 +26,7 @@ from deepbots_cli.scenario.robot import Robot as RobotSpec
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace
 
-# Keys of an override: what `override.with_friction` and the table of variations call them.
+# Keys of an override: what `edits.with_friction` and the table of variations call them.
 _CONTACT = {
     "friction": ("lateral", "lateral_friction"),
     "spinning_friction": ("spinning", "spinning_friction"),
@@ -118,16 +118,26 @@ class Overrides:
         factors = self.values.figures((*place, "stretch"), change.stretch, NUMBER, self.scope, SPACE)
         if factors:
             x, y, z = factors
-            model = self._accepted(model, override.stretch(model, link.name, (x, y, z)), (*place, "stretch"))
-        if change.mass is not None:
+            model = self._accepted(model, edits.stretch(model, link.name, (x, y, z)), (*place, "stretch"))
+        if change.density is not None:
+            model = self._change_density(model, link.name, change, place)
+        elif change.mass is not None:
             model = self._change_mass(model, model.link(link.name), change.mass, place)
         contact = {
             field: self._figure((*place, key), getattr(change, key), None, NUMBER, what, link.name)
             for key, (field, what) in _CONTACT.items()
         }
         paint = colour(self.namespace, (*place, "colour"), change.colour, (str(self.path[-1]), link.name))
-        model = override.with_friction(model, link.name, **contact)
-        return override.with_colour(model, link.name, paint) if paint else model
+        model = edits.with_friction(model, link.name, **contact)
+        return edits.with_colour(model, link.name, paint) if paint else model
+
+    def _change_density(self, model: RobotModel, link: str, change: LinkOverride, place: Path) -> RobotModel:
+        if change.mass is not None:
+            span = self.values.key_span((*place, "density"))
+            self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
+            return model
+        density = self._figure((*place, "density"), change.density, None, MASS / LENGTH**3)
+        return self._accepted(model, edits.with_density(model, link, density), (*place, "density")) if density else model
 
     def _change_mass(self, model: RobotModel, link: Link, given: object, place: Path) -> RobotModel:
         if link.inertial is None and link.name != place[-1]:
@@ -135,7 +145,7 @@ class Overrides:
         mass = self._figure((*place, "mass"), given, link.inertial.mass if link.inertial else None, MASS, "mass", link.name)
         if mass == 0 and not self.namespace.varies("mass", (str(self.path[-1]), link.name)):
             self.values.findings.add("DB105", self.values.span((*place, "mass")), "`mass` is 0 kg", help="give more than 0 kg")
-        return self._accepted(model, override.with_mass(model, link.name, mass), (*place, "mass")) if mass else model
+        return self._accepted(model, edits.with_mass(model, link.name, mass), (*place, "mass")) if mass else model
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, place: Path) -> RobotModel:
         """The changed model, or the old one and a finding that says why it cannot be changed so."""
@@ -157,7 +167,7 @@ class Overrides:
         )
         if change.range is not None:
             limit = self._range(joint, limit, change.range, (*place, "range"))
-        return override.with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
+        return edits.with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
 
     def _range(self, joint: Joint, limit: Limit, given: str, place: Path) -> Limit:
         """`limit` with both ends as the scenario gives them."""

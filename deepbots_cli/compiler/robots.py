@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,11 +11,11 @@ from deepbots_cli.compiler.joints import hull, joint_dimension, joint_interval
 from deepbots_cli.compiler.matching import Group, expand, unmatched
 from deepbots_cli.compiler.overrides import Overrides
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.diagnostics import Fix
+from deepbots_cli.diagnostics import Findings, Fix, Span
 from deepbots_cli.document import Document, roots, shipped
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.expressions.types import Kind, Scope, Subject, shown
-from deepbots_cli.robots import mesh
+from deepbots_cli.robots import meshes
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.robot import Robot as RobotSpec
@@ -69,19 +70,30 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
         return None
-    resolve_mesh = mesh.beside(located.parent, (*document.roots, *mesh.package_of(spec.urdf)))
-    file = read(located, roots.display(located), values.findings, resolve_mesh=resolve_mesh)
+    resolve_mesh = meshes.beside(located.parent, (*document.roots, *meshes.package_of(spec.urdf)))
+    found = Findings()
+    file = read(located, roots.display(located), found, resolve_mesh=resolve_mesh)
     if file is None:
+        _tell(found, values, ())
         return None
     groups = _groups(file.model, spec, path, values)
     model = Overrides(path, groups, namespace, scope).apply(file.model, spec)
+    has_mass = [file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None]
+    _tell(found, values, has_mass)
     return RobotScene(name, located.resolve(), spec, file, model, groups)
+
+
+def _tell(found: Findings, values: Values, has_mass: Sequence[Span]) -> None:
+    """Pass on what was found in a robot file, but not that a link has no inertial where the scenario gives it one."""
+    for finding in found:
+        if finding.code != "DB305" or finding.notes or finding.span not in has_mass:
+            values.findings.append(finding)
 
 
 def _locate(reference: str, path: NodePath, document: Document, values: Values) -> Path | None:
     span = values.span(path)
     if reference.startswith("package://"):
-        found = mesh.in_package(reference)
+        found = meshes.in_package(reference)
         if found is not None:
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
@@ -93,7 +105,7 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     if by_name is not None:
         return by_name
     notes = (f"shipped robots are {shown(shipped.robot_names())}",)
-    library = mesh.library_reference(reference)
+    library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
     help = f"did you mean `{library}`?" if library else beside.help
     values.findings.add("DB204", span, beside.headline, help=help, notes=notes, fix=fix)

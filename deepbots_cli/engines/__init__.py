@@ -18,6 +18,7 @@ An engine is imported when it is first used. Other packages add theirs as an ent
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, cast
@@ -33,7 +34,7 @@ ENGINES = {
     "pybullet": "deepbots_cli.engines.pybullet:PyBulletEngine",
     "exact": "deepbots_cli.engines.exact:ExactEngine",
 }
-_OF_EXTRA_SIM = ("pybullet", "numpy")
+_OF_EXTRA_SIM = ("pybullet", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:
@@ -50,11 +51,20 @@ def create(name: str, world: WorldModel) -> Engine:
         EngineError: The engine cannot hold this world.
     """
     try:
-        return _factory(name)(world)
+        return _factory(name)(_with_masses(world))
     except ModuleNotFoundError as error:
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise
+
+
+def _with_masses(world: WorldModel) -> WorldModel:
+    """The world with a mass on each link that has a density instead."""
+    if all(link.density is None for robot in world.robots for link in robot.model.links):
+        return world
+    from deepbots_cli.geometry import with_masses
+
+    return replace(world, robots=tuple(replace(robot, model=with_masses(robot.model)) for robot in world.robots))
 
 
 def _factory(name: str) -> EngineFactory:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import HERE, Frame, Triple, cross, dot, rotate, scaled, subtract
-from deepbots_cli.robots import inertia, rotation
+from deepbots_cli.frames import HERE, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
+from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import RobotModel
-from deepbots_cli.robots.rotation import Matrix
 
 _NOTHING: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -49,9 +48,9 @@ def joined(model: RobotModel, first: str) -> Lump:
         known = model.link(name).inertial
         if known:
             centre, turned = frames.inside(place, frames.frame(known.origin))
-            columns = tuple(rotate(turned, axis) for axis in rotation.diagonal((1.0, 1.0, 1.0)))
-            turn = rotation.transposed((columns[0], columns[1], columns[2]))
-            parts.append((known.mass, centre, rotation.turned(inertia.matrix(known), turn)))
+            columns = tuple(rotate(turned, axis) for axis in frames.diagonal((1.0, 1.0, 1.0)))
+            turn = frames.transposed((columns[0], columns[1], columns[2]))
+            parts.append((known.mass, centre, frames.turned(inertia.matrix(known), turn)))
     mass = sum(part[0] for part in parts)
     if mass <= 0.0:
         return Lump(first, 0.0, HERE[0], _NOTHING, members)

@@ -26,7 +26,7 @@ def as_robot(body: ObjectBody) -> RobotModel:
     seen = Geometry(body.shape, colour=body.colour)
     link = Link(
         name=body.name,
-        inertial=inertia.of(body.shape, body.mass) or Inertial(body.mass),
+        inertial=inertia.homogeneous(body.shape, body.mass) or Inertial(body.mass),
         visuals=(seen,),
         collisions=(seen,) if body.solid else (),
         friction=Friction(body.friction, body.spinning_friction, body.rolling_friction, body.restitution),

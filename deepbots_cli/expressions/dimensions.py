@@ -87,6 +87,7 @@ _NOUNS = {
     LENGTH**2: "an area",
     LENGTH**3: "a volume",
     MASS: "a mass",
+    MASS / LENGTH**3: "a density",
     TIME: "a duration",
     ANGLE: "an angle",
     SPEED: "a speed",

@@ -10,7 +10,7 @@ from lsprotocol.types import CompletionItemKind
 from deepbots_cli.document import roots, shipped
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.expressing import Choice
-from deepbots_cli.robots import mesh
+from deepbots_cli.robots import meshes
 
 _MOST = 300
 
@@ -31,7 +31,7 @@ def files(view: View, suffixes: tuple[str, ...], *, robots: bool = False) -> Ite
 def located(view: View, reference: str, *, robots: bool = False) -> Path | None:
     """The file that a reference in the document stands for; None where there is none, or it may not be read."""
     if reference.startswith("package://"):
-        return mesh.in_package(reference)
+        return meshes.in_package(reference)
     found = roots.resolve(reference, view.document.path.parent, _roots(view))
     if isinstance(found, Path):
         return found

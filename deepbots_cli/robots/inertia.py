@@ -1,4 +1,4 @@
-"""Mass, volume and inertia of simple bodies in closed form; how inertia follows a stretch.
+"""Mass, volume and inertia of simple bodies in closed form; second moments.
 
 Inertia is in kg m^2 about the centre of mass, in axes parallel to the shape's own.
 """
@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, RobotModel, Shape, Sphere, Vector
-from deepbots_cli.robots.rotation import Matrix
+from deepbots_cli import frames
+from deepbots_cli.frames import Matrix
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, RobotModel, Shape, Sphere
 
 _HERE = Pose()
 # Published files round to three digits, and a flat plate stands exactly on the boundary.
@@ -17,7 +18,7 @@ _TOLERANCE = 1e-3
 
 
 def volume(shape: Shape) -> float | None:
-    """In m^3; None for a mesh, whose inside nobody vouches for."""
+    """In m^3; None for a mesh, which may not be closed."""
     match shape:
         case Box((x, y, z)):
             return x * y * z
@@ -31,7 +32,7 @@ def volume(shape: Shape) -> float | None:
             return None
 
 
-def of(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
+def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
     """The inertial of a homogeneous body of `mass` kg whose shape stands at `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):
@@ -78,23 +79,19 @@ def matrix(inertial: Inertial) -> Matrix:
 
 def second_moments(tensor: Matrix) -> Matrix:
     """J = tr(I)/2 - I, the integral of r r^T over the mass."""
-    return _half_trace_minus(tensor, 0.5)
+    return _trace_minus(tensor, 0.5)
 
 
 def from_second_moments(moments: Matrix) -> Matrix:
     """I = tr(J) - J, the inverse of `second_moments`."""
-    return _half_trace_minus(moments, 1.0)
+    return _trace_minus(moments, 1.0)
 
 
 def scaled(m: Matrix, factor: float) -> Matrix:
-    return (_times(m[0], factor), _times(m[1], factor), _times(m[2], factor))
+    return (frames.scaled(m[0], factor), frames.scaled(m[1], factor), frames.scaled(m[2], factor))
 
 
-def _times(v: Vector, factor: float) -> Vector:
-    return (v[0] * factor, v[1] * factor, v[2] * factor)
-
-
-def _half_trace_minus(m: Matrix, share: float) -> Matrix:
+def _trace_minus(m: Matrix, share: float) -> Matrix:
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = m
     trace = share * (xx + yy + zz)
     return ((trace - xx, -xy, -xz), (-xy, trace - yy, -yz), (-xz, -yz, trace - zz))
@@ -108,7 +105,7 @@ def _is_positive(m: Matrix, shift: float) -> bool:
 
 
 def carried(model: RobotModel) -> dict[str, float]:
-    """Of each link by name, the mass (kg) of it and of all that hangs on it."""
+    """For each link by name, the mass (kg) of the link and of everything below it."""
     mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in model.links}
     below: dict[str, list[str]] = {name: [] for name in mass}
     for joint in model.joints:

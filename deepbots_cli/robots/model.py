@@ -1,7 +1,7 @@
 """A robot as data: links, joints, limits, inertia. SI units; rpy in rad, fixed axes x, y, z as in URDF.
 
-Frozen and free of positions, so that it can stand in the compiled scenario and be hashed. Where each
-link and joint was written is kept apart, in `urdf.reader.RobotFile`.
+Frozen and free of places in the text, so that it can stand in the compiled scenario and be hashed;
+`reader.RobotFile` holds the places.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Vector = tuple[float, float, float]
+Colour = tuple[float, float, float, float]
+"""Red, green, blue and alpha, 0 to 1."""
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
@@ -80,12 +82,12 @@ class Geometry:
 
     shape: Shape
     origin: Pose = Pose()
-    colour: tuple[float, float, float, float] | None = None
+    colour: Colour | None = None
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Contact figures of a link; None where the file is silent, which engines take for 1 (`lateral`) or 0 (the others)."""
+    """Contact parameters of a link. None means not stated: engines take 1 for `lateral` and 0 for the others."""
 
     lateral: float | None = None
     spinning: float | None = None
@@ -100,6 +102,8 @@ class Link:
     visuals: tuple[Geometry, ...] = ()
     collisions: tuple[Geometry, ...] = ()
     friction: Friction = Friction()
+    density: float | None = None
+    """kg/m^3, of a link whose mesh gives its inertial when it is simulated (`deepbots_cli.geometry`)."""
 
 
 @dataclass(frozen=True)

@@ -1,36 +1,91 @@
 """URDF to a checked model. Strict about what would crash or mislead an engine, lenient about the rest.
 
-xml.py       text to elements that know their place
-parts.py     elements to links and joints
-mesh.py      the files they refer to
-checks.py    one tree, plausible inertia
+The order is: the file, its elements, links and joints one by one, then the robot as a whole (one tree, plausible inertia).
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
+from typing import get_args
 
-from deepbots_cli.diagnostics import Finding, Findings, Label, Source, Span
+from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.reading import read_at_most
-from deepbots_cli.robots import checks, parts, vocabulary, xml
-from deepbots_cli.robots.mesh import Meshes, Refusal, ResolveMesh, beside
-from deepbots_cli.robots.model import Joint, Link, Mesh, RobotModel
-from deepbots_cli.robots.report import Report, quoted
-from deepbots_cli.robots.xml import Element
+from deepbots_cli.robots.elements import Element, known_names, parse, quoted
+from deepbots_cli.robots.inertia import is_plausible
+from deepbots_cli.robots.meshes import Meshes, Refusal, ResolveMesh, beside
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Colour,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    JointType,
+    Limit,
+    Link,
+    Mesh,
+    Mimic,
+    Pose,
+    RobotModel,
+    Shape,
+    Sphere,
+    Vector,
+)
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
-_SMALL = 64 * 1024
 MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
+MAX_WORDS = 200  # unknown words that are compared with the known ones
+_FULL_TURN = 6.29  # rad: above 2 pi as files round it
+_BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
+_JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
+
+_VALUE = ("", "value")
+_PLACED = ("origin geometry material", "name")
+_VOCABULARY = {
+    "robot": ("link joint material", "name"),
+    "link": ("inertial visual collision contact", "name"),
+    "inertial": ("origin mass inertia", ""),
+    "visual": _PLACED,
+    "collision": _PLACED,
+    "contact": ("lateral_friction spinning_friction rolling_friction restitution", ""),
+    "lateral_friction": _VALUE,
+    "spinning_friction": _VALUE,
+    "rolling_friction": _VALUE,
+    "restitution": _VALUE,
+    "mass": _VALUE,
+    "inertia": ("", "ixx ixy ixz iyy iyz izz"),
+    "origin": ("", "xyz rpy"),
+    "geometry": ("box sphere cylinder capsule mesh", ""),
+    "box": ("", "size"),
+    "sphere": ("", "radius"),
+    "cylinder": ("", "radius length"),
+    "capsule": ("", "radius length"),
+    "mesh": ("", "filename scale"),
+    "material": ("color texture", "name"),
+    "color": ("", "rgba"),
+    "joint": ("origin parent child axis limit dynamics mimic", "name type"),
+    "parent": ("", "link"),
+    "child": ("", "link"),
+    "axis": ("", "xyz"),
+    "limit": ("", "lower upper effort velocity"),
+    "dynamics": ("", "damping friction"),
+    "mimic": ("", "joint multiplier offset"),
+}
+"""The elements and attributes that may stand inside each element. Others belong to other tools."""
+_SHAPES = _VOCABULARY["geometry"][0].split()
 
 
 @dataclass(frozen=True, eq=False)
 class RobotFile:
-    """A robot, the text it came from, and where each link and joint is named in it.
+    """A robot, its text, and where each link and joint is named in it.
 
     `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its bytes.
     """
@@ -57,7 +112,13 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
     Returns:
         The robot, or None where something was found at error level.
     """
-    data = _load(path)
+    if not path.is_file():  # a pipe would block for ever
+        data: bytes | str = "the robot file is not a regular file" if path.exists() else "the robot file does not exist"
+    else:
+        try:
+            data = read_at_most(path, MAX_BYTES + 1)
+        except OSError as error:
+            data = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
     if isinstance(data, str):
         findings.add("DB301", Span(Source(display, ""), 0, 0), data)
         return None
@@ -66,66 +127,32 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
     """The same for a file that is already in memory."""
-    known = _remembered(data, display) if len(data) <= _SMALL else None
-    if known is None:
-        return _read(data, display, findings, resolve_mesh)
-    file, found = known
-    for finding in found:
-        findings.append(finding)
-    return file
-
-
-@lru_cache(maxsize=32)
-def _remembered(data: bytes, display: str) -> tuple[RobotFile | None, tuple[Finding, ...]] | None:
-    """What comes of a small file, which a folder of scenarios and the cases of one read again; None where meshes have a say."""
-    asked: list[str] = []
-
-    def resolve(reference: str) -> Refusal:
-        asked.append(reference)
-        return Refusal("not looked for")
-
-    findings = Findings()
-    file = _read(data, display, findings, resolve)
-    return None if asked else (file, tuple(findings))
-
-
-def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh) -> RobotFile | None:
     source = _decode(data, display, findings)
-    if source is None:
+    root = parse(source, findings) if source else None
+    if source is None or root is None:
         return None
-    root = xml.parse(source, findings)
-    if root is None:
-        return None
-    report = Report(findings)
     if root.tag != "robot":
-        report.error(root, f"the outermost element is <{root.tag[:40]}>, not <robot>", help="only URDF is read; convert the file first")
+        root.error(f"the outermost element is <{root.tag[:40]}>, not <robot>", help="only URDF is read; convert the file first")
         return None
-    vocabulary.check(root, report)
-    _refuse_macros(root, report)
-    links, joints = _named(root, "link", report), _named(root, "joint", report)
+    _check_words(root)
+    macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
+    if macro is not None:  # the plain elements of a program that writes URDF would give another robot
+        macro.error("a xacro macro that has not been expanded", help="expand the file first: xacro robot.urdf.xacro > robot.urdf")
+    links, joints = _named(root, "link"), _named(root, "joint")
     if not root.all("link"):
-        report.error(root, "the robot has no links")
+        root.error("the robot has no links")
     if len(links) > MAX_LINKS:
-        report.error(root, f"the robot has more than {MAX_LINKS} links", code="DB005")
+        root.error(f"the robot has more than {MAX_LINKS} links", code="DB005")
         return None
-    model = _model(root, links, joints, Meshes(resolve_mesh), report)
+    model = _model(root, links, joints, Meshes(resolve_mesh))
     if model is None:
         return None
-    checks.inertia(model, links, report)
-    model = _without_balls(model, joints, report)
-    if report.errors:
+    _check_inertia(model, links)
+    model = _without_balls(model, joints)
+    if root.report.errors:
         return None
-    return RobotFile(model, source, hashlib.sha256(data).hexdigest(), _spans(links), _spans(joints))
-
-
-def _load(path: Path) -> bytes | str:
-    """The bytes of a regular file (a pipe would block for ever), or why there are none."""
-    if not path.is_file():
-        return "the robot file is not a regular file" if path.exists() else "the robot file does not exist"
-    try:
-        return read_at_most(path, MAX_BYTES + 1)
-    except OSError as error:
-        return f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
+    link_spans, joint_spans = ({name: element.value_span("name") for name, element in elements.items()} for elements in (links, joints))
+    return RobotFile(model, source, hashlib.sha256(data).hexdigest(), link_spans, joint_spans)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
@@ -141,82 +168,418 @@ def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
         return None
 
 
-def _refuse_macros(root: Element, report: Report) -> None:
-    """A xacro file is a program that writes URDF; reading what happens to be plain in it would give another robot."""
-    for child in root.children:
-        if child.tag.startswith("xacro:"):
-            report.error(
-                child, "a xacro macro that has not been expanded", help="expand the file first: xacro robot.urdf.xacro > robot.urdf"
-            )
-            return
+def _check_words(root: Element) -> None:
+    """DB311 for each element or attribute that is unknown and close to a known one."""
+    unknown: list[tuple[Element, str, str, str | None]] = []
+    waiting = [root]
+    while waiting and len(unknown) < MAX_WORDS:
+        element = waiting.pop()
+        children, attributes = _VOCABULARY[element.tag]
+        unknown += [(element, name, attributes, name) for name in element.attributes if name not in attributes.split()]
+        for child in element.children:
+            if child.tag not in children.split():
+                unknown.append((child, child.tag, children, None))
+            elif child.tag in _VOCABULARY:
+                waiting.append(child)
+    for element, word, known, attribute in unknown[:MAX_WORDS]:
+        match = nearest(word, known.split(), 0.75)
+        if match:
+            what = "attribute" if attribute else "element"
+            element.warn(f"the {what} {quoted(word)} is not read", attribute=attribute, help=f"did you mean {match!r}?")
 
 
-def _named(root: Element, tag: str, report: Report) -> dict[str, Element]:
+def _named(root: Element, tag: str) -> dict[str, Element]:
     """The links or joints by name, in file order."""
     found: dict[str, Element] = {}
     for element in root.all(tag):
-        name = report.text(element, "name")
+        name = element.text("name")
         if name is None:
             continue
         if len(name) > MAX_NAME:
-            report.error(element, f"the name {quoted(name)} is longer than {MAX_NAME} characters", attribute="name")
+            element.error(f"the name {quoted(name)} is longer than {MAX_NAME} characters", attribute="name")
             continue
         if not name.isprintable():
-            report.error(element, f"the name {quoted(name)} holds characters that cannot be printed", attribute="name")
+            element.error(f"the name {quoted(name)} holds characters that cannot be printed", attribute="name")
             continue
         first = found.setdefault(name, element)
         if first is not element:
             also = (Label(first.value_span("name"), "first defined here"),)
-            report.error(element, f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", also=also)
+            element.error(f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", also=also)
     return found
 
 
-def _model(root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: Meshes, report: Report) -> RobotModel | None:
-    """The whole model, or None where anything was found at error level."""
-    named = parts.colours(root, report)
-    read_links = [parts.link(element, name, named, meshes, report) for name, element in links.items()]
-    read_joints = _read_joints(joints, report)
-    sound = len(read_joints) == len(root.all("joint")) and checks.references(read_joints, links, joints, report)
-    base = checks.tree(read_joints, links, joints, report) if sound else None
-    if report.errors or base is None:
+def _model(root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: Meshes) -> RobotModel | None:
+    """The whole model, or None after an error."""
+    colours = _colours(root)
+    read_links = [_link(element, name, colours, meshes) for name, element in links.items()]
+    read_joints = {name: joint for name, element in joints.items() if (joint := _joint(element, name))}
+    complete = len(read_joints) == len(root.all("joint")) and _check_references(read_joints, links, joints)
+    base = _root_link(read_joints, links, joints) if complete else None
+    if root.report.errors or base is None:
         return None
     name = root.attributes.get("name", "").strip() or "robot"
     return RobotModel(name[:MAX_NAME], tuple(read_links), tuple(read_joints.values()), base)
 
 
-def _without_balls(model: RobotModel, elements: dict[str, Element], report: Report) -> RobotModel:
+# Links
+
+
+def _colours(root: Element) -> dict[str, Colour]:
+    """The named materials that have a colour: those of the robot, then those first written inside a visual."""
+    named: dict[str, Colour] = {}
+    visuals = [visual for link in root.all("link") for visual in link.all("visual")]
+    for holder in (root, *visuals):
+        for material in holder.all("material"):
+            name, colour = material.attributes.get("name"), _colour(material)
+            if name and colour:
+                named.setdefault(name, colour)
+    return named
+
+
+def _colour(material: Element) -> Colour | None:
+    """The material's own colour, each part clipped to 0 to 1."""
+    element = material.only("color")
+    if element is None:
+        return None
+    colour = element.rgba()
+    if any(not 0 <= part <= 1 for part in colour):
+        element.warn("a colour outside 0 to 1 is cut off", attribute="rgba", help="divide by 255")
+    red, green, blue, alpha = (min(max(part, 0.0), 1.0) for part in colour)
+    return red, green, blue, alpha
+
+
+def _pose(element: Element) -> Pose:
+    origin = element.only("origin")
+    if origin is None:
+        return Pose()
+    rpy = origin.vector("rpy", (0.0, 0.0, 0.0))
+    largest = max(rpy, key=abs)
+    if abs(largest) > _FULL_TURN:
+        in_rad = " ".join(f"{round(math.radians(angle), 4):g}" for angle in rpy)
+        help = f'angles are in rad; if degrees are meant, write rpy="{in_rad}"'
+        origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
+    return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
+
+
+def _link(element: Element, name: str, colours: dict[str, Colour], meshes: Meshes) -> Link:
+    visuals = [_geometry(visual, meshes, _visual_colour(visual, colours)) for visual in element.all("visual")]
+    collisions = [_geometry(collision, meshes) for collision in element.all("collision")]
+    return Link(
+        name,
+        _inertial(element),
+        tuple(geometry for geometry in visuals if geometry),
+        tuple(geometry for geometry in collisions if geometry),
+        _friction(element),
+    )
+
+
+def _inertial(link: Element) -> Inertial | None:
+    element = link.only("inertial")
+    if element is None:
+        return None
+    mass, inertia = element.required("mass"), element.required("inertia")
+    if mass is None or inertia is None:
+        return None
+    return Inertial(
+        mass.not_negative("value"),
+        _pose(element),
+        ixx=inertia.not_negative("ixx"),
+        ixy=inertia.number("ixy", 0.0),
+        ixz=inertia.number("ixz", 0.0),
+        iyy=inertia.not_negative("iyy"),
+        iyz=inertia.number("iyz", 0.0),
+        izz=inertia.not_negative("izz"),
+    )
+
+
+def _visual_colour(visual: Element, named: dict[str, Colour]) -> Colour | None:
+    """The colour inside the visual, else the colour of the material that it names."""
+    material = visual.only("material")
+    if material is None:
+        return None
+    return _colour(material) if material.all("color") else named.get(material.attributes.get("name", ""))
+
+
+def _geometry(holder: Element, meshes: Meshes, colour: Colour | None = None) -> Geometry | None:
+    element = holder.required("geometry")
+    if element is None:
+        return None
+    shapes = [child for child in element.children if child.tag in _SHAPES]
+    if not shapes:
+        element.error("<geometry> without a shape that is known", help=f"the shapes are: {', '.join(_SHAPES)}")
+        return None
+    for extra in shapes[1:]:
+        extra.warn("a further shape in the same <geometry> is not read", help="give it a <visual> or <collision> of its own")
+    shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
+    return Geometry(shape, _pose(holder), colour) if shape else None
+
+
+def _solid(element: Element, holder: str) -> Shape | None:
+    """A shape whose measures are above 0. A visual of size 0 is a known way to draw nothing, and harmless."""
+    shape: Shape
+    if element.tag == "box":
+        shape = Box(element.vector("size"))
+        measures = {"size": min(shape.size)}
+    elif element.tag == "sphere":
+        shape = Sphere(element.number("radius"))
+        measures = {"radius": shape.radius}
+    else:
+        shape = (Cylinder if element.tag == "cylinder" else Capsule)(element.number("radius"), element.number("length"))
+        measures = {"radius": shape.radius, "length": shape.length}
+    wrong = next((name for name, value in measures.items() if value <= 0), None)
+    if wrong is None:
+        return shape
+    if holder == "visual" and measures[wrong] == 0:
+        element.warn("a visual without size draws nothing", attribute=wrong, help="remove the <visual>")
+    else:
+        element.error(f"'{wrong}' must be above 0", attribute=wrong)
+    return None
+
+
+def _mesh(element: Element, meshes: Meshes) -> Mesh | None:
+    filename = element.text("filename")
+    scale = element.vector("scale", (1.0, 1.0, 1.0))
+    if not all(scale):
+        element.error("a mesh cannot be scaled by 0", attribute="scale")
+    if filename is None:
+        return None
+    loaded = meshes.load(filename)
+    if isinstance(loaded, Refusal):
+        element.error(loaded.why, attribute="filename", help=loaded.help)
+        return None
+    if loaded.reference:
+        headline = "the mesh is not beside the robot file; one in a folder above is read, as PyBullet does"
+        element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
+    return Mesh(str(loaded.path), loaded.digest, scale)
+
+
+def _friction(link: Element) -> Friction:
+    contact = link.only("contact")
+    if contact is None:
+        return Friction()
+    found = [contact.only(tag) for tag in ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")]
+    return Friction(*(element.not_negative("value") if element else None for element in found))
+
+
+# Joints
+
+
+def _joint(element: Element, name: str) -> Joint | None:
+    """One `<joint>`; None where it has no type or does not say what it joins."""
+    kind = _joint_type(element)
+    parent, child = element.required("parent"), element.required("child")
+    above = parent and parent.text("link")
+    below = child and child.text("link")
+    if kind is None or not above or not below:
+        return None
+    dynamics = element.only("dynamics")
+    return Joint(
+        name,
+        kind,
+        above,
+        below,
+        origin=_pose(element),
+        axis=_axis(element, kind),
+        limit=_limit(element, kind, name),
+        damping=dynamics.not_negative("damping", 0.0) if dynamics else 0.0,
+        friction=dynamics.not_negative("friction", 0.0) if dynamics else 0.0,
+        mimic=_mimic(element),
+    )
+
+
+def _joint_type(element: Element) -> JointType | None:
+    word = element.text("type")
+    if word is None:
+        return None
+    if word == _BALL:
+        return "continuous"
+    kind = next((known for known in _JOINT_TYPES if known == word), None)
+    if kind is None:
+        help = known_names(word, _JOINT_TYPES, "joint types")
+        element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
+    return kind
+
+
+def _axis(joint: Element, kind: JointType) -> Vector:
+    """The axis as a unit vector; that of a fixed or floating joint is not read."""
+    element = joint.only("axis")
+    if element is None or kind in ("fixed", "floating"):
+        return (1.0, 0.0, 0.0)
+    x, y, z = element.vector("xyz", (1.0, 0.0, 0.0))
+    length = math.hypot(x, y, z)
+    if length < 1e-9:
+        element.error("the axis has no length", attribute="xyz", help="write the direction the joint turns about or slides along")
+        return (1.0, 0.0, 0.0)
+    return (x, y, z) if abs(length - 1) < 1e-12 else (x / length, y / length, z / length)
+
+
+def _limit(joint: Element, kind: JointType, name: str) -> Limit:
+    """Bounds in rad or m. An effort or velocity of 0 is read as "not stated".
+
+    Many published files write 0 there for joints that are driven; taken literally the joint could never move.
+    """
+    element = joint.only("limit")
+    if element is None:
+        if kind in ("revolute", "prismatic"):
+            joint.warn(f"joint {quoted(name)} has no limits", help='add <limit lower="..." upper="..." .../>', code="DB307")
+        return Limit()
+    effort = element.not_negative("effort", 0.0) or None
+    velocity = element.not_negative("velocity", 0.0) or None
+    lower, upper = element.number("lower", 0.0), element.number("upper", 0.0)
+    if kind in ("revolute", "prismatic"):
+        if not {"lower", "upper"} & element.attributes.keys():
+            element.warn(f"joint {quoted(name)} has no limits", help='add lower="..." and upper="..."', code="DB307")
+        elif lower <= upper:
+            return Limit(lower, upper, velocity, effort)
+        else:
+            headline = f"the lower limit of joint {quoted(name)} is above the upper one, so it has none"
+            element.warn(headline, help="exchange the two, or make the joint continuous", code="DB307")
+    return Limit(None, None, velocity, effort)
+
+
+def _mimic(joint: Element) -> Mimic | None:
+    element = joint.only("mimic")
+    other = element.text("joint") if element else None
+    return Mimic(other, element.number("multiplier", 1.0), element.number("offset", 0.0)) if element and other else None
+
+
+def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotModel:
     """The model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them."""
-    balls = {joint.name: joint for joint in model.joints if elements[joint.name].attributes["type"] == parts.BALL}
+    balls = {joint.name for joint in model.joints if elements[joint.name].attributes["type"] == _BALL}
     links: list[Link] = list(model.links)
     joints: list[Joint] = []
     taken = {link.name for link in model.links} | elements.keys()
     for joint in model.joints:
         element = elements[joint.name]
         if joint.mimic and (joint.name in balls or joint.mimic.joint in balls):
-            report.error(element.all("mimic")[0], "a ball joint has three angles: it cannot follow a joint or be followed")
+            element.all("mimic")[0].error("a ball joint has three angles: it cannot follow a joint or be followed")
         if joint.name not in balls:
             joints.append(joint)
             continue
-        between, hinges = parts.hinges(joint)
+        between, hinges = _hinges(joint)
         names = [hinge.name for hinge in hinges]
         clash = next((name for name in names if name in taken), None)
         if clash:
             headline = f"{quoted(joint.name)} is a ball joint, and {quoted(clash)}, the name of one of its hinges, is taken"
-            report.error(element, headline, attribute="name", help="rename one of the two")
+            element.error(headline, attribute="name", help="rename one of the two")
             continue
         limited = " Its lower and upper limits are not read." if element.all("limit") else ""
         headline = f"ball joint {quoted(joint.name)} is read as three hinges at one place: {', '.join(names)}"
         help = f"near -90 and 90 deg about y, its axes x and z coincide.{limited}"
-        report.warn("DB311", element, headline, attribute="type", help=help)
+        element.warn(headline, attribute="type", help=help)
         links += between
         joints += hinges
     return replace(model, links=tuple(links), joints=tuple(joints))
 
 
-def _read_joints(joints: dict[str, Element], report: Report) -> dict[str, Joint]:
-    read = ((name, parts.joint(element, name, report)) for name, element in joints.items())
-    return {name: joint for name, joint in read if joint}
+def _hinges(ball: Joint) -> tuple[list[Link], list[Joint]]:
+    """A ball joint as three hinges at one place, about x, then y, then z, with two links between them that have neither mass nor shape.
+
+    Each hinge has the effort, velocity, damping and friction of the ball joint. The angles are
+    those of intrinsic rotations about x, y, z: near -90 or 90 deg about y, the axes of x and z coincide.
+    """
+    between = [Link(f"{ball.name}_{letter}") for letter in "xy"]
+    parents = [ball.parent, *(link.name for link in between)]
+    children = [*parents[1:], ball.child]
+    axes: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    joints = [
+        replace(ball, name=f"{ball.name}_{letter}", parent=parent, child=child, axis=axis, origin=ball.origin if letter == "x" else Pose())
+        for letter, axis, parent, child in zip("xyz", axes, parents, children, strict=True)
+    ]
+    return between, joints
 
 
-def _spans(elements: Mapping[str, Element]) -> dict[str, Span]:
-    return {name: element.value_span("name") for name, element in elements.items()}
+# The robot as a whole
+
+
+def _check_references(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> bool:
+    """Whether every joint joins two known links; every mimic must follow a known joint other than itself."""
+    complete = True
+    for name, joint in joints.items():
+        element = elements[name]
+        for tag, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                complete = False
+                headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
+                element.all(tag)[0].error(headline, attribute="link", help=known_names(link, links, "links"))
+        if joint.mimic and joint.mimic.joint not in joints:
+            headline = f"joint {quoted(name)} follows the unknown joint {quoted(joint.mimic.joint)}"
+            help = known_names(joint.mimic.joint, joints, "joints")
+            element.all("mimic")[0].error(headline, attribute="joint", help=help)
+    for cycle in _cycles({name: joint.mimic.joint for name, joint in joints.items() if joint.mimic}):
+        headline = "these joints follow each other in a circle: " + ", ".join(map(quoted, cycle[:5]))
+        elements[cycle[0]].all("mimic")[0].error(headline, attribute="joint")
+    return complete
+
+
+def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> str | None:
+    """The one root link; None after a finding, where the links do not form one tree."""
+    joint_above: dict[str, str] = {}
+    errors = 0
+    for name, joint in joints.items():
+        first = joint_above.setdefault(joint.child, name)
+        if first != name:
+            errors += 1
+            also = (Label(elements[first].span, f"{quoted(first)} already holds it"),)
+            headline = f"link {quoted(joint.child)} has two parents, {quoted(joints[first].parent)} and {quoted(joint.parent)}"
+            elements[name].all("child")[0].error(headline, attribute="link", also=also)
+    parent = {child: joints[name].parent for child, name in joint_above.items()}
+    for cycle in _cycles(parent):
+        errors += 1
+        headline = "these links hang on each other in a circle: " + ", ".join(map(quoted, cycle[:5]))
+        elements[joint_above[cycle[0]]].error(headline, help="remove the joint that closes the circle")
+    roots = [name for name in links if name not in parent]
+    for name in roots[1:]:
+        errors += 1
+        also = (Label(links[roots[0]].value_span("name"), "the other root"),)
+        headline = f"link {quoted(name)} is a second root: no joint has it as its child"
+        links[name].error(headline, attribute="name", help="join it to another link, or remove it", also=also)
+    return roots[0] if roots and not errors else None
+
+
+def _cycles(above: Mapping[str, str]) -> list[list[str]]:
+    """The cycles of a graph in which each name has at most one name above it."""
+    found = []
+    visited: set[str] = set()
+    for start in above:
+        path: dict[str, None] = {}
+        name = start
+        while name in above and name not in visited:
+            visited.add(name)
+            path[name] = None
+            name = above[name]
+        if name in path:
+            names = list(path)
+            found.append(names[names.index(name) :])
+    return found
+
+
+def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
+    """DB305 and DB306: links whose inertia is missing or impossible.
+
+    A link on a fixed joint, or the root, may be a mere frame: such links share one warning, and have none without any shape, as
+    `world` and `tool0` are.
+    """
+    moving = {joint.child for joint in model.joints if joint.type != "fixed"}
+
+    def warn(code: str, links: list[Link], lack: str, help: str) -> None:
+        for link in links:
+            if link.name in moving:
+                elements[link.name].warn(f"link {quoted(link.name)} moves and has {lack}", attribute="name", help=help, code=code)
+        still = [link.name for link in links if link.name not in moving]
+        if len(still) == 1:
+            elements[still[0]].warn(f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code)
+        elif still:
+            shown = ", ".join(still[:20]) + (f" and {len(still) - 20} more" if len(still) > 20 else "")
+            headline = f"{len(still)} links on fixed joints or at the root have {lack}"
+            elements[still[0]].warn(headline, attribute="name", help=help, notes=(f"they are: {shown}",), code=code)
+
+    missing = [link for link in model.links if link.inertial is None and (link.name in moving or link.visuals or link.collisions)]
+    warn("DB305", missing, "no inertial", "add an <inertial>; without one a link weighs nothing, which is right for a mere frame")
+    massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
+    warn("DB306", massless, "mass 0", "give it a mass; an engine may treat such a link as immovable")
+    for link in model.links:
+        if link.inertial and link.inertial.mass > 0 and not is_plausible(link.inertial):
+            help = "each principal moment must be above 0 and at most the sum of the other two"
+            at = elements[link.name].all("inertial")[0].all("inertia")[0]
+            at.warn(f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots.mesh import Refusal
+from deepbots_cli.robots.meshes import Refusal
 from deepbots_cli.robots.model import Geometry, Inertial, Link, Mesh, RobotModel, Shape, Sphere
 from deepbots_cli.robots.reader import read_bytes
 from deepbots_cli.robots.writer import write

@@ -6,12 +6,12 @@ own file, is what an engine loads.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from xml.sax.saxutils import quoteattr
 
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
+    Colour,
     Cylinder,
     Friction,
     Geometry,
@@ -26,99 +26,93 @@ from deepbots_cli.robots.model import (
     Sphere,
 )
 
+Lines = list[str]
+
 
 def write(model: RobotModel) -> str:
     """The model as URDF text; meshes by the path that the model holds."""
-    lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(model.name)}>"]
-    colours: dict[tuple[float, ...], str] = {}
-    for link in model.links:
-        lines += _link(link, colours)
-    for joint in model.joints:
-        lines += _joint(joint)
-    return "\n".join([*lines, "</robot>", ""])
+    colours: dict[Colour, str] = {}
+    links = [line for link in model.links for line in _link(link, colours)]
+    joints = [line for joint in model.joints for line in _joint(joint)]
+    return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *_element("robot", [*links, *joints], name=model.name), ""])
 
 
-def _numbers(*values: float) -> str:
-    return '"' + " ".join(map(repr, values)) + '"'
+def _element(tag: str, inside: Lines | None = None, **attributes: str | float | tuple[float, ...] | None) -> Lines:
+    """An element with the lines inside it; attributes that are None are left out."""
+    written = [f" {name}={_value(value)}" for name, value in attributes.items() if value is not None]
+    if inside is None:
+        return [f"<{tag}{''.join(written)}/>"]
+    return [f"<{tag}{''.join(written)}>", *(f"  {line}" for line in inside), f"</{tag}>"]
 
 
-def _link(link: Link, colours: dict[tuple[float, ...], str]) -> Iterator[str]:
-    yield f"  <link name={quoteattr(link.name)}>"
-    if link.inertial:
-        yield from _inertial(link.inertial)
-    for visual in link.visuals:
-        yield from _geometry("visual", visual, colours)
-    for collision in link.collisions:
-        yield from _geometry("collision", collision, colours)
-    yield from _friction(link.friction)
-    yield "  </link>"
+def _value(value: str | float | tuple[float, ...]) -> str:
+    return quoteattr(value if isinstance(value, str) else " ".join(map(repr, value if isinstance(value, tuple) else (value,))))
 
 
-def _inertial(inertial: Inertial) -> Iterator[str]:
-    yield "    <inertial>"
-    yield f"      {_origin(inertial.origin)}"
-    yield f"      <mass value={_numbers(inertial.mass)}/>"
-    moments = (f"{name}={_numbers(getattr(inertial, name))}" for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    yield f"      <inertia {' '.join(moments)}/>"
-    yield "    </inertial>"
+def _link(link: Link, colours: dict[Colour, str]) -> Lines:
+    inside = _inertial(link.inertial) if link.inertial else []
+    for tag, geometries in (("visual", link.visuals), ("collision", link.collisions)):
+        for geometry in geometries:
+            inside += _geometry(tag, geometry, colours)
+    return _element("link", inside + _friction(link.friction), name=link.name)
 
 
-def _origin(pose: Pose) -> str:
-    return f"<origin xyz={_numbers(*pose.xyz)} rpy={_numbers(*pose.rpy)}/>"
+def _inertial(inertial: Inertial) -> Lines:
+    i = inertial
+    moments = _element("inertia", ixx=i.ixx, ixy=i.ixy, ixz=i.ixz, iyy=i.iyy, iyz=i.iyz, izz=i.izz)
+    return _element("inertial", [*_origin(i.origin), *_element("mass", value=i.mass), *moments])
 
 
-def _geometry(tag: str, geometry: Geometry, colours: dict[tuple[float, ...], str]) -> Iterator[str]:
-    yield f"    <{tag}>"
-    yield f"      {_origin(geometry.origin)}"
-    yield f"      <geometry>{_shape(geometry.shape)}</geometry>"
+def _origin(pose: Pose) -> Lines:
+    return _element("origin", xyz=pose.xyz, rpy=pose.rpy)
+
+
+def _geometry(tag: str, geometry: Geometry, colours: dict[Colour, str]) -> Lines:
+    inside = [*_origin(geometry.origin), *_element("geometry", _shape(geometry.shape))]
     if geometry.colour:
         # Engines look materials up by name in the whole file: one name must mean one colour.
         name = colours.setdefault(geometry.colour, f"colour_{len(colours)}")
-        yield f'      <material name="{name}"><color rgba={_numbers(*geometry.colour)}/></material>'
-    yield f"    </{tag}>"
+        inside += _element("material", _element("color", rgba=geometry.colour), name=name)
+    return _element(tag, inside)
 
 
-def _shape(shape: Shape) -> str:
+def _shape(shape: Shape) -> Lines:
     match shape:
         case Box(size):
-            return f"<box size={_numbers(*size)}/>"
+            return _element("box", size=size)
         case Sphere(radius):
-            return f"<sphere radius={_numbers(radius)}/>"
+            return _element("sphere", radius=radius)
         case Cylinder(radius, length):
-            return f"<cylinder radius={_numbers(radius)} length={_numbers(length)}/>"
+            return _element("cylinder", radius=radius, length=length)
         case Capsule(radius, length):
-            return f"<capsule radius={_numbers(radius)} length={_numbers(length)}/>"
+            return _element("capsule", radius=radius, length=length)
         case Mesh(path, _, scale):
-            return f"<mesh filename={quoteattr(path)} scale={_numbers(*scale)}/>"
+            return _element("mesh", filename=path, scale=scale)
 
 
-def _friction(friction: Friction) -> Iterator[str]:
-    figures = {
+def _friction(friction: Friction) -> Lines:
+    values = {
         "lateral_friction": friction.lateral,
         "spinning_friction": friction.spinning,
         "rolling_friction": friction.rolling,
         "restitution": friction.restitution,
     }
-    if friction != Friction():
-        yield "    <contact>"
-        for tag, figure in figures.items():
-            if figure is not None:
-                yield f"      <{tag} value={_numbers(figure)}/>"
-        yield "    </contact>"
+    inside = [line for tag, value in values.items() if value is not None for line in _element(tag, value=value)]
+    return _element("contact", inside) if inside else []
 
 
-def _joint(joint: Joint) -> Iterator[str]:
-    yield f'  <joint name={quoteattr(joint.name)} type="{joint.type}">'
-    yield f"    {_origin(joint.origin)}"
-    yield f"    <parent link={quoteattr(joint.parent)}/>"
-    yield f"    <child link={quoteattr(joint.child)}/>"
-    yield f"    <axis xyz={_numbers(*joint.axis)}/>"
-    if joint.limit != Limit():
-        figures = {name: getattr(joint.limit, name) for name in ("lower", "upper", "velocity", "effort")}
-        yield f"    <limit {' '.join(f'{name}={_numbers(value)}' for name, value in figures.items() if value is not None)}/>"
+def _joint(joint: Joint) -> Lines:
+    inside = [
+        *_origin(joint.origin),
+        *_element("parent", link=joint.parent),
+        *_element("child", link=joint.child),
+        *_element("axis", xyz=joint.axis),
+    ]
+    limit = joint.limit
+    if limit != Limit():
+        inside += _element("limit", lower=limit.lower, upper=limit.upper, velocity=limit.velocity, effort=limit.effort)
     if joint.damping or joint.friction:
-        yield f"    <dynamics damping={_numbers(joint.damping)} friction={_numbers(joint.friction)}/>"
+        inside += _element("dynamics", damping=joint.damping, friction=joint.friction)
     if joint.mimic:
-        factor, offset = _numbers(joint.mimic.multiplier), _numbers(joint.mimic.offset)
-        yield f"    <mimic joint={quoteattr(joint.mimic.joint)} multiplier={factor} offset={offset}/>"
-    yield "  </joint>"
+        inside += _element("mimic", joint=joint.mimic.joint, multiplier=joint.mimic.multiplier, offset=joint.mimic.offset)
+    return _element("joint", inside, name=joint.name, type=joint.type)

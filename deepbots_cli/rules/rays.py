@@ -11,10 +11,9 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.frames import Frame
-from deepbots_cli.robots.mesh import extent
+from deepbots_cli.frames import Frame, quaternion
+from deepbots_cli.robots.meshes import extent
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
-from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.start import AtStart, is_level
 from deepbots_cli.rules.wording import figure

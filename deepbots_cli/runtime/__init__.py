@@ -3,7 +3,7 @@
 supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
 actuation/     actuators that are more than a motor of the engine, and pushes
-placement/     where bodies stand when an episode begins; ways/ shortest ways around what is solid
+placement.py   where bodies stand when an episode begins; ways.py shortest ways around solid objects
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
@@ -18,7 +18,7 @@ load.py        generated text to a module whose tracebacks show its lines
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
-from deepbots_cli.robots.rotation import quaternion
+from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
 from deepbots_cli.runtime.foreign import foreign
 from deepbots_cli.runtime.lines import Follower

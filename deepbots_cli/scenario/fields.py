@@ -79,6 +79,7 @@ MEASURES: Mapping[str, tuple[str, str]] = {
     "time": ("a duration", "32 ms"),
     "angle": ("an angle", "15 deg"),
     "mass": ("a mass", "0.5 kg"),
+    "density": ("a density", "1000 kg/m^3"),
     "number": ("a number", "0.5"),
     "speed": ("a speed", "2 m/s"),
     "angular speed": ("an angular speed", "5 rad/s"),

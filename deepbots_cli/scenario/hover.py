@@ -11,6 +11,7 @@ _KEPT_IN = {
     "time": "s",
     "angle": "rad",
     "mass": "kg",
+    "density": "kg/m^3",
     "number": "1",
     "speed": "m/s",
     "angular speed": "rad/s",

@@ -19,6 +19,9 @@ class LinkOverride(Part):
     mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, urdf=True)] | None = field(
         default=None, description="Mass, kg; the inertia goes with it. `urdf * 1.2` scales that of the robot file."
     )
+    density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = field(
+        default=None, description="In place of `mass`: mass, centre and inertia of a homogeneous body of the shape of the link."
+    )
     stretch: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = field(
         default=None, description="Factors along x, y and z on shapes, centre of mass and child joints; mass goes with the volume."
     )

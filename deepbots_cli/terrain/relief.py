@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
+from io import BytesIO
 from math import floor, inf, log, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,10 +16,9 @@ from deepbots_cli import ir
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
+from deepbots_cli.geometry import triangles
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.terrain.png import MAX_BYTES, fault
-from deepbots_cli.terrain.png import heights as pixels
-from deepbots_cli.terrain.triangles import triangles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -154,9 +154,23 @@ def _picture(picture: ir.Picture) -> Grid:
         raise EngineError(f"picture {picture.path} has changed since the scenario was compiled")
     if fault(data) is not None:
         raise EngineError(f"picture {picture.path} cannot be read: {fault(data)}")
-    header, rows = pixels(data)
-    grey = np.frombuffer(rows, ">u2" if header.depth == 2 else np.uint8).reshape(header.height, header.width)
-    return Grid(grey[::-1] * (picture.height / (256**header.depth - 1)), picture.size)
+    bits = data[24]  # of a pixel, by the header
+    return Grid(pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
+
+
+def pixels(data: bytes) -> NDArray[np.integer]:
+    """The pixels of a PNG picture without fault, shape (height, width), rows from the top.
+
+    Raises:
+        EngineError: A chunk of the file is damaged.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(data), formats=("PNG",)) as image:
+            return np.asarray(image)
+    except (OSError, ValueError, SyntaxError) as error:  # PIL raises SyntaxError for a wrong checksum
+        raise EngineError(f"the picture cannot be read: {error}") from error
 
 
 def _formula(formula: ir.Formula) -> Grid:

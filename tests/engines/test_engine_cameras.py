@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from deepbots_cli import frames
+from deepbots_cli.frames import quaternion
 from deepbots_cli.ir import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import SIGHT, View
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
-from deepbots_cli.robots.rotation import quaternion
 
 RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
 FOV, WIDE, HIGH = 0.9, 120, 84

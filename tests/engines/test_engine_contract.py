@@ -11,7 +11,7 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
-from deepbots_cli.robots.rotation import quaternion
+from deepbots_cli.frames import quaternion
 
 BOTH = pytest.mark.parametrize("engine_name", sorted(ENGINES))
 TURNED = quaternion(0.4, -0.3, 1.1)

@@ -9,9 +9,9 @@ from math import asin, cos, pi, radians, sin, sqrt
 import pytest
 
 from deepbots_cli import frames
+from deepbots_cli.frames import quaternion
 from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
-from deepbots_cli.robots.rotation import quaternion
 
 
 def towards(yaw: float, pitch: float = 0.0, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> frames.Frame:

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.footprint import Footprint
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.ways.chart import Chart
+from deepbots_cli.runtime.ways import DistanceField
 
 ARENA = (-0.5, -0.5, 0.5, 0.5)
 RADIUS = 0.04
@@ -23,12 +23,12 @@ def box(x: float, y: float, a: float, b: float, yaw: float = 0.0) -> Footprint:
 
 
 def test_where_nothing_is_in_the_way_it_is_the_straight_line() -> None:
-    chart = Chart(ARENA, RADIUS, [], (0.3, -0.2), 0.05)
+    field = DistanceField(ARENA, RADIUS, [], (0.3, -0.2), 0.05)
     generator = np.random.default_rng(0)
     for x, y in generator.uniform(-0.45, 0.45, (2000, 2)):
         straight = math.dist((x, y), (0.3, -0.2))
-        assert chart.length(x, y) == pytest.approx(straight, rel=0.02, abs=0.003)
-        assert chart.reaches(x, y)
+        assert field.length(x, y) == pytest.approx(straight, rel=0.02, abs=0.003)
+        assert field.reaches(x, y)
 
 
 def around(start: tuple[float, float], end: tuple[float, float], corner: tuple[float, float], radius: float) -> float:
@@ -45,15 +45,15 @@ def around(start: tuple[float, float], end: tuple[float, float], corner: tuple[f
 
 @pytest.mark.parametrize("size", [1e3, 1e5])
 def test_lengths_in_a_world_of_kilometres_are_finite(size: float) -> None:
-    chart = Chart((-size, -size, size, size), RADIUS, [], (0.0, 0.0), 0.05)
-    assert chart.length(0.6 * size, 0.0) == pytest.approx(0.6 * size, rel=0.02)
+    field = DistanceField((-size, -size, size, size), RADIUS, [], (0.0, 0.0), 0.05)
+    assert field.length(0.6 * size, 0.0) == pytest.approx(0.6 * size, rel=0.02)
 
 
 def test_around_a_disc_it_is_a_taut_string() -> None:
     disc = Footprint((0.0, 0.0), 0.15).at(0.0, 0.0, 0.0)
-    chart = Chart(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)
+    field = DistanceField(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)
     for x in (-0.45, -0.4, -0.3, -0.25):
-        assert chart.length(x, 0.0) == pytest.approx(around((x, 0.0), (0.4, 0.0), (0.0, 0.0), 0.15 + RADIUS), rel=0.03)
+        assert field.length(x, 0.0) == pytest.approx(around((x, 0.0), (0.4, 0.0), (0.0, 0.0), 0.15 + RADIUS), rel=0.03)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, math.pi / 2])
@@ -61,20 +61,20 @@ def test_around_a_box_it_is_a_taut_string_about_its_rounded_corners(yaw: float) 
     """A wall from the lower edge upwards, turned about its upper end, so that there is one way: over that end."""
     half = 0.4
     solid = box(half * math.sin(yaw), -half * math.cos(yaw), 1e-3, 2 * half, yaw)
-    chart = Chart(ARENA, RADIUS, [solid], (0.35, 0.1 - 0.4 * math.cos(yaw)), 0.0)
+    field = DistanceField(ARENA, RADIUS, [solid], (0.35, 0.1 - 0.4 * math.cos(yaw)), 0.0)
     if yaw == 0.0:
-        assert chart.length(-0.35, -0.3) == pytest.approx(around((-0.35, -0.3), (0.35, -0.3), (0.0, 0.0), RADIUS), rel=0.03)
+        assert field.length(-0.35, -0.3) == pytest.approx(around((-0.35, -0.3), (0.35, -0.3), (0.0, 0.0), RADIUS), rel=0.03)
     for x, y in np.random.default_rng(1).uniform(-0.45, 0.45, (300, 2)):
-        assert chart.length(x, y) >= 0.98 * math.dist((x, y), (0.35, 0.1 - 0.4 * math.cos(yaw))) - 0.003
+        assert field.length(x, y) >= 0.98 * math.dist((x, y), (0.35, 0.1 - 0.4 * math.cos(yaw))) - 0.003
 
 
 def test_lengths_do_not_jump_beside_a_node_that_no_way_reaches() -> None:
     """A mean with such a node is nearly right where its weight is small: a place 0.4 % of a cell beside one was 40 m away."""
     solid = box(0.0, 0.0, 0.1, 0.1, 0.3)
-    at_the_goal = Chart(ARENA, RADIUS, [solid], (0.3, 0.0), 0.05)
+    at_the_goal = DistanceField(ARENA, RADIUS, [solid], (0.3, 0.0), 0.05)
     for angle in np.linspace(0.0, 2 * math.pi, 60):
-        chart = Chart(ARENA, RADIUS, [solid], (0.3, 0.0), 0.05)  # a new one: what is not known is filled in once
-        way = [chart.length(r * math.cos(angle), r * math.sin(angle)) for r in np.arange(0.2, 0.07, -1e-4)]
+        field = DistanceField(ARENA, RADIUS, [solid], (0.3, 0.0), 0.05)  # a new one: what is not known is filled in once
+        way = [field.length(r * math.cos(angle), r * math.sin(angle)) for r in np.arange(0.2, 0.07, -1e-4)]
         assert max(map(abs, np.diff(way))) < 0.01
         assert max(way) < at_the_goal.length(-0.2, 0.0) + 0.1
 
@@ -82,30 +82,30 @@ def test_lengths_do_not_jump_beside_a_node_that_no_way_reaches() -> None:
 def test_a_gap_is_a_way_if_the_disc_fits_through() -> None:
     for width, fits in ((2 * RADIUS + 0.03, True), (2 * RADIUS - 0.005, False)):
         walls = [box(0.0, sign * (0.25 + width / 4), 0.02, 0.5 - width / 2) for sign in (1, -1)]
-        chart = Chart(ARENA, RADIUS, walls, (0.3, 0.0), 0.05)
-        assert chart.reaches(-0.3, 0.0) is fits
-        assert chart.reaches(0.2, 0.2)
+        field = DistanceField(ARENA, RADIUS, walls, (0.3, 0.0), 0.05)
+        assert field.reaches(-0.3, 0.0) is fits
+        assert field.reaches(0.2, 0.2)
 
 
 def test_where_there_is_no_way_the_length_is_finite() -> None:
     cage = [box(-0.25, 0.0, 0.02, 0.4), box(0.0, -0.2, 0.5, 0.02), box(0.0, 0.2, 0.5, 0.02), box(0.25, 0.0, 0.02, 0.4)]
-    chart = Chart(ARENA, RADIUS, cage, (0.4, 0.4), 0.05)
-    assert not chart.reaches(0.0, 0.0)
-    assert all(0.0 < chart.length(x, 0.0) < 2.0 for x in np.linspace(-0.5, 0.5, 1001))
+    field = DistanceField(ARENA, RADIUS, cage, (0.4, 0.4), 0.05)
+    assert not field.reaches(0.0, 0.0)
+    assert all(0.0 < field.length(x, 0.0) < 2.0 for x in np.linspace(-0.5, 0.5, 1001))
 
 
 def test_a_robot_that_touches_a_wall_is_as_far_as_one_beside_it() -> None:
     """The goal is beyond the wall; what touches the wall from this side has not come through."""
-    chart = Chart(ARENA, RADIUS, [box(0.0, -0.1, 0.02, 0.8)], (0.3, -0.3), 0.05)
-    line = [chart.length(x, -0.3) for x in np.linspace(-0.4, -0.025, 200)]
+    field = DistanceField(ARENA, RADIUS, [box(0.0, -0.1, 0.02, 0.8)], (0.3, -0.3), 0.05)
+    line = [field.length(x, -0.3) for x in np.linspace(-0.4, -0.025, 200)]
     assert np.abs(np.diff(line)).max() < 0.004
     assert min(line) > 1.0
 
 
 def test_a_goal_that_is_shut_in_is_as_far_as_the_crow_flies() -> None:
-    chart = Chart(ARENA, RADIUS, [box(0.0, 0.0, 0.4, 0.4)], (0.0, 0.0), 0.01)
-    assert not chart.reaches(0.4, 0.4)
-    assert chart.length(0.3, 0.4) == pytest.approx(0.5, abs=0.01)
+    field = DistanceField(ARENA, RADIUS, [box(0.0, 0.0, 0.4, 0.4)], (0.0, 0.0), 0.01)
+    assert not field.reaches(0.4, 0.4)
+    assert field.length(0.3, 0.4) == pytest.approx(0.5, abs=0.01)
 
 
 WORLD = """\
@@ -185,7 +185,7 @@ def test_a_start_may_be_required_to_have_a_way(make: Callable[..., Supervisor]) 
 
 
 def test_an_episode_has_the_ways_of_its_own_world_whatever_the_one_before_had(make: Callable[..., Supervisor]) -> None:
-    """The wall is in one of three places; the chart of an episode may only be kept for one that has it in the same."""
+    """The wall is in one of three places; the field of an episode may only be kept for one that has it in the same."""
     draws = ("reset.place.wall={x: 0 m, y: choice(0 cm | 5 cm | 10 cm)}",)
     environment = make(*draws)
     lengths = [path(environment.reset(seed=seed)[0]) for seed in range(12)]

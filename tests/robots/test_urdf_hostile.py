@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots.mesh import Refusal
+from deepbots_cli.robots.meshes import Refusal
 from deepbots_cli.robots.reader import read, read_bytes
 from deepbots_cli.robots.writer import write
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots import mesh
+from deepbots_cli.robots import meshes
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.robots.writer import write
@@ -107,7 +107,7 @@ def test_an_archive_is_refused_whatever_it_is_called(tmp_path: Path):
 
 def test_a_large_mesh_is_refused(tmp_path: Path):
     with (tmp_path / "m.stl").open("wb") as file:
-        file.truncate(mesh.MAX_BYTES + 1)
+        file.truncate(meshes.MAX_BYTES + 1)
     assert robot_with(tmp_path, "m.stl")[1] == ["the mesh is larger than 32 MiB"]
 
 
@@ -127,7 +127,7 @@ def test_a_mesh_in_a_folder_above_is_read_with_a_warning_where_that_folder_is_al
     (tmp_path / "shapes/m.obj").write_bytes(TETRAHEDRON)
     assert robot_with(inner, "shapes/m.obj")[1] == ["the mesh does not exist"]
     findings = Findings()
-    robot = read(inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=mesh.beside(inner, [tmp_path]))
+    robot = read(inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=meshes.beside(inner, [tmp_path]))
     assert [(finding.code, finding.help) for finding in findings] == [("DB311", 'write filename="../../shapes/m.obj"')]
     assert list(robot.meshes) == [os.path.realpath(tmp_path / "shapes/m.obj")]
 
@@ -153,16 +153,16 @@ def test_a_folder_or_a_pipe_is_no_mesh(tmp_path: Path):
 
 def test_a_package_is_an_installed_one_else_a_folder_above_else_beside_the_robot(tmp_path: Path):
     home = Path(os.path.realpath(Path(pytest.__file__).parent))
-    assert mesh.locate("package://pytest/m.obj", tmp_path) == home / "m.obj"
+    assert meshes.locate("package://pytest/m.obj", tmp_path) == home / "m.obj"
     folder = tmp_path / "my_robot_description" / "urdf"
     folder.mkdir(parents=True)
-    assert mesh.locate("package://my_robot_description/m.obj", folder) == Path(os.path.realpath(folder.parent / "m.obj"))
-    assert mesh.locate("package://meshes/visual/m.obj", folder) == Path(os.path.realpath(folder / "meshes/visual/m.obj"))
+    assert meshes.locate("package://my_robot_description/m.obj", folder) == Path(os.path.realpath(folder.parent / "m.obj"))
+    assert meshes.locate("package://meshes/visual/m.obj", folder) == Path(os.path.realpath(folder / "meshes/visual/m.obj"))
 
 
 def test_a_resolver_decides_what_may_be_read(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot_with(tmp_path, "m.obj")
     findings = Findings()
-    assert read(tmp_path / "robot.urdf", "r", findings, resolve_mesh=lambda _: mesh.Refusal("not today", "come back")) is None
+    assert read(tmp_path / "robot.urdf", "r", findings, resolve_mesh=lambda _: meshes.Refusal("not today", "come back")) is None
     assert (findings.errors[0].headline, findings.errors[0].help) == ("not today", "come back")

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots.mesh import beside
+from deepbots_cli.robots.meshes import beside
 from deepbots_cli.robots.model import (
     Box,
     Capsule,

@@ -8,9 +8,9 @@ from math import cos, hypot, pi, sin
 
 import pytest
 
+from deepbots_cli.frames import quaternion
 from deepbots_cli.ir import Faults, ObjectBody
 from deepbots_cli.robots.model import Box, Pose
-from deepbots_cli.robots.rotation import quaternion
 from tests.sensing.conftest import DEGREE, TIMESTEP, Scene, arm, brick, on
 
 G = 9.81

@@ -4,7 +4,7 @@ import math
 import random
 import struct
 import zlib
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import UPRIGHT, about
 from deepbots_cli.robots.model import Sphere
 from deepbots_cli.terrain import png
-from deepbots_cli.terrain.relief import CREST, grid, height
+from deepbots_cli.terrain.relief import CREST, grid, height, pixels
 
 PIT = ir.Pit(3.2, 2.7 * CREST, 0.15)
 SLOPE = ir.Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
@@ -134,9 +134,7 @@ def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: i
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
     written = grey_png(rows, depth, filtering)
     assert png.fault(written) is None
-    header, pixels = png.heights(written)
-    assert header == (width, tall, depth)
-    assert pixels == b"".join(value.to_bytes(depth, "big") for row in rows for value in row)
+    assert pixels(written).tolist() == rows
 
 
 @settings(max_examples=200, deadline=None)
@@ -145,7 +143,8 @@ def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at:
     whole = grey_png([[1, 2, 3], [4, 5, 6]])
     for odd in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
         if png.fault(odd) is None:
-            png.heights(odd)
+            with suppress(EngineError):
+                pixels(odd)
 
 
 HOSTILE = {

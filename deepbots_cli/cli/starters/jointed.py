@@ -11,8 +11,7 @@ from deepbots_cli.cli.starters.draft import Draft, figure, word
 from deepbots_cli.cli.starters.limbs import Limb, Positions, bring, centre, swing
 from deepbots_cli.cli.starters.parts import Robot, by_unit, train
 from deepbots_cli.cli.starters.survey import Survey
-from deepbots_cli.frames import Quaternion, Triple
-from deepbots_cli.robots.rotation import quaternion
+from deepbots_cli.frames import Quaternion, Triple, quaternion
 
 _SIDES: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
 _CLOSE = 0.02  # of its reach: so near a search must get

@@ -8,13 +8,12 @@ import numpy as np
 
 from deepbots_cli.engines.pybullet.body import Body
 from deepbots_cli.engines.pybullet.library import pybullet as p
-from deepbots_cli.engines.pybullet.loadable import require_unchanged
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import UPRIGHT
+from deepbots_cli.geometry import triangles
 from deepbots_cli.ir import GROUND
 from deepbots_cli.robots.model import Friction, Link, Mesh, RobotModel
 from deepbots_cli.terrain.relief import Grid, grid
-from deepbots_cli.terrain.triangles import triangles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,7 +47,6 @@ def _terrain(client: int, ground: Terrain) -> Body:
     heights = grid(ground.relief)
     if heights is None:
         assert isinstance(ground.relief, Mesh)  # all else is a grid
-        require_unchanged(ground.relief)
         corners = triangles(ground.relief)
         shape = _mesh(client, corners.reshape(-1, 3), np.arange(corners.size // 3), p.GEOM_FORCE_CONCAVE_TRIMESH)
         drawn, middle = _drawn(client, corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), ground), 0.0

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from hashlib import sha256
-from pathlib import Path
 
 from deepbots_cli.engines.lump import held_by
 from deepbots_cli.errors import EngineError
-from deepbots_cli.reading import read_at_most
 from deepbots_cli.robots import inertia
-from deepbots_cli.robots.mesh import MAX_BYTES
-from deepbots_cli.robots.mesh_format import fault
+from deepbots_cli.robots.edits import with_link
+from deepbots_cli.robots.meshes import checked_bytes
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Mesh, RobotModel
-from deepbots_cli.robots.override import with_link
 
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 NOWHERE = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
-_KNOWN: set[tuple[str, str]] = set()  # meshes that were looked at in this process: suffix and digest
 TRACE = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
 
@@ -69,7 +64,7 @@ def dressed(model: RobotModel) -> RobotModel:
     for index, link in enumerate(model.links):
         for geometry in (*link.visuals, *link.collisions):
             if isinstance(geometry.shape, Mesh):
-                require_unchanged(geometry.shape)
+                checked_bytes(geometry.shape)
         colour = PALETTE[index % len(PALETTE)]
         visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
         links.append(replace(link, visuals=visuals))
@@ -87,26 +82,3 @@ def _closed(joint: Joint) -> Limit:
         velocity=limit.velocity or 0.0,
         effort=limit.effort or 0.0,
     )
-
-
-def require_unchanged(mesh: Mesh) -> None:
-    """The file is still what was checked, and a mesh that an engine survives: a scenario may be of a run from anyone.
-
-    Raises:
-        EngineError: It cannot be read or has changed.
-    """
-    path = Path(mesh.path)
-    if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
-        raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
-    try:
-        data = read_at_most(path, MAX_BYTES + 1)
-    except OSError as error:
-        raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
-    digest = sha256(data).hexdigest()
-    if digest != mesh.digest:
-        raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")
-    if (path.suffix, digest) not in _KNOWN:
-        wrong = fault(path.suffix.lower(), data)
-        if wrong is not None:
-            raise EngineError(f"mesh {mesh.path} cannot be used: {wrong}")
-        _KNOWN.add((path.suffix, digest))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from deepbots_cli.frames import Triple
+from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.port import Engine
-from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.runtime.actuation.motors import Figures, Motor
 
 

@@ -1,6 +1,6 @@
-"""A robot with one thing changed. Pure functions; what cannot be done is answered with a sentence that says why.
+"""A robot with one thing changed: pure functions. A change that is impossible returns a sentence that says why.
 
-Names are taken as given: an unknown link or joint is the caller's to report, at the place where it was written.
+The link or joint must exist: the caller reports an unknown name where it was written.
 """
 
 from __future__ import annotations
@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepbots_cli.robots.inertia import from_second_moments, matrix, scaled, second_moments
+from deepbots_cli.frames import Matrix, diagonal, product, rotation_matrix, transposed, turned
+from deepbots_cli.robots.inertia import from_second_moments, homogeneous, matrix, scaled, second_moments, volume
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
+    Colour,
     Cylinder,
     Friction,
     Geometry,
@@ -25,7 +27,6 @@ from deepbots_cli.robots.model import (
     Sphere,
     Vector,
 )
-from deepbots_cli.robots.rotation import Matrix, diagonal, from_rpy, product, transposed, turned
 
 _ALIGNED = 1e-6
 
@@ -46,6 +47,19 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
     return with_link(model, replace(old, inertial=_with_matrix(replace(old.inertial, mass=mass), tensor)))
 
 
+def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
+    """The link as a homogeneous body of `density` kg/m^3, whatever its file says of mass; a mesh is weighed when it is simulated."""
+    old = model.link(link)
+    shapes = old.collisions or old.visuals
+    if len(shapes) != 1:
+        return f"link {link!r} has {len(shapes)} shapes, and a density needs exactly one; give its `mass`"
+    shape = shapes[0].shape
+    if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
+        return f"the mesh of link {link!r} is a COLLADA file, whose volume is not read; give its `mass`"
+    inertial = homogeneous(shape, density * (volume(shape) or 0.0), shapes[0].origin)
+    return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
+
+
 def with_friction(
     model: RobotModel,
     link: str,
@@ -55,7 +69,7 @@ def with_friction(
     rolling: float | None = None,
     restitution: float | None = None,
 ) -> RobotModel:
-    """The link with the given contact figures; None keeps the old one."""
+    """The link with the given contact parameters; None keeps the old value."""
     old = model.link(link)
     new = Friction(
         old.friction.lateral if lateral is None else lateral,
@@ -66,21 +80,16 @@ def with_friction(
     return with_link(model, replace(old, friction=new))
 
 
-def with_colour(model: RobotModel, link: str, colour: tuple[float, float, float, float]) -> RobotModel:
-    """The link with all that is seen of it in one colour; one without visuals shows what it collides with."""
+def with_colour(model: RobotModel, link: str, colour: Colour) -> RobotModel:
+    """The link with all its visuals in one colour; a link without visuals shows its collision shapes."""
     old = model.link(link)
-    return with_link(model, replace(old, visuals=tuple(replace(seen, colour=colour) for seen in old.visuals or old.collisions)))
+    return with_link(model, replace(old, visuals=tuple(replace(visual, colour=colour) for visual in old.visuals or old.collisions)))
 
 
 def with_joint(
-    model: RobotModel,
-    joint: str,
-    *,
-    damping: float | None = None,
-    friction: float | None = None,
-    limit: Limit | None = None,
+    model: RobotModel, joint: str, *, damping: float | None = None, friction: float | None = None, limit: Limit | None = None
 ) -> RobotModel:
-    """The joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps what the file says."""
+    """The joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the value of the file."""
     old = model.joint(joint)
     new = replace(
         old,
@@ -95,6 +104,10 @@ def _with_joints(model: RobotModel, changed: dict[str, Joint]) -> RobotModel:
     return replace(model, joints=tuple(changed.get(old.name, old) for old in model.joints))
 
 
+class _ShapeError(Exception):
+    """A shape cannot be stretched so; `args` holds the reason."""
+
+
 def stretch(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
     """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same material.
 
@@ -104,12 +117,13 @@ def stretch(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
     if not all(math.isfinite(factor) and factor > 0 for factor in scale):
         return f"link {link!r} can only be stretched by numbers above 0"
     old = model.link(link)
-    visuals = _stretched_all(old.visuals, scale)
-    if isinstance(visuals, str):
-        return f"a visual shape of link {link!r} cannot follow this stretch: {visuals}"
-    collisions = _stretched_all(old.collisions, scale)
-    if isinstance(collisions, str):
-        return f"a collision shape of link {link!r} cannot follow this stretch: {collisions}"
+    what = "visual"
+    try:
+        visuals = tuple(_stretched(geometry, scale) for geometry in old.visuals)
+        what = "collision"
+        collisions = tuple(_stretched(geometry, scale) for geometry in old.collisions)
+    except _ShapeError as error:
+        return f"a {what} shape of link {link!r} cannot follow this stretch: {error}"
     inertial = _stretched_inertial(old.inertial, scale) if old.inertial else None
     children = {
         joint.name: replace(joint, origin=replace(joint.origin, xyz=_along(joint.origin.xyz, scale)))
@@ -126,7 +140,7 @@ def _along(v: Vector, scale: Vector) -> Vector:
 def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     """J' = m'/m S J S with S in the axes of the link; the inertial keeps its own axes."""
     growth = scale[0] * scale[1] * scale[2]
-    axes = from_rpy(old.origin.rpy)
+    axes = rotation_matrix(old.origin.rpy)
     moments = turned(second_moments(matrix(old)), axes)
     stretched = scaled(product(product(diagonal(scale), moments), diagonal(scale)), growth)
     tensor = from_second_moments(turned(stretched, transposed(axes)))
@@ -138,37 +152,33 @@ def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:
     return replace(old, ixx=ixx, ixy=ixy, ixz=ixz, iyy=iyy, iyz=iyz, izz=izz)
 
 
-def _stretched_all(geometries: tuple[Geometry, ...], scale: Vector) -> tuple[Geometry, ...] | str:
-    stretched = []
-    for old in geometries:
-        new = _stretched(old, scale)
-        if isinstance(new, str):
-            return new
-        stretched.append(new)
-    return tuple(stretched)
-
-
-def _stretched(old: Geometry, scale: Vector) -> Geometry | str:
-    """The shape's own axes must stay at right angles, which they do if S is diagonal in them."""
-    own = turned(diagonal(scale), transposed(from_rpy(old.origin.rpy)))
+def _stretched(old: Geometry, scale: Vector) -> Geometry:
+    """The shape's own axes stay at right angles exactly if S is diagonal in them."""
+    own = turned(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
     if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNED * max(scale):
-        return "it is turned against the axes of the link, which would make it oblique"
+        raise _ShapeError("it is turned against the axes of the link, which would make it oblique")
     shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))
-    return shape if isinstance(shape, str) else Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.colour)
+    return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.colour)
 
 
-def _stretched_shape(shape: Shape, scale: Vector) -> Shape | str:
+def _stretched_shape(shape: Shape, scale: Vector) -> Shape:
     x, y, z = scale
     round_about_z = math.isclose(x, y, rel_tol=_ALIGNED)
+    uniform = round_about_z and math.isclose(x, z, rel_tol=_ALIGNED)
     match shape:
         case Box(size):
             return Box(_along(size, scale))
         case Mesh():
             return replace(shape, scale=_along(shape.scale, scale))
-        case Cylinder(radius, length):
-            return Cylinder(radius * x, length * z) if round_about_z else "a cylinder would not stay round"
-        case Sphere(radius):
-            return Sphere(radius * x) if round_about_z and math.isclose(x, z, rel_tol=_ALIGNED) else "a sphere would not stay round"
-        case Capsule(radius, length):
-            uniform = round_about_z and math.isclose(x, z, rel_tol=_ALIGNED)
-            return Capsule(radius * x, length * z) if uniform else "the ends of a capsule would not stay round"
+        case Cylinder(radius, length) if round_about_z:
+            return Cylinder(radius * x, length * z)
+        case Cylinder():
+            raise _ShapeError("a cylinder would not stay round")
+        case Sphere(radius) if uniform:
+            return Sphere(radius * x)
+        case Sphere():
+            raise _ShapeError("a sphere would not stay round")
+        case Capsule(radius, length) if uniform:
+            return Capsule(radius * x, length * z)
+        case _:
+            raise _ShapeError("the ends of a capsule would not stay round")

@@ -1,0 +1,299 @@
+"""Strict XML: elements that know their place, and the texts, numbers and vectors in their attributes.
+
+No DOCTYPE, no entities, bounded in depth and number. A value that cannot be read is reported once and
+replaced by a harmless one; `Report.errors` counts these. The loaders for simulation recover silently and
+know no lines, so expat reads the text: it is in the standard library and knows byte offsets. Blanks before
+the XML declaration and zero bytes after the document, which published files have and PyBullet skips, are warnings.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics.nearest import nearest
+
+MAX_DEPTH = 64
+MAX_ELEMENTS = 100_000
+MAX_REPORTED = 100  # errors, and warnings, of one file
+MAX_MAGNITUDE = 1e18  # PyBullet answered with NaN at 1e200 and worked at 1e18
+MAX_LENIENT = 40  # words, and characters of one, of a vector that is shown corrected
+
+_BLANKS = " \t\r\n"
+
+# Possessive, so that a tag without an end costs linear time.
+_START_TAG = re.compile(r"""<[^\s/>"']++(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
+_ATTRIBUTE = re.compile(r"""([^\s=/<>"']+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
+_OPTIONAL = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")
+
+
+def quoted(text: str) -> str:
+    """`text` for a message: in quotes, on one line, not longer than 60 characters."""
+    return repr(text if len(text) <= 60 else text[:57] + "...")
+
+
+def known_names(word: str, known: Iterable[str], kind: str) -> str:
+    """The help for an unknown name: the nearest known one, and a list."""
+    names = list(known)
+    match = nearest(word, names)
+    shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    listing = f"the {kind} are: {shown}" if names else f"there are no {kind}"
+    return f"did you mean {quoted(match)}? {listing}" if match else listing
+
+
+@dataclass
+class Report:
+    """What was found in one file so far."""
+
+    source: Source
+    findings: Findings
+    errors: int = 0
+    warnings: int = 0
+
+
+@dataclass(eq=False, slots=True)
+class Element:
+    """One element; `start` is the offset of its `<`. Text between tags is not kept: URDF has none."""
+
+    tag: str
+    attributes: dict[str, str]
+    report: Report
+    start: int
+    children: list[Element] = field(default_factory=list)
+
+    @property
+    def span(self) -> Span:
+        """The start tag."""
+        source = self.report.source
+        found = _START_TAG.match(source.text, self.start)
+        return Span(source, self.start, found.end() if found else self.start + 1)
+
+    def value_span(self, attribute: str) -> Span:
+        """The value of `attribute` without its quotes; the start tag where it is absent."""
+        tag = self.span
+        for found in _ATTRIBUTE.finditer(tag.source.text, tag.start + 1 + len(self.tag), tag.end):
+            if found[1] == attribute:
+                group = 2 if found[2] is not None else 3
+                return Span(tag.source, found.start(group), found.end(group))
+        return tag
+
+    def error(
+        self, headline: str, *, attribute: str | None = None, help: str | None = None, also: tuple[Label, ...] = (), code: str = "DB301"
+    ) -> None:
+        """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file are kept."""
+        self.report.errors += 1
+        if self.report.errors <= MAX_REPORTED:
+            self.report.findings.add(code, self.value_span(attribute) if attribute else self.span, headline, help=help, also=also)
+
+    def warn(
+        self, headline: str, *, attribute: str | None = None, help: str | None = None, notes: tuple[str, ...] = (), code: str = "DB311"
+    ) -> None:
+        self.report.warnings += 1
+        if self.report.warnings <= MAX_REPORTED:
+            self.report.findings.add(code, self.value_span(attribute) if attribute else self.span, headline, help=help, notes=notes)
+
+    def all(self, tag: str) -> list[Element]:
+        return [child for child in self.children if child.tag == tag]
+
+    def only(self, tag: str) -> Element | None:
+        """The first child called `tag`; further ones are reported and not read."""
+        found = self.all(tag)
+        for extra in found[1:]:
+            extra.warn(f"a further <{tag}> in the same <{self.tag}> is not read", help="remove it")
+        return found[0] if found else None
+
+    def required(self, tag: str) -> Element | None:
+        """The same for a child that must be there."""
+        child = self.only(tag)
+        if child is None:
+            self.error(f"<{self.tag}> without <{tag}>", help=f"add <{tag} .../> inside it")
+        return child
+
+    def text(self, name: str) -> str | None:
+        """A required attribute that is not empty."""
+        value = self.attributes.get(name)
+        if value is None:
+            self.error(f"<{self.tag}> without the attribute '{name}'", help=f'write <{self.tag} {name}="..."/>')
+        elif not value.strip():
+            self.error(f"the attribute '{name}' is empty", attribute=name)
+            value = None
+        return value
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """One number; where `default` is None the attribute is required."""
+        return self._numbers(name, None if default is None else (default,), 1)[0]
+
+    def not_negative(self, name: str, default: float | None = None) -> float:
+        """A number of at least 0."""
+        value = self.number(name, default)
+        if value < 0:
+            self.error(f"'{name}' must not be negative", attribute=name)
+            return default or 0.0
+        return value
+
+    def vector(self, name: str, default: tuple[float, float, float] | None = None) -> tuple[float, float, float]:
+        """Three numbers apart by blanks."""
+        x, y, z = self._numbers(name, default, 3)
+        return x, y, z
+
+    def rgba(self) -> tuple[float, float, float, float]:
+        """The four numbers of a colour."""
+        red, green, blue, alpha = self._numbers("rgba", None, 4)
+        return red, green, blue, alpha
+
+    def _numbers(self, name: str, default: tuple[float, ...] | None, size: int) -> tuple[float, ...]:
+        """`size` numbers; ones stand in for a required attribute that cannot be read."""
+        stand_in = default or (1.0,) * size
+        if name not in self.attributes:
+            if default is None:
+                self.text(name)
+            return stand_in
+        words = self._expanded(name).split()
+        if len(words) <= MAX_LENIENT and all(len(word) <= MAX_LENIENT for word in words):
+            words = self._as_pybullet_reads(words, name, size)
+        wrong = next((word for word in words if not _NUMBER.fullmatch(word)), None)
+        if wrong is not None:
+            help = "numbers are apart by blanks, without commas" if "," in wrong else None
+            self.error(f"{quoted(wrong)} is not a finite number", attribute=name, help=help)
+            return stand_in
+        if len(words) != size:
+            wanted = "one number" if size == 1 else f"{size} numbers"
+            self.error(f"'{name}' needs {wanted}, not {len(words)}", attribute=name)
+            return stand_in
+        values = tuple(float(word) for word in words)
+        if not all(math.isfinite(value) and abs(value) <= MAX_MAGNITUDE for value in values):
+            self.error(f"'{name}' is larger than {MAX_MAGNITUDE:g}", attribute=name)
+            return stand_in
+        return values
+
+    def _as_pybullet_reads(self, words: list[str], name: str, size: int) -> list[str]:
+        """The words as PyBullet reads them, with a warning for each difference; `words` where one is no number even so.
+
+        PyBullet skips a comma or a point after a number, but splits at blanks only: `1,2,3` is one number to it. Of four
+        numbers for three it takes the first three.
+        """
+        plain = [word if _NUMBER.fullmatch(word) else word.rstrip(",.") for word in words]
+        if not all(map(_NUMBER.fullmatch, plain)):
+            return words
+        odd = next((word for word, number in zip(words, plain, strict=True) if word != number), None)
+        if odd is not None:
+            headline = f"{quoted(odd)} is not a number; {odd.rstrip(',.')} is read, as PyBullet does"
+            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain)}"')
+        if size == 3 and len(plain) == 4:
+            headline = f"'{name}' needs 3 numbers, not 4; the first 3 are read, as PyBullet does"
+            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
+            return plain[:3]
+        return plain
+
+    def _expanded(self, name: str) -> str:
+        """The value; `$(optenv NAME default)` of an unexpanded xacro file stands for its default."""
+        value = self.attributes[name]
+        found = _OPTIONAL.fullmatch(value.strip())
+        if found is None:
+            return value
+        self.warn("a xacro substitution that has not been expanded", attribute=name, help=f"its default is read: {found[1]}")
+        return found[1]
+
+
+class _RefusedError(Exception):
+    """Leaves the parser from inside a handler."""
+
+    def __init__(self, code: str, headline: str, help: str | None = None) -> None:
+        self.code, self.headline, self.help = code, headline, help
+
+
+class _Builder:
+    """Expat's handlers: grow the tree and turn byte offsets into code points.
+
+    Expat reads the code points from `begin` to `end` only.
+    """
+
+    def __init__(self, report: Report, begin: int, end: int) -> None:
+        self.report = report
+        self.begin = begin
+        self.data = report.source.text[begin:end].encode()
+        self.root: Element | None = None
+        self.open: list[Element] = []
+        self.version = "1.0"
+        self._count = 0
+        self._mark = (0, 0)
+        self.parser = expat.ParserCreate("utf-8")
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self.parser.XmlDeclHandler = self._declaration
+        self.parser.StartDoctypeDeclHandler = self._doctype
+
+    def offset(self, index: int) -> int:
+        """The code point of the source at byte `index` of `data`; counts on from the last call, so that a file is decoded once."""
+        byte, point = self._mark if self._mark[0] <= index else (0, 0)
+        self._mark = (index, point + len(self.data[byte:index].decode(errors="ignore")))
+        return self.begin + self._mark[1]
+
+    def _declaration(self, version: str, encoding: str | None, standalone: int) -> None:
+        self.version = version
+
+    def _doctype(self, name: str, system: str | None, public: str | None, internal: int) -> None:
+        raise _RefusedError("DB301", "a DOCTYPE is not allowed in a robot file", "remove it; URDF needs no entities")
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._count += 1
+        if self._count > MAX_ELEMENTS:
+            raise _RefusedError("DB005", f"more than {MAX_ELEMENTS} elements")
+        if len(self.open) == MAX_DEPTH:
+            raise _RefusedError("DB005", f"elements are nested more than {MAX_DEPTH} deep")
+        element = Element(tag, attributes, self.report, self.offset(self.parser.CurrentByteIndex))
+        if self.open:
+            self.open[-1].children.append(element)
+        else:
+            self.root = element
+        self.open.append(element)
+
+    def _end(self, tag: str) -> None:
+        self.open.pop()
+
+
+def parse(source: Source, findings: Findings) -> Element | None:
+    """The root element, or None with one finding at the place where reading stopped."""
+    text = source.text
+    begin, end = len(text) - len(text.lstrip(_BLANKS)), len(text.rstrip(_BLANKS + "\0"))
+    early = begin if text.startswith("<?xml", begin) else 0
+    late = text.find("\0", end)
+    builder = _Builder(Report(source, findings), early, end if late >= 0 else len(text))
+    root = _parsed(builder)
+    if root is None:
+        return None
+    if builder.version != "1.0":
+        end = text.find("?>") + 2
+        findings.add("DB311", Span(source, early, end), f"XML version {builder.version[:20]!r} does not exist", help='write version="1.0"')
+    if early:
+        headline = "the XML declaration is not at the start of the file"
+        findings.add("DB311", Span(source, early, early + len("<?xml")), headline, help="remove the blanks and empty lines before it")
+    if late >= 0:
+        findings.add("DB311", Span(source, late, late + 1), "a zero byte after the end of the document", help="end the file before it")
+    return root
+
+
+def _parsed(builder: _Builder) -> Element | None:
+    source, findings = builder.report.source, builder.report.findings
+    try:
+        builder.parser.Parse(builder.data, True)
+    except _RefusedError as refused:
+        at = builder.offset(builder.parser.CurrentByteIndex)
+        found = _START_TAG.match(source.text, at)
+        end = found.end() if found else min(at + 1, len(source.text))
+        findings.add(refused.code, Span(source, at, end), refused.headline, help=refused.help)
+        return None
+    except expat.ExpatError as error:
+        at = min(builder.offset(max(builder.parser.ErrorByteIndex, 0)), len(source.text))
+        also = tuple(Label(element.span, "opened here and not closed") for element in builder.open[-1:])
+        what = "the file is empty" if not source.text.strip() else f"this is not XML: {expat.ErrorString(error.code)}"
+        misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
+        help = "move <?xml ...?> to the start of the file" if misplaced else None
+        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, also=also)
+        return None
+    return builder.root

@@ -1,0 +1,337 @@
+"""Mesh files: where they are, whether they may be read, what they hold. Needs no numpy, since lint imports it.
+
+A file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashed the process on a vertex that is not
+a number, on an OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws an STL file of
+another length than it claims as nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import re
+import sys
+from array import array
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.errors import EngineError
+from deepbots_cli.reading import read_at_most
+from deepbots_cli.robots.elements import parse
+from deepbots_cli.robots.model import Mesh, Vector
+
+MAX_BYTES = 32 * 2**20
+MAX_TOTAL_BYTES = 256 * 2**20
+FORMATS = (".stl", ".obj", ".dae")
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+_NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
+_NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
+_PLACE = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
+_PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
+_FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
+_INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
+_LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
+_MAX_LINES = 400_000  # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
+_MAX_CORNERS = 1_500_000
+_COLLADA = ("asset", "library_geometries", "library_visual_scenes")
+_ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")
+_HARMLESS: set[tuple[str, str]] = set()
+"""Suffix and digest of meshes that were checked in this process."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a file is not read, as a headline and a remedy."""
+
+    why: str
+    help: str | None = None
+
+
+@dataclass(frozen=True)
+class Above:
+    """A mesh that lies in a folder above the robot file only, where PyBullet looks too; `reference` names it from the robot's folder."""
+
+    path: Path
+    reference: str
+
+
+class Loaded(NamedTuple):
+    """A mesh that may be given to an engine; `reference` is set if the robot file had better name it so."""
+
+    path: Path
+    digest: str
+    reference: str | None = None
+
+
+ResolveMesh = Callable[[str], Path | Above | Refusal]
+"""From a `filename` as written in the robot file to the real path, where it may be read."""
+
+
+def locate(reference: str, folder: Path) -> Path | Refusal:
+    """The real path that `reference` names in a robot file of `folder`, which need not exist.
+
+    `package://X/rest` is looked up in the installed package X (found without importing it), then in a
+    folder above called X, then as X/rest beside the robot file, which is what some published robots mean.
+    """
+    scheme, colon, rest = reference.partition("://")
+    if not colon:
+        return Path(os.path.realpath(folder / reference))
+    if scheme == "file":
+        return Path(os.path.realpath(folder / rest))
+    if scheme != "package":
+        return Refusal(f"a mesh cannot be fetched from {scheme[:20]!r}", "store the file beside the robot and name its path")
+    package, _, inside = rest.partition("/")
+    home = package_folder(package) or next((above for above in folder.absolute().parents if above.name == package), None)
+    return Path(os.path.realpath(home / inside if home else folder / rest))
+
+
+def package_folder(name: str) -> Path | None:
+    """The folder of an installed package, without importing it; None for namespace packages and modules."""
+    from importlib.util import find_spec
+
+    if not name.isidentifier():
+        return None
+    try:
+        spec = find_spec(name)
+    except (ImportError, ValueError):  # ValueError: already imported, and without a spec, as `__main__` is
+        return None
+    if spec is None or spec.origin is None or not spec.submodule_search_locations:
+        return None
+    return Path(spec.submodule_search_locations[0])
+
+
+def package_of(reference: str) -> tuple[Path, ...]:
+    """The folder of the package that `package://X/rest` names; none for a path, or if it is not installed."""
+    home = package_folder(reference.removeprefix("package://").partition("/")[0]) if reference.startswith("package://") else None
+    return (home,) if home else ()
+
+
+def in_package(reference: str) -> Path | None:
+    """The file of an installed package that `package://X/rest` names; None where there is none, or it lies outside of X."""
+    package, _, inside = reference.removeprefix("package://").partition("/")
+    home = package_folder(package)
+    if home is None:
+        return None
+    try:
+        found = Path(os.path.realpath(home / inside))
+        return found if found.is_relative_to(os.path.realpath(home)) and found.is_file() else None
+    except (OSError, ValueError):  # a name that is too long, or holds a NUL
+        return None
+
+
+def library_reference(reference: str) -> str | None:
+    """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is installed and holds one."""
+    inside = reference.removeprefix("pybullet_data/")
+    names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
+    return None if "://" in reference else next((name for name in names if in_package(name)), None)
+
+
+def beside(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
+    """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that a `package://` names."""
+    roots = [os.path.realpath(root) for root in (folder, *allowed)]
+
+    def resolve(reference: str) -> Path | Above | Refusal:
+        path = locate(reference, folder)
+        if isinstance(path, Refusal):
+            return path
+        within = [*roots, *map(os.path.realpath, package_of(reference))]
+        if not any(path.is_relative_to(root) for root in within):
+            return Refusal("the mesh lies outside the folder of the robot", "move it beside the robot file")
+        return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
+
+    return resolve
+
+
+def _above(reference: str, folder: Path, roots: list[str]) -> Above | None:
+    """The nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks there in the same order."""
+    for above in folder.absolute().parents:
+        path = Path(os.path.realpath(above / reference))
+        if any(path.is_relative_to(root) for root in roots) and path.is_file():
+            return Above(path, os.path.relpath(above / reference, folder).replace(os.sep, "/"))
+    return None
+
+
+class Meshes:
+    """Reads each mesh of one robot once: path and sha256 digest, or a refusal."""
+
+    def __init__(self, resolve: ResolveMesh) -> None:
+        self._resolve = resolve
+        self._known: dict[Path, str | Refusal] = {}
+        self._total = 0
+
+    def load(self, reference: str) -> Loaded | Refusal:
+        try:
+            found = self._resolve(reference)
+            if isinstance(found, Refusal):
+                return found
+            path = found.path if isinstance(found, Above) else found
+            if path not in self._known:
+                self._known[path] = self._digest(path)
+        except OSError as error:
+            return Refusal(f"the mesh cannot be read: {error.strerror}")
+        digest = self._known[path]
+        return digest if isinstance(digest, Refusal) else Loaded(path, digest, found.reference if isinstance(found, Above) else None)
+
+    def _digest(self, path: Path) -> str | Refusal:
+        if not str(path).isprintable():
+            return Refusal("the path of the mesh holds characters that cannot be printed", "rename the file or its folder")
+        if path.suffix.lower() not in FORMATS:
+            return Refusal(f"the mesh format {path.suffix[:20]!r} is not read", f"convert it to one of: {', '.join(FORMATS)}")
+        if not path.exists():
+            return Refusal("the mesh does not exist", f"looked for {path}")
+        if not path.is_file():
+            return Refusal("the mesh is not a regular file")
+        data = read_at_most(path, MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            return Refusal(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
+        self._total += len(data)
+        if self._total > MAX_TOTAL_BYTES:
+            return Refusal(f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together", "simplify them")
+        if data.startswith(_ARCHIVES):
+            return Refusal("the mesh is an archive", "unpack it")
+        wrong = fault(path.suffix.lower(), data)
+        return Refusal(wrong) if wrong else hashlib.sha256(data).hexdigest()
+
+
+def checked_bytes(mesh: Mesh) -> bytes:
+    """The file of a mesh of a compiled scenario, which may come from anyone: it is still the file that was checked, and harmless.
+
+    Raises:
+        EngineError: It cannot be read, has changed, or may crash an engine.
+    """
+    path = Path(mesh.path)
+    if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
+        raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
+    try:
+        data = read_at_most(path, MAX_BYTES + 1)
+    except OSError as error:
+        raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != mesh.digest:
+        raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")
+    if (path.suffix, digest) not in _HARMLESS:
+        wrong = fault(path.suffix.lower(), data)
+        if wrong is not None:
+            raise EngineError(f"mesh {mesh.path} cannot be used: {wrong}")
+        _HARMLESS.add((path.suffix, digest))
+    return data
+
+
+def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
+    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or one that has gone or changed."""
+    found = _measured(replace(mesh, scale=(1.0, 1.0, 1.0)))
+    if found is None:
+        return None
+    ends = [sorted((low * factor, high * factor)) for low, high, factor in zip(found.lower, found.upper, mesh.scale, strict=True)]
+    (x, x_end), (y, y_end), (z, z_end) = ends
+    return (x, y, z), (x_end, y_end, z_end)
+
+
+@lru_cache(maxsize=1000)
+def _measured(mesh: Mesh) -> Measure | None:
+    try:
+        return measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
+    except EngineError:
+        return None
+
+
+# What a file holds
+
+
+def fault(suffix: str, data: bytes) -> str | None:
+    """What is wrong with the mesh in `data`, as a headline; None where it may be loaded."""
+    match suffix:
+        case ".stl":
+            return _stl(data)
+        case ".obj":
+            return _obj(data)
+        case _:
+            return _dae(data)
+
+
+class Measure(NamedTuple):
+    """The corners of the box that holds a mesh, in its own units, and how many triangles it has."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    triangles: int
+
+
+def measure(suffix: str, data: bytes) -> Measure | None:
+    """The size of a mesh without fault; None of a COLLADA file, which has units and frames of its own."""
+    if suffix == ".dae":
+        return None
+    if suffix == ".obj":
+        numbers = [float(number) for vertex in _PLACE.findall(data) for number in vertex.split()[:3]]
+        faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
+    elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+        numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
+        faces = len(numbers) // 9
+    else:
+        numbers, faces = list(_stl_numbers(data)), int.from_bytes(data[80:84], "little")
+    lower, upper = (tuple(end(numbers[axis::3], default=0.0) for axis in range(3)) for end in (min, max))
+    return Measure((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
+
+
+def _stl(data: bytes) -> str | None:
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+        return "the STL file holds a vertex that is not finite" if _NOT_FINITE_STL.search(data) else None
+    if len(data) < 84:
+        return "the STL file is shorter than its header"
+    triangles = int.from_bytes(data[80:84], "little")
+    if len(data) != 84 + 50 * triangles:
+        return f"the STL file claims {triangles} triangles and has room for {(len(data) - 84) / 50:g}"
+    if not triangles:
+        return "the STL file holds no triangle"
+    # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
+    return None if math.isfinite(sum(_stl_numbers(data))) else "the STL file holds a vertex that is not finite"
+
+
+def _stl_numbers(data: bytes) -> array[float]:
+    """The coordinates of all corners of a binary file, one after the other."""
+    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
+    if sys.byteorder == "big":
+        numbers.byteswap()
+    return numbers
+
+
+def _obj(data: bytes) -> str | None:
+    if b"\0" in data:
+        return "the OBJ file is not text"
+    if sum(1 for _ in islice(_LINES.finditer(data), _MAX_LINES + 1)) > _MAX_LINES:
+        return f"the OBJ file holds more than {_MAX_LINES:_} vertices and faces"
+    vertices = len(_VERTEX.findall(data))
+    if not vertices:
+        return "the OBJ file holds no vertex"
+    lower = data.lower()  # two plain searches take a third of the time of the pattern, which they nearly always spare
+    if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
+        return "the OBJ file holds a vertex that is not finite"
+    indices: set[bytes] = set()
+    corners = 0
+    for face in _FACE.finditer(data):
+        named = _INDEX.findall(data, face.start(1), min(face.end(1), face.start(1) + 16 * _MAX_CORNERS))
+        indices.update(named)
+        corners += len(named)
+        if corners > _MAX_CORNERS:
+            return f"the OBJ file has faces of more than {_MAX_CORNERS:_} corners together"
+    if not indices:
+        return "the OBJ file holds no face"
+    last = max(indices, key=lambda digits: (len(digits), digits))
+    if len(last) > 9 or int(last) > vertices:
+        return f"the OBJ file has a face with vertex {last[:12].decode()} and only {vertices} vertices"
+    return None
+
+
+def _dae(data: bytes) -> str | None:
+    source = Source("mesh", data.decode("utf-8", errors="replace").removeprefix("\ufeff"))
+    root = parse(source, Findings())
+    if root is None or root.tag != "COLLADA":
+        return "the mesh is not a COLLADA file"
+    missing = next((tag for tag in _COLLADA if not root.all(tag)), None)
+    return f"the COLLADA file has no <{missing}>" if missing else None

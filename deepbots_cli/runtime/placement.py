@@ -1,0 +1,395 @@
+"""Where bodies stand when an episode begins.
+
+`Arrangement` takes bodies with coordinates first, then looks for a free spot for each of the others, in order, again and again
+until the start is as required. `Floor` knows the spots that are taken, `Forms` the footprint and the height of each body.
+Looking takes microseconds, since it works in the plane (`deepbots_cli.footprint`); the engine sees only the arrangement found.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from deepbots_cli import footprint
+from deepbots_cli.errors import EvaluationError
+from deepbots_cli.footprint import Footprint, Patch, Spot
+from deepbots_cli.frames import Triple, quaternion
+from deepbots_cli.ir import CompiledScenario, ObjectBody, Variant, WorldModel
+from deepbots_cli.port import STILL, Engine
+from deepbots_cli.robots.model import Shape
+from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.terrain.relief import height
+
+Pose = tuple[Triple, Triple]
+"""Position (m) and roll, pitch, yaw (rad)."""
+Area = tuple[float, float, float, float]
+"""Lowest x and y, highest x and y, in m."""
+
+EVERYWHERE: Area = (-inf, -inf, inf, inf)
+TOUCHING = 1e-9  # m that rounding may cost
+ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
+TRIES = 40  # spots for each of them
+_LEVEL = (0.0, 0.0, 0.0)
+
+
+class NoPlaceError(Exception):
+    """A body found no place in this attempt; `args` holds its name."""
+
+
+class Arrangement:
+    """The places of one episode. `present` counts the copies of each group that take part."""
+
+    def __init__(self, scenario: CompiledScenario, engine: Engine) -> None:
+        world, placed = scenario.world, _placed(scenario)
+        self._engine = engine
+        self._height = height(world.terrain)
+        self.forms = Forms(world)
+        self._floor = Floor(world.arena.size if world.arena else None)
+        built_in = [thing.name for thing in world.objects if not thing.pooled and thing.name not in placed]
+        self._built_in = [self.forms.at_home(name) for name in built_in]
+        self._capacity = {group.name: group.capacity for group in scenario.reset.groups}
+        self._poses: dict[str, tuple[Triple, ...]] = {}
+        self._rank: dict[str, float] = {}
+        self.present: dict[str, int] = dict.fromkeys(self._capacity, 0)
+        self._streams = Streams(0)
+
+    @property
+    def placed(self) -> Iterable[str]:
+        """The bodies that take part in the episode."""
+        return self._poses.keys()
+
+    def arrange(self, attempt: Callable[[], bool], attempts: int, streams: Streams) -> None:
+        """Call `attempt` until it says that the start is as required.
+
+        Raises:
+            EvaluationError: It never was; names the body without a place, or the requirement.
+        """
+        self._streams = streams
+        lacking: Counter[str] = Counter()
+        for _ in range(attempts):
+            self._forget()
+            try:
+                if attempt():
+                    return
+            except NoPlaceError as error:
+                lacking[str(error)] += 1
+        raise EvaluationError(f"no start was found in {attempts} attempts (seed {streams.root}): {_complaint(lacking, attempts)}")
+
+    def _forget(self) -> None:
+        self._poses.clear()
+        self._floor.clear()
+        for patch, top in self._built_in:
+            self._floor.take(patch, 0.0, top)
+        self.forms.chosen.clear()
+        self.present.update(dict.fromkeys(self.present, 0))
+
+    # Parts of an attempt
+
+    def layout(self, stream: str, *shares: tuple[str, float]) -> str:
+        """One of the layouts, drawn by their shares."""
+        point = self._streams[stream].random() * sum(share for _, share in shares)
+        for name, share in shares:
+            point -= share
+            if point < 0.0:
+                return name
+        return shares[-1][0]
+
+    def copies(self, group: str, count: float, at_most: float = inf) -> list[str]:
+        """The names of the copies that take part, and a kind drawn for each; large ones come first, as they need more room."""
+        number = int(max(0.0, min(count, at_most, self._capacity[group])))
+        self.present[group] = number
+        names = [f"{group}#{index + 1}" for index in range(number)]
+        self._rank = {name: index - (number - 1) / 2 for index, name in enumerate(names)}
+        for name in names:
+            self.forms.draw(name, self._streams)
+        return sorted(names, key=lambda name: -self.forms.footprint(name).radius)
+
+    def cells(self, body: str, count: float, spots: Sequence[Spot], stream: str) -> list[tuple[str, Spot]]:
+        """Copies of a group, or a single body, each with a spot of its own; drawn where there are more spots than bodies."""
+        names = self.copies(body, count, len(spots)) if body in self._capacity else [body]
+        if len(names) < len(spots):
+            order = self._streams[stream].permutation(len(spots))
+            spots = [spots[index] for index in order[: len(names)]]
+        return list(zip(names, spots, strict=False))
+
+    def stand(
+        self,
+        body: str,
+        xyz: Triple,
+        rpy: Triple,
+        velocity: Triple = STILL,
+        angular_velocity: Triple = STILL,
+        *,
+        rests: bool = False,
+        clearance: float = 0.0,
+        spacing: Spot = (0.0, 0.0),
+    ) -> None:
+        """Place a body at coordinates, whatever is there."""
+        if body not in self.forms.chosen:
+            self.forms.draw(body, self._streams)
+        x, y, z = xyz
+        if spacing != (0.0, 0.0):
+            x, y = x + self._rank[body] * spacing[0], y + self._rank[body] * spacing[1]
+        patch = self.forms.footprint(body, rpy).at(x, y, rpy[2])
+        self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance, self._height(x, y))
+
+    def find(
+        self,
+        body: str,
+        area: Area | None,
+        stream: str,
+        pose: Callable[[], Pose],
+        velocity: Triple = STILL,
+        angular_velocity: Triple = STILL,
+        *,
+        rests: bool = False,
+        clearance: float = 0.0,
+        mesh: float = 0.0,
+        on: str = "",
+    ) -> None:
+        """Place a body on a free spot, drawn uniformly; `pose` draws its height and attitude.
+
+        `on` names the object on whose top it stands, which has its place already; `area` None is then the whole top.
+
+        Raises:
+            NoPlaceError: None was found.
+        """
+        generator = self._streams[stream]
+        area, surface, base = area or EVERYWHERE, None, -inf
+        if on:
+            surface = self._surface(on, body)
+            area, base = cut(area, surface.area), surface.height
+        for number in range(ROUNDS):
+            if number or body not in self.forms.chosen:
+                self.forms.draw(body, self._streams)
+            (_, _, z), rpy = pose()
+            covered = self.forms.footprint(body, rpy)
+            margin = 0.0 if self.forms.is_fixed(body) else clearance
+            within = self._floor.within(area, covered, rpy[2], margin)
+            within = surface.within(within, covered, rpy[2], margin) if surface else within
+            spots = on_grid(area, within, mesh, generator) if mesh else anywhere(within, TRIES, generator)
+            if number:
+                spots = self._floor.hopeful(spots, covered, rpy[2], clearance, base)
+            for x, y in spots:
+                patch = covered.at(x, y, rpy[2])
+                if (surface is None or surface.holds(patch, margin)) and self._floor.is_free(patch, clearance, base):
+                    ground = surface.height if surface else self._height(x, y)
+                    self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance, ground)
+                    return
+        raise NoPlaceError(body)
+
+    def _surface(self, support: str, body: str) -> Surface:
+        """The top of an object as it stands in this episode.
+
+        Raises:
+            NoPlaceError: It has no place yet, so that `body` finds none.
+        """
+        if support not in self._poses or support not in self.forms.things:
+            raise NoPlaceError(body)
+        (x, y, z), rpy, *_ = self._poses[support]
+        return Surface(self.forms.footprint(support, rpy).at(x, y, rpy[2]), self.forms.top(support, z, rpy))
+
+    def choose(self) -> None:
+        """Let bodies of several kinds take the kind that was drawn."""
+        for body, variant in self.forms.chosen.items():
+            self._engine.choose(body, variant.name)
+
+    def put(self) -> None:
+        """Put every body into the engine's world."""
+        for body, (xyz, rpy, *motion) in self._poses.items():
+            self._engine.place(body, xyz, quaternion(*rpy), *motion)
+
+    def _settle(
+        self,
+        body: str,
+        patch: Patch,
+        xyz: Triple,
+        rpy: Triple,
+        velocity: Triple,
+        angular_velocity: Triple,
+        rests: bool,
+        clearance: float,
+        ground: float,
+    ) -> None:
+        """Note the place of a body whose height counts from `ground` (m)."""
+        x, y, z = xyz
+        z += ground + (self.forms.resting(body, rpy) if rests else 0.0)
+        top = self.forms.top(body, z, rpy)
+        if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
+            self._floor.take(patch, clearance, top)
+        moving = velocity is not STILL or angular_velocity is not STILL
+        self._poses[body] = ((x, y, z), rpy, *((velocity, angular_velocity) if moving else ()))
+
+
+def _placed(scenario: CompiledScenario) -> set[str]:
+    """The bodies that some layout places."""
+    reset = scenario.reset
+    return {place.body for places in (reset.places, *(layout.places for layout in reset.layouts)) for place in places}
+
+
+def _complaint(lacking: Counter[str], attempts: int) -> str:
+    """The most frequent failure, and a remedy."""
+    if lacking:
+        body = lacking.most_common(1)[0][0]
+        if 2 * lacking.total() >= attempts:
+            return f"'{body}' finds no place; ask for fewer or smaller bodies, less clearance, or a larger region"
+    return "what `reset.require` asks for does not hold; let it ask for less, or allow more `attempts`"
+
+
+class Floor:
+    """The ground plane within the walls of an arena, and the patches that are taken."""
+
+    def __init__(self, size: Spot | None) -> None:
+        """`size` is the inner size of the arena along x and y, in m."""
+        self._half = (size[0] / 2, size[1] / 2) if size else (inf, inf)
+        self._taken: list[tuple[Patch, float, float]] = []
+
+    def clear(self) -> None:
+        self._taken.clear()
+
+    def take(self, patch: Patch, clearance: float, top: float) -> None:
+        """Take a patch for a body that reaches up to the height `top` (m)."""
+        self._taken.append((patch, clearance, top))
+
+    def within(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
+        """Where in the area the origin of a body may be, so that it keeps its clearance from the walls; may be empty."""
+        at_origin = covered.at(0.0, 0.0, yaw)
+        (reach_x, reach_y), (half_x, half_y) = at_origin.extent, self._half
+        room_x, room_y = half_x - clearance - reach_x, half_y - clearance - reach_y
+        x, y = at_origin.x, at_origin.y
+        return max(area[0], -room_x - x), max(area[1], -room_y - y), min(area[2], room_x - x), min(area[3], room_y - y)
+
+    def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
+        """Whether each body above the height `base` (m) keeps the clearance that it or the patch asks for."""
+        x, y, radius = patch.x, patch.y, patch.radius
+        for other, own, top in self._taken:
+            if top <= base + TOUCHING:
+                continue
+            gap = (clearance if clearance > own else own) - TOUCHING
+            dx, dy, near = x - other.x, y - other.y, radius + other.radius + gap
+            if dx * dx + dy * dy < near * near and footprint.gap(patch, other) < gap:
+                return False
+        return True
+
+    def hopeful(self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float) -> list[Spot]:
+        """The spots where a disc that fits into the body would be free: a cheap test that drops most spots of a crowd."""
+        taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING]
+        if not spots or not taken:
+            return spots
+        at_origin = covered.at(0.0, 0.0, yaw)
+        others = [(o.x, o.y, *(o.half or (0.0, 0.0)), o.cos, o.sin, 0.0 if o.half else o.radius, own) for o, own in taken]
+        x, y, half_x, half_y, c, s, around, own = np.array(others).T
+        dx, dy = np.add(spots, (at_origin.x, at_origin.y)).T[..., None] - np.array((x, y))[:, None]
+        along = np.maximum(np.abs(c * dx + s * dy) - half_x, 0.0)
+        across = np.maximum(np.abs(c * dy - s * dx) - half_y, 0.0)
+        gap = np.maximum(own, clearance) + around + covered.narrowest - TOUCHING
+        free = np.all(along * along + across * across >= gap * gap, axis=1)
+        return [spot for spot, hopeful in zip(spots, free.tolist(), strict=True) if hopeful]
+
+
+class Surface(NamedTuple):
+    """The level top of an object: what it covers, and its height in m."""
+
+    patch: Patch
+    height: float
+
+    @property
+    def area(self) -> Area:
+        (x, y), (reach_x, reach_y) = (self.patch.x, self.patch.y), self.patch.extent
+        return x - reach_x, y - reach_y, x + reach_x, y + reach_y
+
+    def within(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
+        """Where in the area the origin of a body may be at most, so that it keeps `margin` from the edge; perhaps nowhere."""
+        at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
+        reach_x, reach_y = (reach + margin for reach in at_origin.extent)
+        x, y = at_origin.x, at_origin.y
+        return cut(area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y))
+
+    def holds(self, patch: Patch, margin: float) -> bool:
+        return self.patch.holds(patch, margin - TOUCHING)
+
+
+def cut(one: Area, other: Area) -> Area:
+    """The intersection of two areas; of an empty one, the lowest coordinate is above the highest."""
+    return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
+
+
+def anywhere(area: Area, count: int, generator: np.random.Generator) -> list[Spot]:
+    """`count` spots of an area, drawn uniformly; none of an empty one."""
+    if area[0] > area[2] or area[1] > area[3]:
+        return []
+    shares = generator.random((count, 2)).tolist()
+    return [(area[0] + a * (area[2] - area[0]), area[1] + b * (area[3] - area[1])) for a, b in shares]
+
+
+def on_grid(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
+    """The middles of the cells of an area that lie within another, in random order."""
+    middles = grid(area, mesh)
+    drawn = [middles[index] for index in generator.permutation(len(middles))]
+    low_x, low_y, high_x, high_y = within
+    return [(x, y) for x, y in drawn if low_x - TOUCHING <= x <= high_x + TOUCHING and low_y - TOUCHING <= y <= high_y + TOUCHING]
+
+
+def grid(area: Area, mesh: float) -> list[Spot]:
+    """The middles of the cells of size `mesh` that fit into an area, about its middle, row by row."""
+    columns, rows = (max(1, int((area[axis + 2] - area[axis]) / mesh + 1e-9)) for axis in (0, 1))
+    x, y = (area[0] + area[2]) / 2, (area[1] + area[3]) / 2
+    return [(x + (i - (columns - 1) / 2) * mesh, y + (j - (rows - 1) / 2) * mesh) for j in range(rows) for i in range(columns)]
+
+
+class Forms:
+    """Footprint and height of each body in the form of this episode; `chosen` holds the variants drawn."""
+
+    def __init__(self, world: WorldModel) -> None:
+        self.models = {robot.name: robot.model for robot in world.robots}
+        self.things: dict[str, ObjectBody] = {thing.name: thing for thing in world.objects}
+        self.chosen: dict[str, Variant] = {}
+        self._robots = {name: footprint.of_robot(model) for name, model in self.models.items()}
+        self._widths = {name: footprint.half_width(model) for name, model in self.models.items()}
+        shapes = [thing.shape for thing in world.objects]
+        shapes += [variant.shape for thing in world.objects for variant in thing.variants]
+        self._upright = {shape: footprint.of_shape(shape) for shape in shapes}
+
+    def draw(self, body: str, streams: Streams) -> None:
+        """Draw the variant of a body anew; a body without variants stays."""
+        variants = self.things[body].variants if body in self.things else ()
+        if variants:
+            stream = streams[f"objects.{body.partition('#')[0]}.one_of"]
+            self.chosen[body] = variants[int(stream.integers(len(variants)))]
+
+    def is_fixed(self, body: str) -> bool:
+        """Whether it will never move."""
+        return body in self.things and (self.chosen.get(body) or self.things[body]).fixed
+
+    def shape(self, body: str) -> Shape:
+        """Of an object."""
+        return (self.chosen.get(body) or self.things[body]).shape
+
+    def footprint(self, body: str, rpy: Triple = _LEVEL) -> Footprint:
+        """The footprint with this attitude; that of a robot does not depend on it."""
+        known = self._robots.get(body)
+        if known is not None:
+            return known
+        shape = self.shape(body)
+        return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.of_shape(shape, rpy[0], rpy[1])
+
+    def half_width(self, body: str) -> float:
+        """Half the width of the narrowest passage that it fits through, m."""
+        return self._widths[body] if body in self._widths else self.footprint(body).narrowest
+
+    def resting(self, body: str, rpy: Triple) -> float:
+        """The height (m) of its origin where it rests on flat ground."""
+        return footprint.resting(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
+
+    def top(self, body: str, z: float, rpy: Triple) -> float:
+        """The height of the top of an object whose origin is at `z`; infinite for a robot."""
+        return z + footprint.resting(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
+
+    def at_home(self, body: str) -> tuple[Patch, float]:
+        """The patch and the top of an object at the pose of the world model."""
+        (x, y, z), rpy = self.things[body].pose.xyz, self.things[body].pose.rpy
+        return self.footprint(body, rpy).at(x, y, rpy[2]), self.top(body, z, rpy)
