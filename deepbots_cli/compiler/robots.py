@@ -11,7 +11,7 @@ from deepbots_cli.compiler.matching import Group, expand, unmatched
 from deepbots_cli.compiler.overrides import Overrides
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Fix
-from deepbots_cli.document import Document, roots, shipped
+from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.expressions.types import Kind, Scope, Subject, shown
 from deepbots_cli.robots import mesh
@@ -70,7 +70,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
     if located is None:
         return None
     resolve_mesh = mesh.beside(located.parent, (*document.roots, *mesh.package_of(spec.urdf)))
-    file = read(located, roots.display(located), values.findings, resolve_mesh=resolve_mesh)
+    file = read(located, files.display(located), values.findings, resolve_mesh=resolve_mesh)
     if file is None:
         return None
     groups = _groups(file.model, spec, path, values)
@@ -86,7 +86,7 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
         return None
-    beside = roots.resolve(reference, document.directory_of(span), document.roots)
+    beside = files.resolve(reference, document.directory_of(span), document.roots)
     if isinstance(beside, Path):
         return beside
     by_name = shipped.robot_path(reference)
