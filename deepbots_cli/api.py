@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import rules
 from deepbots_cli.compiler import Checked, check
-from deepbots_cli.diagnostics import MOST_FINDINGS, Finding
+from deepbots_cli.diagnostics import MAX_FINDINGS, Finding
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import load as read
@@ -135,7 +135,7 @@ def review(checked: Checked, *, preview: bool = False, measured: Iterable[Findin
 
 def _told(found: list[Finding]) -> list[Finding]:
     """The findings in their order; of too many, errors before warnings and limits before both, with a note of how many more there are."""
-    most = MOST_FINDINGS + 1  # the last may be that there are too many
+    most = MAX_FINDINGS + 1  # the last may be that there are too many
     if len(found) > most:
         by_weight = sorted(found, key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key))
         *kept, last = by_weight[:most]

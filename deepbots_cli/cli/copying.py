@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.document import Scalar, roots, shipped, walk
+from deepbots_cli.document import Scalar, files, shipped, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots import reader
@@ -98,7 +98,7 @@ def _references(file: Path, text: str) -> Iterator[tuple[Scalar, Path]]:
         return
     for path, node in walk(root):
         if isinstance(node, Scalar) and isinstance(node.value, str):
-            found = roots.resolve(node.text, file.parent, shipped.data_roots())
+            found = files.resolve(node.text, file.parent, shipped.data_roots())
             robot = shipped.robot_path(node.text) if path[-1:] == ("urdf",) else None
             if isinstance(found, Path):
                 yield node, found

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deepbots_cli.cli.settings import Settings
-from deepbots_cli.document import roots
+from deepbots_cli.document.files import project_root
 from deepbots_cli.errors import UsageError
 
 _VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
@@ -37,7 +37,7 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
 
 
 def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
-    root, deepest = roots.project_root(folder), str(folder).count(os.sep) + _MOST_LEVELS
+    root, deepest = project_root(folder), str(folder).count(os.sep) + _MOST_LEVELS
     for place, folders, names in os.walk(folder):
         here = Path(place)
         if here != folder and not {*_NOT_OURS}.isdisjoint(names):

@@ -14,7 +14,7 @@ from deepbots_cli.cli.folders import scenarios_in
 from deepbots_cli.cli.settings import Settings
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Source
-from deepbots_cli.diagnostics.finding import failure
+from deepbots_cli.diagnostics.findings import failure
 from deepbots_cli.errors import DeepbotsError
 
 STDIN = "-"

@@ -19,7 +19,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
 from deepbots_cli.cli.rewriting import Rewrite
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
-from deepbots_cli.document import files, roots, shipped
+from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.document.nodes import Mapping, around, to_data
 from deepbots_cli.document.parse import parse
@@ -62,7 +62,7 @@ class Seen:
     @cached_property
     def own(self) -> dict[Source, Path]:
         """The files that may be changed: those of the project. What comes with deepbots is not."""
-        project = roots.project_root(next(iter(self.files)).parent)
+        project = files.project_root(next(iter(self.files)).parent)
         shipped_data = [root.resolve() for root in shipped.data_roots()]
         return {
             source: path

@@ -1,4 +1,4 @@
-"""Findings in the formats of `lint`; what a format needs is imported when it is asked for."""
+"""Findings in the formats of `lint`."""
 
 from __future__ import annotations
 
@@ -7,26 +7,19 @@ from collections.abc import Sequence
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.settings import Format
-from deepbots_cli.diagnostics import Finding, Severity
-from deepbots_cli.diagnostics.escape import inert
-from deepbots_cli.diagnostics.render import render
+from deepbots_cli.diagnostics import Finding, Severity, formats
+from deepbots_cli.diagnostics.render import inert, render
 
 
 def report(findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]) -> str:
     """The text for standard output; `names` are the scenarios, as findings call them."""
     match format:
         case "github":
-            from deepbots_cli.diagnostics import github
-
-            return github.render(findings)
+            return formats.github(findings)
         case "sarif":
-            from deepbots_cli.diagnostics import sarif
-
-            return sarif.render(findings, _page)
+            return formats.sarif(findings, _page)
         case "junit":
-            from deepbots_cli.diagnostics import junit
-
-            return junit.render(findings, names, failing)
+            return formats.junit(findings, names, failing)
         case _:
             text = render(findings, format, terminal.colourful(sys.stdout), terminal.width())
             return text if format == "json" else inert(text)

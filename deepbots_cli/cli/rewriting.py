@@ -10,7 +10,7 @@ from io import StringIO
 from pathlib import Path
 
 from deepbots_cli.cli.terminal import printable
-from deepbots_cli.document.roots import display
+from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
 
 

@@ -12,7 +12,7 @@ from deepbots_cli.cli.tables import Row
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import roots, shipped
+from deepbots_cli.document import files, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import add
@@ -43,7 +43,7 @@ def opened(reference: str) -> tuple[RobotFile, list[Finding]]:
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
     resolve_mesh = meshes.beside(found.absolute().parent, meshes.package_of(reference))
-    file = read(found, roots.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
+    file = read(found, files.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)

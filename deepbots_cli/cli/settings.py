@@ -13,8 +13,8 @@ from typing import Literal, get_args
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.selection import Words
-from deepbots_cli.document import roots
+from deepbots_cli.diagnostics.suppress import Words
+from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
 
 Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
@@ -59,13 +59,13 @@ def settings(folder: Path | None = None) -> Settings:
     Raises:
         UsageError: A file is no TOML, or holds a key or a value that means nothing; says which, and what was probably meant.
     """
-    root = roots.project_root(folder or Path.cwd())
+    root = files.project_root(folder or Path.cwd())
     for name, keys in _TABLES:
         path = root / name
         if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or _TOOL.search(data)):
-            table = _table(data, roots.display(path), keys)
+            table = _table(data, files.display(path), keys)
             if table is not None:
-                return _settings(root, table, Source(roots.display(path), data.decode()))
+                return _settings(root, table, Source(files.display(path), data.decode()))
     return Settings(root)
 
 
@@ -74,9 +74,9 @@ def _read(path: Path) -> bytes:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
     except OSError as error:
-        raise UsageError(f"{roots.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
+        raise UsageError(f"{files.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
     if len(data) > _MOST_BYTES:
-        raise UsageError(f"{roots.display(path)} is larger than {_MOST_BYTES >> 10} KiB, and is not read")
+        raise UsageError(f"{files.display(path)} is larger than {_MOST_BYTES >> 10} KiB, and is not read")
     return data
 
 

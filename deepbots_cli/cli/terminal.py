@@ -14,8 +14,7 @@ from shutil import get_terminal_size
 from typing import TextIO
 
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.escape import inert
-from deepbots_cli.diagnostics.render import render, summary
+from deepbots_cli.diagnostics.render import inert, render, summary
 
 
 def say(text: str = "") -> None:

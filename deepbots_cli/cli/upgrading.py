@@ -13,7 +13,7 @@ from pathlib import Path
 from deepbots_cli.cli.rewriting import Rewrite
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Mapping as Tree
-from deepbots_cli.document import Scalar, files, roots
+from deepbots_cli.document import Scalar, files
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.scenario.scenario import VERSION
@@ -75,7 +75,7 @@ def _read(path: Path) -> bytes:
 
 def _tree(path: Path, data: bytes) -> Tree:
     findings = Findings()
-    source, sound = files.decode(data, roots.display(path.resolve()), findings)
+    source, sound = files.decode(data, files.display(path.resolve()), findings)
     root = parse(source, findings) if sound else None
     if findings.errors or root is None:
         raise ScenarioError(list(findings))

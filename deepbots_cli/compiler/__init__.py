@@ -58,9 +58,9 @@ from deepbots_cli.compiler.values import Values
 from deepbots_cli.compiler.world import WorldBuilder
 from deepbots_cli.diagnostics import Finding, Findings, Fix, TooManyFindings
 from deepbots_cli.document import Document
+from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.document.nodes import Mapping as Tree
 from deepbots_cli.document.nodes import descend
-from deepbots_cli.document.scalars import as_a_number
 from deepbots_cli.expressions import agree
 from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.expressions.types import Context, Stage, Symbol

@@ -15,8 +15,8 @@ from deepbots_cli.compiler.lower import lower
 from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
-from deepbots_cli.document.merge import follow, measure, without
-from deepbots_cli.document.overrides import place
+from deepbots_cli.document.load import place
+from deepbots_cli.document.nodes import follow, measure, without
 from deepbots_cli.scenario.plain import read_until
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Task, TaskCase, TaskStage
@@ -108,7 +108,7 @@ class _Maker:
         entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], Mapping) else ()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
-        findings = Findings(self._document.findings.most)
+        findings = Findings(self._document.findings.limit)
         root = without(self._root, _OTHERS)
         assert isinstance(root, Mapping)  # as it was
         for entry in entries:

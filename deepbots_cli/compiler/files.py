@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.diagnostics import Fix
-from deepbots_cli.document import roots
+from deepbots_cli.document import files
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.types import SPACE, Context
@@ -86,7 +86,7 @@ def _located(namespace: Namespace, path: Path, reference: str) -> FilePath | Non
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
         return None
-    beside = roots.resolve(reference, document.directory_of(span), document.roots)
+    beside = files.resolve(reference, document.directory_of(span), document.roots)
     if isinstance(beside, FilePath):
         return beside
     library = meshes.library_reference(reference)

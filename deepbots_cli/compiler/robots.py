@@ -12,7 +12,7 @@ from deepbots_cli.compiler.matching import Group, expand, unmatched
 from deepbots_cli.compiler.overrides import Overrides
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Findings, Fix, Span
-from deepbots_cli.document import Document, roots, shipped
+from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.expressions.types import Kind, Scope, Subject, shown
 from deepbots_cli.robots import meshes
@@ -72,7 +72,7 @@ def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namesp
         return None
     resolve_mesh = meshes.beside(located.parent, (*document.roots, *meshes.package_of(spec.urdf)))
     found = Findings()
-    file = read(located, roots.display(located), found, resolve_mesh=resolve_mesh)
+    file = read(located, files.display(located), found, resolve_mesh=resolve_mesh)
     if file is None:
         _tell(found, values, ())
         return None
@@ -98,7 +98,7 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
             return found
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
         return None
-    beside = roots.resolve(reference, document.directory_of(span), document.roots)
+    beside = files.resolve(reference, document.directory_of(span), document.roots)
     if isinstance(beside, Path):
         return beside
     by_name = shipped.robot_path(reference)

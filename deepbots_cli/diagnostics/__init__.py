@@ -1,35 +1,30 @@
-"""What the compiler says, as data.
+"""Findings as data, and how they are shown.
 
-finding.py   Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead
 registry.py  the catalogue of rules: code, name, severity
-suppress.py  comments that suppress a warning
-selection.py which findings are asked for
-nearest.py   the word that was probably meant
-render.py    findings to text: full, concise, json
-github.py    the same for the log of a workflow
-sarif.py     for code scanning             junit.py     for the reports of tests
-escape.py    what of a file may reach a terminal
-outside.py   paths and words for other programs
+findings.py  Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead
+suppress.py  comments that suppress warnings; `--select` and `--ignore`
+render.py    findings as text with source lines, as concise lines, as JSON
+formats.py   findings for other programs: GitHub, JUnit, SARIF
+nearest.py   "did you mean"
 """
 
-from deepbots_cli.diagnostics.finding import (
-    MOST_FINDINGS,
+from deepbots_cli.diagnostics.findings import (
+    MAX_FINDINGS,
     Edit,
     Finding,
     Findings,
     Fix,
     Label,
     Position,
-    Severity,
     Source,
     Span,
     TooManyFindings,
     shielded,
 )
-from deepbots_cli.diagnostics.registry import RETIRED, RULES, Rule, rule
+from deepbots_cli.diagnostics.registry import RETIRED, RULES, Rule, Severity
 
 __all__ = [
-    "MOST_FINDINGS",
+    "MAX_FINDINGS",
     "RETIRED",
     "RULES",
     "Edit",
@@ -43,6 +38,5 @@ __all__ = [
     "Source",
     "Span",
     "TooManyFindings",
-    "rule",
     "shielded",
 ]

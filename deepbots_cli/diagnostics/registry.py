@@ -1,6 +1,6 @@
-"""The rule registry: code, kebab-case name, severity and what the rule is about.
+"""The rule registry: code, kebab-case name, severity and summary of each rule.
 
-Codes and names are stable: a rule that is retired keeps its number.
+Codes and names are stable: a retired rule keeps its number.
 """
 
 from __future__ import annotations
@@ -8,16 +8,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from deepbots_cli.diagnostics.finding import Severity
 from deepbots_cli.diagnostics.nearest import nearest
+
+Severity = Literal["error", "warning"]
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One entry of the catalogue. What is in `preview` may still misfire, and runs where it is asked for.
+    """One entry of the catalogue.
 
-    `deep` is what a simulation finds (`lint --deep`), by itself (`only`) or beside what the text tells (`too`), in which case
-    that part may be in preview alone.
+    A rule in `preview` may still misfire and runs only on request. `deep` says whether a simulation (`lint --deep`) finds
+    it: `no`, `only`, or `too` where static analysis finds it as well. `deep_preview` puts only the simulated part in preview.
     """
 
     code: str
@@ -30,13 +31,13 @@ class Rule:
 
     @property
     def family(self) -> str:
-        """What the findings of this and its neighbours are about."""
+        """The topic of the rules with the same first digit."""
         return FAMILIES[self.code[:3]]
 
 
 @dataclass(frozen=True)
 class Retired:
-    """A code that no finding has any more, and why."""
+    """A code that is no longer reported, and why."""
 
     code: str
     name: str
@@ -173,23 +174,16 @@ RULES = {entry.code: entry for entry in _CATALOGUE}
 RETIRED = {entry.code: entry for entry in _RETIRED}
 
 
-def rule(code: str) -> Rule:
-    """The entry of `code`; a `KeyError` means that a pass uses a code nobody registered."""
-    return RULES[code]
-
-
 def with_prefix(word: str) -> tuple[Rule | Retired, ...]:
-    """The entry that `word` names by its code or its name, whatever the case, or all whose codes begin with it; retired ones last."""
+    """The entry whose code or name is `word`, whatever its case, or all entries whose codes begin with it; retired ones last."""
     wanted = word.strip().lower().replace("_", "-")
-    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *RETIRED.values())
-    return tuple(entry for entry in entries if wanted == entry.name) or tuple(
-        entry for entry in entries if entry.code.lower().startswith(wanted)
-    )
+    entries = (*_CATALOGUE, *_RETIRED)
+    named = tuple(entry for entry in entries if wanted == entry.name)
+    return named or tuple(entry for entry in entries if entry.code.lower().startswith(wanted))
 
 
 def unknown(word: str) -> str:
-    """What to say of a word that fits no entry."""
-    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *RETIRED.values())
+    """The message for a word that fits no entry."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
-    near = nearest(word, [entry.code if is_code else entry.name for entry in entries])
+    near = nearest(word, [entry.code if is_code else entry.name for entry in (*_CATALOGUE, *_RETIRED)])
     return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")

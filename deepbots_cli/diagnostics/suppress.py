@@ -1,36 +1,111 @@
-"""Suppression comments: `# deepbots: ignore[DB603]` at the end of a line, or on a line of its own above.
+"""Which findings are shown: `--select DB5,DB603 --ignore DB505`, and comments that suppress warnings.
 
-Only warnings can be suppressed; what an error speaks of would not run. A comment that suppresses nothing is itself
-a finding (DB901), so none outlives its reason.
+`# deepbots: ignore[DB603]` stands at the end of a line, or on a line of its own above. It suppresses warnings only. A
+comment that suppresses nothing is itself a finding (DB901), so none outlives its reason.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice
 
-from deepbots_cli.diagnostics.finding import Edit, Finding, Fix, Source, Span
+from deepbots_cli.diagnostics.findings import Edit, Finding, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.registry import RETIRED, RULES
+from deepbots_cli.diagnostics.registry import RETIRED, RULES, Retired, Rule, unknown, with_prefix
+from deepbots_cli.errors import UsageError
 
-# `<!--` is how a comment begins in a robot file.
+_UNREADABLE = ("DB0", "DB1")
+"""An error in the text or its shape hides most other findings, so no selection may hide it."""
+
+# `<!--` begins a comment in a robot file.
 _COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE)
+# Possessive: a line of 1 MiB may hold thousands of comments.
+_BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
+_CODE = re.compile(r"[^\s,]+")
+_MAX_CODES = 50
+"""Codes in one comment."""
+_MAX_COMPARED = 100
+"""Unknown codes compared with the known ones; a file of 1 MiB may hold tens of thousands."""
 
 
-_NOTHING_MORE = re.compile(r"[^\S\n]*+(?=\n|\Z)")
-"""Up to the end of the line. To look for that end first would take a second, where a line of a megabyte holds thousands of comments."""
+@dataclass(frozen=True)
+class Words:
+    """The words of `select` or `ignore`, and their source: an option or a settings file."""
 
-_MOST_CODES = 50
-"""In one comment."""
-_MOST_COMPARED = 100
-"""Unknown codes that are compared with the known ones; a file of a megabyte may hold tens of thousands."""
+    words: tuple[str, ...]
+    source: Source
+
+    def span(self, word: str) -> Span:
+        found = re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", self.source.text)
+        return Span(self.source, *(found.span() if found else (0, 0)))
+
+
+class Selection:
+    """The findings chosen by `select` (default: all) and `ignore`, by code, by the beginning of codes, or by name.
+
+    Where two words fit a code, the longer one counts; of equal ones `ignore`.
+
+    Raises:
+        UsageError: A word fits no finding; the message suggests one.
+    """
+
+    def __init__(self, select: Words | None = None, ignore: Words | None = None, *, preview: bool = False, deep: bool = False) -> None:
+        if select is not None and not select.words:
+            raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to look for everything")
+        self._select = None if select is None else _codes(select)
+        self._ignore = _codes(ignore) if ignore else {}
+        self._preview = preview
+        self._deep = deep
+        self._words = select or Words((), Source("", ""))
+
+    @property
+    def is_everything(self) -> bool:
+        return self._select is None and not self._ignore
+
+    def wants(self, finding: Finding) -> bool:
+        """Whether the finding is shown: it is selected, or an error in text or shape, or a fault of deepbots."""
+        unreadable = finding.severity == "error" and finding.code.startswith(_UNREADABLE)
+        return unreadable or finding.is_fault or self._has(finding.code)
+
+    def doubts(self) -> list[Finding]:
+        """A DB902 for each rule that is selected by itself and does not run: it is in preview, or needs a simulation."""
+        found = []
+        for word in self._words.words if "DB902" not in self._ignore else ():
+            entries = with_prefix(word)
+            if len(entries) != 1 or not isinstance(rule := entries[0], Rule) or not self._has(rule.code):
+                continue
+            span = self._words.span(word)
+            if rule.preview and not self._preview:
+                help = "add --preview (`preview = true`), or take it out"
+                found.append(Finding("DB902", span, f"{rule.code} is in preview, and does not run", help=help))
+            if rule.deep == "only" and not self._deep:
+                found.append(Finding("DB902", span, f"{rule.code} asks a simulation, and does not run", help="add --deep, or take it out"))
+        return found
+
+    def _has(self, code: str) -> bool:
+        chosen = 0 if self._select is None else self._select.get(code, -1)
+        return chosen > self._ignore.get(code, -1)
+
+
+def _codes(given: Words) -> Mapping[str, int]:
+    """The codes that the words fit, each with the length of the longest word; a name is as long as a code."""
+    fitting: dict[str, int] = {}
+    for word in given.words:
+        entries = with_prefix(word)
+        if not word.strip() or not entries:
+            raise UsageError(f"{given.source.name}: {unknown(word)}")
+        if len(entries) == 1 and isinstance(entries[0], Retired):
+            raise UsageError(f"{given.source.name}: {entries[0].code} is retired, take it out: {entries[0].reason}")
+        for entry in entries:
+            length = min(len(word.strip()), len(entry.code))
+            fitting[entry.code] = max(length, fitting.get(entry.code, 0))
+    return fitting
 
 
 @dataclass(frozen=True)
 class _Suppression:
-    """One code of one comment, and the line that it is about."""
+    """One code of one comment, and the line that it applies to."""
 
     code: str
     span: Span
@@ -41,20 +116,18 @@ class _Suppression:
 def suppress(
     findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False, deep: bool = False
 ) -> tuple[list[Finding], list[Finding]]:
-    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that is of no use.
+    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that suppresses nothing.
 
-    What a comment says of a rule in preview is of use whenever those rules do not run, and so is what it says of one that
-    asks a simulation, where there was none.
+    A comment on a rule that did not run, in preview or for want of a simulation, is not reported.
     """
     wanted: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
     for source in sources:
-        if "deepbots:" in source.text:
-            for entry in _suppressions(source):
-                if isinstance(entry, Finding):
-                    unused.append(entry)
-                else:
-                    wanted.setdefault((source, entry.line, entry.code), entry)
+        for entry in _suppressions(source):
+            if isinstance(entry, Finding):
+                unused.append(entry)
+            else:
+                wanted.setdefault((source, entry.line, entry.code), entry)
     used = set()
     kept = []
     for finding in findings:
@@ -63,14 +136,16 @@ def suppress(
             used.add(key)
         else:
             kept.append(finding)
-    left = [entry for key, entry in wanted.items() if key not in used and _had_its_chance(entry.code, preview, deep)]
-    compared = {id(entry) for entry in islice((entry for entry in left if entry.code not in RULES), _MOST_COMPARED)}
-    unused.extend(_unused(entry, compare=id(entry) in compared) for entry in left)
+    compared = 0
+    for key, entry in wanted.items():
+        if key not in used and _could_be_found(entry.code, preview, deep):
+            compared += entry.code not in RULES
+            unused.append(_unused(entry, compare=compared <= _MAX_COMPARED))
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
 def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
-    if "ignore" not in source.text:  # a hundred times faster than to look for comments, and true of most files
+    if "deepbots:" not in source.text:  # a hundred times faster than the search for comments
         return
     before = 0
     for comment in _COMMENT.finditer(source.text):
@@ -81,18 +156,18 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             span = Span(source, *comment.span())
             yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB603]")
             continue
-        codes = list(re.finditer(r"[^\s,]+", comment[1]))
-        if len(codes) > _MOST_CODES:
-            help = f"at most {_MOST_CODES} are read; name those that its line has findings of"
+        codes = list(_CODE.finditer(source.text, *comment.span(1)))
+        if len(codes) > _MAX_CODES:
+            help = f"at most {_MAX_CODES} are read; name those that its line has findings of"
             yield Finding("DB901", Span(source, *comment.span(1)), f"a suppression of {len(codes):_} codes", help=help)
             continue
         for code in codes:
-            span = Span(source, comment.start(1) + code.start(), comment.start(1) + code.end())
-            yield _Suppression(code.group(), span, line + 1 if alone else line, _removal(source, comment, code.group()))
+            removal = _removal(source, comment, [other[0] for other in codes if other[0] != code[0]])
+            yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
 
 
-def _had_its_chance(code: str, preview: bool, deep: bool) -> bool:
-    """Whether everything has run that could find it."""
+def _could_be_found(code: str, preview: bool, deep: bool) -> bool:
+    """Whether every part of the rule has run."""
     rule = RULES.get(code)
     if rule is None:
         return True
@@ -100,26 +175,26 @@ def _had_its_chance(code: str, preview: bool, deep: bool) -> bool:
 
 
 def _unused(entry: _Suppression, *, compare: bool) -> Finding:
-    rule, removed = RULES.get(entry.code), Fix((entry.removal,), safe=True)
+    rule, fix = RULES.get(entry.code), Fix((entry.removal,), safe=True)
     if entry.code in RETIRED:
         help = f"remove the comment: {RETIRED[entry.code].reason}"
-        return Finding("DB901", entry.span, f"{entry.code} is retired", help=help, fix=removed)
+        return Finding("DB901", entry.span, f"{entry.code} is retired", help=help, fix=fix)
     if rule is None:
         near = nearest(entry.code, RULES) if compare else None
-        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=_similar(near), fix=_respelt(entry, near))
+        help = f"did you mean {near}?" if near else "codes look like DB603"
+        guess = Fix((Edit(entry.span, near),), safe=False) if near else None
+        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
     if rule.severity == "error":
-        return Finding(
-            "DB901", entry.span, f"{entry.code} is an error, which cannot be suppressed", help="mend what it reports", fix=removed
-        )
-    return Finding("DB901", entry.span, f"no finding {entry.code} is suppressed here", help="remove the comment", fix=removed)
+        headline = f"{entry.code} is an error, which cannot be suppressed"
+        return Finding("DB901", entry.span, headline, help="mend what it reports", fix=fix)
+    return Finding("DB901", entry.span, f"no finding {entry.code} is suppressed here", help="remove the comment", fix=fix)
 
 
-def _removal(source: Source, comment: re.Match[str], code: str) -> Edit:
-    """The edit that takes `code` out: of the list, or with the whole comment, unless a reason behind it is worth keeping."""
-    others = [other for other in re.findall(r"[^\s,]+", comment[1]) if other != code]
+def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:
+    """The edit that leaves only the `others` in the list, or removes the comment unless text follows that may be a reason."""
     if others:
         return Edit(Span(source, *comment.span(1)), ", ".join(others))
-    rest = _NOTHING_MORE.match(source.text, comment.end())
+    rest = _BLANK_TO_LINE_END.match(source.text, comment.end())
     if comment[0].startswith("<") or rest is None:
         return Edit(Span(source, *comment.span()), comment[0][: comment[0].index("deepbots")].rstrip())
     line_start = source.text.rfind("\n", 0, comment.start()) + 1
@@ -127,11 +202,3 @@ def _removal(source: Source, comment: re.Match[str], code: str) -> Edit:
     if start == line_start:
         return Edit(Span(source, start, min(rest.end() + 1, len(source.text))), "")
     return Edit(Span(source, start, comment.end()), "")
-
-
-def _respelt(entry: _Suppression, near: str | None) -> Fix | None:
-    return Fix((Edit(entry.span, near),), safe=False) if near else None
-
-
-def _similar(near: str | None) -> str:
-    return f"did you mean {near}?" if near else "codes look like DB603"

@@ -1,20 +1,12 @@
-"""From text to nodes that know their place.
+"""From YAML text to nodes that know their place.
 
-files.py      bytes to text: size, encoding, characters
-parse.py      YAML text to nodes, within limits; parsers.py what is used of PyYAML
-traps.py      text that is YAML, but not what was meant
-scalars.py    what a plain scalar means, and which ones look like something else
-places.py     where each character of a quoted or folded scalar stands in the file
-syntax.py     the wording of syntax errors
-nodes.py      Scalar, Sequence, Mapping
-roots.py      which files a scenario may name
-shipped.py    the scenarios and robots that come with deepbots
-merge.py      two trees to one; dotted paths
-removal.py    an entry taken out of the text of a file
-overrides.py  `--set path=value`
-layout.py     the canonical layout of a file
-text.py       nodes back to YAML text
-load.py       a file with all that it extends and includes, as one Document
+files.py    which files a scenario may read; bytes to text
+parse.py    YAML text to nodes, within limits
+hints.py    YAML mistakes: the wording of syntax errors, and text that is YAML but not what was meant
+nodes.py    Scalar, Sequence, Mapping; paths, walking, changed trees
+load.py     a scenario with the files that it extends and includes, `remove` and `--set`, as one Document
+layout.py   nodes to text: the canonical layout, written trees, removed entries
+shipped.py  the scenarios and robots that come with deepbots
 """
 
 from deepbots_cli.document.load import Document, load, loads

@@ -1,43 +1,120 @@
-"""Bytes to text: what may stand in a scenario at all.
+"""Which files a scenario may read, and their text.
 
-The text keeps its line ends, so that offsets count what is in the file; only a byte order mark is dropped.
+A scenario may come from anyone, so it can read only the files of its project, the shipped ones, and the folders of
+`--allow-path`. The text of a file keeps its line ends, so offsets count characters of the file; only a byte order mark
+is dropped.
 """
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.reading import read_at_most
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20
-"""Of all files of a scenario."""
+"""All files of a scenario together."""
 
+_PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
+
+
+# Paths
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Why a file that a scenario names cannot be read; `headline` and `help` make the finding."""
+
+    reason: Literal["missing", "outside", "irregular"]
+    reference: str
+    path: Path
+    roots: tuple[Path, ...] = ()
+
+    @property
+    def headline(self) -> str:
+        problem = {"missing": "does not exist", "outside": "lies outside the project", "irregular": "is not a regular file"}
+        return f"`{self.reference}` {problem[self.reason]}"
+
+    @property
+    def help(self) -> str:
+        if self.reason == "outside":
+            return f"move it into {self.roots[0] if self.roots else 'the project'}, or allow its folder with --allow-path"
+        if self.reason == "irregular":
+            return "name a file"
+        near = _similar(self.path)
+        return f"did you mean {near}?" if near else f"paths are relative to the file that names them; {self.path} was looked for"
+
+
+def _similar(path: Path) -> str | None:
+    """The name of a file beside `path` that was probably meant."""
+    try:
+        suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
+        return nearest(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes])
+    except OSError:
+        return None
+
+
+def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused:
+    """The file for `reference`, written in a file of the folder `base`.
+
+    Symbolic links are followed before the path is compared with the `roots`, whose links are already followed.
+    """
+    roots = tuple(roots)
+    path = base / reference.replace("\0", "\ufffd")
+    try:
+        path = path.resolve()
+        if not any(path.is_relative_to(root) for root in roots):
+            return Refused("outside", reference, path, roots)
+        if path.is_file():
+            return path
+        return Refused("irregular" if path.exists() else "missing", reference, path, roots)
+    except (OSError, RuntimeError):
+        # The name is too long, links form a loop, or a folder may not be entered.
+        return Refused("missing", reference, path, roots)
+
+
+def project_root(folder: Path) -> Path:
+    """The nearest folder at or above `folder` that looks like the root of a project, else `folder` itself."""
+    folder = folder.resolve()
+    for candidate in (folder, *folder.parents):
+        if any((candidate / marker).exists() for marker in _PROJECT_MARKERS):
+            return candidate
+    return folder
+
+
+def display(path: Path) -> str:
+    """The path as users see it: relative to the working directory if it lies below it."""
+    here = Path.cwd()
+    return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
+
+
+# Text
 
 
 def read(path: Path) -> bytes:
     """The bytes of a file, at most one more than `MAX_BYTES`.
 
     Raises:
-        OSError: If it cannot be read.
+        OSError: The file cannot be read.
     """
     return read_at_most(path, MAX_BYTES + 1)
 
 
 def decode(data: bytes, name: str, findings: Findings, included_from: Span | None = None) -> tuple[Source, bool]:
-    """The text of `data`, and whether it may be parsed; where not, a finding says why."""
+    """The text of `data`, and whether it may be parsed; a finding says why not."""
     if len(data) > MAX_BYTES:
         source = Source(name, "", included_from)
-        findings.add(
-            "DB005",
-            Span(source, 0, 0),
-            f"the file is larger than {MAX_BYTES >> 20} MiB",
-            help="split it with `include`, or check that it is a scenario",
-        )
+        help = "split it with `include`, or check that it is a scenario"
+        findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help=help)
         return source, False
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
@@ -61,21 +138,14 @@ def check(source: Source, findings: Findings) -> bool:
     found = _FORBIDDEN.search(source.text)
     if found is None:
         return True
-    span, character = Span(source, *found.span()), found.group()
+    character = found.group()
+    number = f"U+{ord(character):04X}"
     if character == "\0":
-        findings.add("DB001", span, "the file is binary", help="a scenario is a YAML text file")
+        headline, help = "the file is binary", "a scenario is a YAML text file"
     elif character in "\r\x85\u2028\u2029":
-        findings.add(
-            "DB001",
-            span,
-            f"a line ends in an unusual character (U+{ord(character):04X})",
-            help="end lines with a line feed, as editors on Linux do",
-        )
+        headline, help = f"a line ends in an unusual character ({number})", "end lines with a line feed, as editors on Linux do"
     else:
-        findings.add(
-            "DB001",
-            span,
-            f"the character U+{ord(character):04X} cannot stand in YAML",
-            help='remove it, or write it as an escape in double quotes, such as "\\x1b"',
-        )
+        headline = f"the character {number} cannot stand in YAML"
+        help = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'
+    findings.add("DB001", Span(source, *found.span()), headline, help=help)
     return False

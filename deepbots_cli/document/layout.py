@@ -1,36 +1,54 @@
-"""The canonical layout of a scenario: white space between tokens, and nothing else.
+"""Nodes and YAML text: the canonical layout of a file, a tree written as YAML, an entry removed.
 
-Two passes. `_spaced` sets the blanks within lines, `_indented` the indentation; what is inside a scalar moves with its line and
-stays as it is. Columns that were aligned on purpose stay aligned: two blanks or more are kept where the token behind them
-stands below or above the beginning of another one. So are the places of comments.
+The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets the blanks
+within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays as it is. Deliberate
+alignment stays: two blanks or more are kept where the token behind them stands below or above the beginning of another.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document.nodes import to_data
-from deepbots_cli.document.parse import parse
-from deepbots_cli.document.parsers import Token, tokens
+import yaml
 
-_PASSES = 6
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, to_data
+from deepbots_cli.document.parse import LOADER, parse
+
+_MAX_PASSES = 6
 _OPENING, _CLOSING = frozenset("{["), frozenset("}]")
 _COMMENT = re.compile(r"#[^\n]*")
 _BLANK_LINES = re.compile(r"\n\n\n+")
+_BLOCKS = {"<block mapping start>": "map", "<block sequence start>": "list", "<block end>": "end"}
+
+
+class Token(NamedTuple):
+    """A piece of YAML's syntax: a sign (`{`, `:`, `-`), `<scalar>`, or, without text, the `?` of a key, `map`, `list` and `end`."""
+
+    kind: str
+    start: int
+    end: int
+
+
+def _tokens(text: str) -> Iterator[Token]:
+    token: Any
+    for token in yaml.scan(text, Loader=LOADER):
+        yield Token(_BLOCKS.get(token.id, token.id), token.start_mark.index, token.end_mark.index)
 
 
 def tidy(text: str) -> str | None:
-    """`text`, which is read without findings, in the canonical layout; None if it cannot be had without changing what it says.
+    """`text`, which must parse without findings, in the canonical layout; None if that would change its meaning.
 
-    The end of the first line counts for all lines.
+    All lines get the line end of the first.
     """
     plain = text.replace("\r\n", "\n")
     done = plain
-    for _ in range(_PASSES):
+    for _ in range(_MAX_PASSES):
         before, done = done, _indented(_spaced(done))
         if done == before:
             break
@@ -52,14 +70,14 @@ def _comments(text: str) -> list[str]:
 
 
 def _visible(text: str) -> list[Token]:
-    """The tokens that take room, without the white space at their ends."""
+    """The tokens that have text, without the white space at their ends."""
     return [
-        token._replace(end=token.start + len(text[token.start : token.end].rstrip())) for token in tokens(text) if token.end > token.start
+        token._replace(end=token.start + len(text[token.start : token.end].rstrip())) for token in _tokens(text) if token.end > token.start
     ]
 
 
 def _gaps(text: str) -> Iterator[tuple[str, Token | None, Token | None]]:
-    """What stands between tokens, with the tokens before and behind."""
+    """The text between tokens, with the tokens before and behind it."""
     before: Token | None = None
     for token in _visible(text):
         yield text[before.end if before else 0 : token.start], before, token
@@ -94,12 +112,12 @@ def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
     if before.kind in _OPENING or behind.kind in _CLOSING or behind.kind in (",", ":"):
         return ""
     if before.kind == "-":
-        return gap  # the lines below may be aligned with what stands behind it
+        return gap  # the lines below may be aligned with the text behind the dash
     return gap if len(gap) > 1 and columns.aligned(behind.start) else " "
 
 
 def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
-    """What stands between two tokens of different lines: a comment behind the first, blank lines, comments, the indentation."""
+    """The text between two tokens of different lines: a comment behind the first, blank lines, comments, the indentation."""
     lines = gap.replace("\t", " ").split("\n")
     head, inner, indentation = lines[0], [line.rstrip() for line in lines[1:-1]], lines[-1]
     if head.strip() and not first:
@@ -113,7 +131,7 @@ def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
 
 
 class _Columns:
-    """In which columns the tokens of each line begin."""
+    """The columns in which the tokens of each line begin."""
 
     def __init__(self, text: str) -> None:
         self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
@@ -140,7 +158,7 @@ class _Columns:
 
 @dataclass
 class _Line:
-    """Where a line that begins an entry begins, and where it shall."""
+    """The old and new column of a line that begins an entry."""
 
     old: int
     new: int
@@ -156,7 +174,7 @@ def _indented(text: str) -> str:
         if number in structure:
             shift = structure[number].new - structure[number].old
         own = shift
-        if number not in structure and number not in inside and line.strip():  # a comment belongs to what it stands above
+        if number not in structure and number not in inside and line.strip():  # a comment belongs to the entry below it
             index = bisect_right(beginnings, number)
             following = structure[beginnings[index]] if index < len(beginnings) else None
             own = following.new - following.old if following else shift
@@ -174,14 +192,14 @@ def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
 
 
 def _structure(text: str) -> tuple[dict[int, _Line], set[int], dict[int, tuple[int, ...]]]:
-    """By number: the lines that begin an entry of a block, those inside a value, and the dashes of a line with something behind them."""
+    """By line number: the lines that begin an entry of a block, the lines inside a value, and the columns of dashes with text behind."""
     starts = [0, *(match.end() for match in re.finditer("\n", text))]
     structure: dict[int, _Line] = {}
     inside: set[int] = set()
     dashes: dict[int, tuple[int, ...]] = {}
     levels: list[str] = []
     line, flow, is_key, opened, known = 0, 0, False, 0, 0
-    for token in tokens(text):
+    for token in _tokens(text):
         while line + 1 < len(starts) and starts[line + 1] <= token.start:
             line += 1
         if flow == 0:
@@ -199,12 +217,12 @@ def _structure(text: str) -> tuple[dict[int, _Line], set[int], dict[int, tuple[i
             inside.update(range(max(opened + 1, known), last + 1))
         else:
             inside.update(range((line if token.kind in _CLOSING else line + 1), last + 1))
-        known = last + 1  # of the lines above, all is known that lie within brackets
+        known = last + 1  # the lines above are done
     return structure, inside, dashes
 
 
 def _nest(levels: list[str], kind: str) -> None:
-    """Keep `levels`, the open blocks. A list in the column of its key has no beginning and no end among the tokens."""
+    """Update `levels`, the open blocks. A list in the column of its key has no tokens for its beginning and end."""
     if kind in ("map", "list"):
         levels.append(kind)
     elif kind == "-" and levels and levels[-1] == "map":
@@ -213,3 +231,89 @@ def _nest(levels: list[str], kind: str) -> None:
         levels.pop()
     if kind == "end" and levels:
         levels.pop()
+
+
+# Writing a tree
+
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]")
+_WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n", "~"})
+
+
+def write(node: Node) -> str:
+    """Block-style YAML that reads back as the same values, without comments."""
+    return "\n".join(_lines(node, 0)) + "\n"
+
+
+def _lines(node: Node, depth: int) -> list[str]:
+    pad = "  " * depth
+    match node:
+        case Mapping(entries=entries) if entries:
+            return [line for key, entry in entries.items() for line in _entry(f"{pad}{_text(key)}:", entry.value, depth)]
+        case Sequence(items=items) if items:
+            return [line for item in items for line in _entry(f"{pad}-", item, depth)]
+        case _:
+            return [pad + _inline(node)]
+
+
+def _entry(head: str, value: Node, depth: int) -> list[str]:
+    match value:
+        case Mapping(entries=inner) | Sequence(items=inner) if inner:
+            return [head, *_lines(value, depth + 1)]
+        case _:
+            return [f"{head} {_inline(value)}"]
+
+
+def _inline(node: Node) -> str:
+    match node:
+        case Mapping():
+            return "{}"
+        case Sequence():
+            return "[]"
+        case Scalar():
+            return _text(node.text) if isinstance(node.value, str) else node.text
+
+
+def _text(text: str) -> str:
+    """A plain word where that is safe, else a text in double quotes with the escapes of JSON."""
+    if _PLAIN.fullmatch(text) and text.lower() not in _WORDS:
+        return text
+    return json.dumps(text, ensure_ascii=False)
+
+
+# Removing an entry
+
+_REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
+
+
+def removing(root: Node, path: Path) -> Fix | None:
+    """The fix that removes the entry at `path`, with its lines or between its brackets.
+
+    None where the rest might change: the only entry of its mapping, a list item, or brackets with a comment or a line
+    break beside the entry.
+    """
+    holder, _, steps = descend(root, path[:-1])
+    if steps < len(path) - 1 or not isinstance(holder, Mapping) or len(holder.entries) < 2:
+        return None
+    entry = holder.entries.get(str(path[-1]))
+    if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:
+        return None
+    span = _in_brackets(holder, entry) if holder.span.text.startswith("{") else _on_lines(entry)
+    return Fix((Edit(span, ""),), safe=False) if span else None
+
+
+def _on_lines(entry: Entry) -> Span | None:
+    source, text = entry.key.span.source, entry.key.span.source.text
+    start = text.rfind("\n", 0, entry.key.span.start) + 1
+    rest = _REST_OF_LINE.match(text, entry.value.span.end)
+    return Span(source, start, rest.end()) if rest and not text[start : entry.key.span.start].strip() else None
+
+
+def _in_brackets(holder: Mapping, entry: Entry) -> Span | None:
+    source = holder.span.source
+    entries = sorted(holder.entries.values(), key=lambda other: other.key.span.start)
+    at = next(index for index, other in enumerate(entries) if other is entry)
+    if at + 1 < len(entries):
+        span = Span(source, entry.key.span.start, entries[at + 1].key.span.start)
+    else:
+        span = Span(source, entries[at - 1].value.span.end, entry.value.span.end)
+    return None if set(span.text) & set("#\n") else span

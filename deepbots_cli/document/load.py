@@ -1,11 +1,12 @@
-"""A scenario file with all that it extends and includes, as one tree of nodes.
+"""A scenario with the files that it extends and includes, `remove` and `--set`, as one tree of nodes.
 
-A file is read in this order: its own text, the `include`s in it, what it `extends` laid beneath, `remove`. The
-assignments of the command line come last, upon the whole.
+A file is read in this order: its own text, the `include`s in it, the file that it `extends` laid beneath, `remove`. The
+assignments of the command line are applied last, to the whole tree.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
@@ -13,27 +14,28 @@ from dataclasses import dataclass, replace
 from operator import is_
 from pathlib import Path
 
-from deepbots_cli.diagnostics import MOST_FINDINGS, Findings, Label, Source, Span, TooManyFindings
-from deepbots_cli.document import files, merge, overrides, roots, shipped
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, descend
+from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.document import files, nodes, shipped
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, descend, follow, measure, without
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
 
 MAX_CHAIN = 32
+_MAX_LISTED = 20
 
 Drafts = Table[Path, bytes]
-"""What files shall come to hold, by their absolute paths."""
+"""Contents that replace those of files, by absolute path."""
 NO_DRAFTS: Drafts = {}
 
 
 @dataclass(frozen=True)
 class Document:
-    """What was read: the merged tree, every file that it came from, and what is wrong with them.
+    """The merged tree, every file that it came from, and their findings.
 
-    `root` is None where a finding at error level left nothing to go on with. `files` maps the absolute path of each
-    file to its text, the main file first; `roots` are the folders that the scenario may read from,
-    and `allow_code` says whether it may name functions of Python.
+    `root` is None if a finding at error level left no tree. `files` maps the absolute path of each file to its text, the
+    main file first. The scenario may read from the folders `roots`, and name Python functions if `allow_code`.
     """
 
     root: Mapping | None
@@ -51,7 +53,7 @@ class Document:
 
     @property
     def path(self) -> Path:
-        """The main file; for a text that was no file, where it would lie."""
+        """The main file; for a text without a file, the path that it would have."""
         return next(iter(self.files), self.base / self.source.name)
 
     def directory_of(self, span: Span) -> Path:
@@ -70,13 +72,13 @@ def load(
     allow_paths: Iterable[str | Path] = (),
     drafts: Drafts = NO_DRAFTS,
 ) -> Document:
-    """Read the scenario at `path`, with the assignments `sets` (`path=value`) made.
+    """Read the scenario at `path` and apply the assignments `sets` (`path=value`).
 
-    Problems in the files are findings of the document; `display` is the name they are reported under. What stands
-    in `drafts` is read in the place of the file of that absolute path.
+    Problems in the files are findings of the document, reported under the name `display`. `drafts` replace the contents
+    of files.
 
     Raises:
-        UsageError: If there is no such file, or it cannot be read.
+        UsageError: The file does not exist or cannot be read.
     """
     name = display or str(path)
     try:
@@ -105,7 +107,7 @@ def loads(
     *,
     allow_paths: Iterable[str | Path] = (),
 ) -> Document:
-    """The same for a text; paths in it are relative to `base`, by default the working directory."""
+    """Read a scenario from a text; paths in it are relative to `base`, by default the working directory."""
     base = Path(base or Path.cwd()).resolve()
     reader = _Reader(_roots(base, sets, allow_paths))
     source, readable = files.decode(text.encode("utf-8", "surrogatepass"), name, reader.findings)
@@ -113,13 +115,13 @@ def loads(
 
 
 def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path]) -> tuple[Path, ...]:
-    # A path typed on the command line is the user's own, and relative to where they stand.
-    own = [roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
+    # A path in an assignment is the user's own, and relative to the working directory.
+    own = [files.project_root(folder), *([files.project_root(Path.cwd())] if sets else [])]
     return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
 
 
 def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
-    """What `--allow-path` names, links followed.
+    """The folders of `--allow-path`, links followed.
 
     Raises:
         UsageError: One of them is no folder.
@@ -137,20 +139,20 @@ class _Reader:
     def __init__(self, roots: tuple[Path, ...], drafts: Drafts = NO_DRAFTS) -> None:
         self.roots = roots
         self.drafts = drafts
-        self.findings = Findings(MOST_FINDINGS)
+        self.findings = Findings(MAX_FINDINGS)
         self.budget = Budget()
         self.files: dict[Path, Source] = {}
-        self.read: dict[Path, Mapping | None] = {}
-        self.size = 0  # bytes that were included so far
+        self.trees: dict[Path, Mapping | None] = {}
+        self.size = 0  # bytes of the files that others name
 
     def document(self, source: Source, base: Path, sets: Texts[str], folder: Path, chain: tuple[Path, ...], *, readable: bool) -> Document:
-        """The whole of the scenario in `source`, which lies in `folder`."""
+        """The whole scenario in `source`, which lies in `folder`."""
         root = None
         try:
             root = self.scenario(source, folder, chain) if readable else None
             for assignment in sets:
                 if root is not None:
-                    root = overrides.apply(root, assignment, self.findings, self.budget)
+                    root = assign(root, assignment, self.findings, self.budget)
         except TooManyFindings as too_many:
             root = None
             self.findings.give_up(too_many)
@@ -174,11 +176,11 @@ class _Reader:
             base = self.referenced(extends, folder, chain)
             if base is None:
                 return None
-            tree = merge.merge(base, tree)
+            tree = merge(base, tree)
         return self.pruned(tree, remove.value, own) if remove else tree
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
-        """`node`, a tree in a file of `folder`, with the files that it includes in their places."""
+        """`node`, from a file in `folder`, with included files in their places; itself if it includes none."""
         match node:
             case Scalar():
                 return node
@@ -187,21 +189,21 @@ class _Reader:
                 return node if all(map(is_, items, node.items)) else Sequence(node.span, items)
             case Mapping():
                 include = node.entries.get("include")
-                others = {key: entry for key, entry in node.entries.items() if key != "include"}
-                values = {key: self.expanded(entry.value, folder, chain, depth + 1) for key, entry in others.items()}
-                if include is None and all(values[key] is entry.value for key, entry in others.items()):
-                    return node  # as most are
-                entries = {key: Entry(entry.key, values[key]) for key, entry in others.items()}
-                siblings = replace(node, entries=entries)
+                entries = {
+                    key: Entry(entry.key, self.expanded(entry.value, folder, chain, depth + 1))
+                    for key, entry in node.entries.items()
+                    if key != "include"
+                }
                 if include is None:
-                    return siblings
+                    changed = any(entries[key].value is not entry.value for key, entry in node.entries.items())
+                    return replace(node, entries=entries) if changed else node
                 included = self.referenced(include, folder, chain)
-                if included is None or not self.affordable(included, include, depth):
+                if included is None or not self.is_affordable(included, include, depth):
                     return Mapping(node.span, entries, partial=True)
-                return merge.merge(included, siblings)
+                return merge(included, replace(node, entries=entries))
 
-    def affordable(self, included: Mapping, entry: Entry, depth: int) -> bool:
-        size, height = merge.measure(included)
+    def is_affordable(self, included: Mapping, entry: Entry, depth: int) -> bool:
+        size, height = measure(included)
         self.budget.expanded -= size
         if self.budget.expanded < 0:
             headline = f"included files expand to more than {MAX_EXPANDED:_} values"
@@ -213,13 +215,13 @@ class _Reader:
         return False
 
     def referenced(self, entry: Entry, folder: Path, chain: tuple[Path, ...]) -> Mapping | None:
-        """The tree of the file that the value of `extends` or `include` names."""
+        """The tree of the file that `extends` or `include` names."""
         word, value = entry.key.text, entry.value
         if not isinstance(value, Scalar) or not isinstance(value.value, str):
             self.findings.add("DB103", value.span, f"`{word}` takes the path of one file", help=f"write `{word}: file.yaml`")
             return None
-        path = roots.resolve(value.text, folder, self.roots)
-        if isinstance(path, roots.Refused):
+        path = files.resolve(value.text, folder, self.roots)
+        if isinstance(path, files.Refused):
             found = shipped.scenario_path(value.text) if word == "extends" else None
             copied = f"`deepbots copy {value.text}` puts a copy beside this file, to be named as `{value.text}.yaml`"
             self.findings.add("DB204", value.span, path.headline, help=copied if found else path.help)
@@ -232,59 +234,196 @@ class _Reader:
         if len(chain) >= MAX_CHAIN:
             self.findings.add("DB204", value.span, f"files name each other more than {MAX_CHAIN} deep", help="join some of them")
             return None
-        if path not in self.read:
-            self.read[path] = self.opened(path, value.span, chain)
-        return self.read[path]
+        if path not in self.trees:
+            self.trees[path] = self.read(path, value.span, chain)
+        return self.trees[path]
 
-    def opened(self, path: Path, by: Span, chain: tuple[Path, ...]) -> Mapping | None:
+    def read(self, path: Path, by: Span, chain: tuple[Path, ...]) -> Mapping | None:
         try:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
-            self.findings.add(
-                "DB204", by, f"`{path.name}` cannot be read", help=f"the system says: {(error.strerror or 'no reason').lower()}"
-            )
+            help = f"the system says: {(error.strerror or 'no reason').lower()}"
+            self.findings.add("DB204", by, f"`{path.name}` cannot be read", help=help)
             return None
         self.size += len(data)
         if self.size > files.MAX_TOTAL_BYTES:
             headline = f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together"
             self.findings.add("DB005", by, headline, help="check that all of them are parts of a scenario")
             return None
-        source, readable = files.decode(data, roots.display(path), self.findings, included_from=by)
+        source, readable = files.decode(data, files.display(path), self.findings, included_from=by)
         self.files[path] = source
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
     def pruned(self, tree: Mapping, remove: Node, own: Mapping) -> Mapping:
-        """The tree without the paths listed under `remove`; one that stands in the same text, which is in `own`, is taken out too."""
+        """The tree without the paths listed under `remove`; `own` is the tree of the file that lists them."""
+        example = "write `remove: [observation.speed]`"
         if not isinstance(remove, Sequence):
-            self.findings.add("DB103", remove.span, "`remove` takes a list of paths", help="write `remove: [observation.speed]`")
+            self.findings.add("DB103", remove.span, "`remove` takes a list of paths", help=example)
             return tree
         paths: list[NodePath] = []
         for item in remove.items:
             if not isinstance(item, Scalar) or not isinstance(item.value, str):
-                self.findings.add("DB103", item.span, "a path to remove must be text", help="write `remove: [observation.speed]`")
+                self.findings.add("DB103", item.span, "a path to remove must be text", help=example)
                 continue
-            steps, reached, rest = merge.follow(tree, item.text)
+            steps, reached, rest = follow(tree, item.text)
             if not rest and steps:
                 paths.append(steps)
-                self.warn_of_lost(own, steps, item, reached)
+                self.warn_if_written_here(own, steps, item, reached)
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
-                names = (
-                    f"there are: {', '.join(list(reached.entries)[:20])}" if isinstance(reached, Mapping) else "remove a path that exists"
-                )
-                self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=names)
-        pruned = merge.without(tree, paths)
+                help = _listed(reached) if isinstance(reached, Mapping) else "remove a path that exists"
+                self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=help)
+        pruned = without(tree, paths)
         return pruned if isinstance(pruned, Mapping) else tree
 
-    def warn_of_lost(self, own: Mapping, path: NodePath, remove: Scalar, removed: Node) -> None:
-        """DB205 where `remove` takes out what the same file writes; `removed` is the node as merged with the extended file."""
+    def warn_if_written_here(self, own: Mapping, path: NodePath, remove: Scalar, removed: Node) -> None:
+        """DB205 where `remove` takes out an entry that the same file writes; `removed` is that node after merging."""
         node, key, reached = descend(own, path)
-        if reached == len(path) and key is not None and key.span.source is remove.span.source:
-            name = ".".join(map(str, path))
-            headline = f"`{name}` is written here, and taken out by `remove`"
-            help = "take one of the two out; what is written anew needs no `remove`"
-            if isinstance(node, Mapping) and isinstance(removed, Mapping):
-                extended = [f"{name}.{entry}" for entry in removed.entries if entry not in node.entries]
-                if extended:
-                    help = f"to replace what the extended file has in `{name}`, remove it by name: `remove: [{', '.join(extended[:10])}]`"
-            self.findings.add("DB205", key.span, headline, help=help, also=(Label(remove.span, "taken out here"),))
+        if reached < len(path) or key is None or key.span.source is not remove.span.source:
+            return
+        name = ".".join(map(str, path))
+        help = "take one of the two out; what is written anew needs no `remove`"
+        if isinstance(node, Mapping) and isinstance(removed, Mapping):
+            extended = [f"{name}.{entry}" for entry in removed.entries if entry not in node.entries]
+            if extended:
+                help = f"to replace what the extended file has in `{name}`, remove it by name: `remove: [{', '.join(extended[:10])}]`"
+        also = (Label(remove.span, "taken out here"),)
+        self.findings.add("DB205", key.span, f"`{name}` is written here, and taken out by `remove`", help=help, also=also)
+
+
+def _listed(node: Mapping) -> str:
+    return f"there are: {', '.join(list(node.entries)[:_MAX_LISTED])}"
+
+
+# Merging
+
+_KIND_KEYS = ("type", "shape", "algorithm")
+# Mappings from names that the user chose: a reward term may be called `shape`.
+_DEFINITIONS = frozenset(("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure"))
+_OF_NAMES = _DEFINITIONS | frozenset(("set", "emit", "apply", "receive", "poses", "choices"))
+
+
+def merge(base: Mapping, over: Mapping, name: str = "") -> Mapping:
+    """`over` laid upon `base`; both are the value of the key `name`.
+
+    Mappings merge by key in the order of `base`; lists and single values replace. If the kind changes (`type`, `shape`,
+    `algorithm`), the settings of the old kind have no meaning, and `over` stands alone.
+    """
+    if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
+        return over
+    entries = dict(base.entries)
+    for key, entry in over.entries.items():
+        below = base.get(key)
+        if isinstance(below, Mapping) and isinstance(entry.value, Mapping):
+            entry = Entry(entry.key, merge(below, entry.value, key))
+        entries[key] = entry
+    return Mapping(over.span, entries, partial=base.partial or over.partial, hollow=over.hollow)
+
+
+def _differ(base: Node | None, over: Node | None) -> bool:
+    return isinstance(base, Scalar) and isinstance(over, Scalar) and base.text != over.text
+
+
+# Assignments: `--set path=value`, and settings in a file (`set: {reset.layout: paper}`)
+
+_NOTHING = re.compile(r"\s*(?:#.*)?")
+_CUTOFF = 0.75
+
+
+def assign(root: Mapping, assignment: str, findings: Findings, budget: Budget | None = None) -> Mapping:
+    """`root` after one assignment `path=value`; unchanged, with a finding, if it cannot be applied.
+
+    A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces the old one;
+    mappings are not merged. A section that the file leaves out is added. The text of the assignment is the source of its nodes.
+    """
+    source = Source(f"--set {assignment.partition('=')[0].strip() or assignment}", assignment)
+    if not files.check(source, findings):
+        return root
+    path, equals, text = assignment.partition("=")
+    whole = Span(source, 0, len(assignment))
+    if not path.strip():
+        findings.add("DB102", whole, "there is no path before the `=`", help="write --set path=value")
+    elif not equals or _NOTHING.fullmatch(text):
+        help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
+        findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
+    else:
+        value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
+        return _set(root, Scalar(Span(source, 0, len(path)), path, path), value, whole, findings)
+    return root
+
+
+def place(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
+    """`root` after a setting whose path and value stand in a file."""
+    return _set(root, setting.key, setting.value, setting.key.span, findings)
+
+
+def under(root: Mapping, path: NodePath) -> Mapping:
+    """`root` after the settings at `path`: those of an evaluation case or a curriculum stage."""
+    settings, _, reached = descend(root, (*path, "set"))
+    if reached > len(path) and isinstance(settings, Mapping):
+        for entry in settings.entries.values():
+            root = place(root, entry, Findings())
+    return root
+
+
+def _set(root: Mapping, path: Scalar, value: Node | None, whole: Span, findings: Findings) -> Mapping:
+    target = _target(root, path, findings)
+    if target is None or value is None:
+        return root
+    steps, (key, *inner) = target
+    for step in reversed(inner):
+        value = Mapping(whole, {step.text: Entry(step, value)})
+    if isinstance(value, Scalar) and value.value is None:
+        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", help="there is no null; write a value")
+        return root
+    changed = nodes.replace(root, steps, Entry(key, value))
+    return changed if isinstance(changed, Mapping) else root
+
+
+def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, list[Scalar]] | None:
+    """The path to replace, and its last key as written, followed by the keys of a section that is added below it.
+
+    A key may be new. The mapping around it must exist, unless it is a section of the scenario.
+    """
+    dotted = path.text.strip()
+    start = path.text.index(dotted)
+    end = start + len(dotted)
+    if dotted.count(".") >= MAX_DEPTH:
+        help = "name a value of the scenario, such as `world.timestep`"
+        findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", help=help)
+        return None
+    parameters = root.get("parameters")
+    if isinstance(parameters, Mapping) and "." not in dotted:
+        if dotted in parameters.entries:
+            return ("parameters", dotted), [_key(path, start, end)]
+        if dotted not in root.entries and (near := nearest(dotted, parameters.entries, _CUTOFF)):
+            span = path.part(start, end)
+            fix = Fix.replacing(span, dotted, near, safe=False)
+            findings.add("DB201", span, f"there is no parameter `{dotted}`", help=f"did you mean `{near}`?", fix=fix)
+            return None
+    steps, reached, rest = follow(root, dotted)
+    if not rest:
+        return steps, [_key(path, start, end)]
+    at = end - len(rest)
+    name, *below = rest.split(".")
+    here = path.part(at, at + max(1, len(name)))
+    inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
+    if not isinstance(reached, Mapping):
+        findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
+        return None
+    near = nearest(name, reached.entries, _CUTOFF)
+    if name and not below:
+        return (*steps, name), [_key(path, at, end)]
+    if not steps and name and all(below) and not near:
+        keys = []
+        for step in (name, *below):
+            keys.append(_key(path, at, at + len(step)))
+            at += len(step) + 1
+        return (name,), keys
+    findings.add("DB201", here, f"there is no `{name}`{inside}", help=f"did you mean `{near}`?" if near else _listed(reached))
+    return None
+
+
+def _key(path: Scalar, start: int, end: int) -> Scalar:
+    text = path.text[start:end]
+    return Scalar(path.part(start, end), text, text)

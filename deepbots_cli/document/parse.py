@@ -1,18 +1,21 @@
-"""YAML text to nodes, composed from the parser's events.
+"""YAML text to nodes, built from the events of PyYAML.
 
-PyYAML's own composer recurses in C without a limit (100 000 brackets end the process), silently drops duplicate
-keys and expands aliases at any price. Its parser only ever reads a token ahead, or 1024 characters where a key may
-begin, so composing its events here and stopping at the first limit is safe for any text.
+PyYAML's own composer recurses in C without a limit (100 000 brackets end the process), drops duplicate keys and expands
+aliases at any price. Its parser reads at most one token ahead, or 1024 characters where a key may begin, so it is safe
+to take its events one by one and to stop at the first limit.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from array import array
+from collections import abc
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
+import yaml
 from yaml.error import MarkedYAMLError
 from yaml.events import (
     AliasEvent,
@@ -26,22 +29,25 @@ from yaml.events import (
 )
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span, TooManyFindings
-from deepbots_cli.document import places, scalars, syntax, traps
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style
-from deepbots_cli.document.parsers import EventParser, begin, fast_parser, finish
+from deepbots_cli.document import hints
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style, Value, measure
 
 MAX_DEPTH = 64
-# The largest scenario that comes with deepbots has 500.
+# The largest shipped scenario has 500.
 MAX_NODES = 8_000
 MAX_EXPANDED = 8_000
 
+LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+"""The parser in C, or the one in Python (40 times slower) where PyYAML was built without libyaml."""
+
 _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal", ">": "folded"}
+_BLOCKS = ("literal", "folded")
 _ANCHOR = re.compile(r"&[\w-]+(?:\s+|#[^\n]*\n)*")
-_PATTERN = re.compile(r"\*_\w+")  # `*_joint`; without the underscore an anchor may have been forgotten
+_PATTERN = re.compile(r"\*_\w+")  # `*_joint`; a name without the underscore may lack its anchor
 _TAG = re.compile(r"!\S*")
-# There are no tags; the parser takes quadratic time over these lines, and 40 000 go into a megabyte.
+# The language has no tags, and the parser takes quadratic time over these lines: 40 000 fit into 1 MiB.
 _TAG_DIRECTIVE = re.compile(r"^%TAG\b", re.MULTILINE)
-_BELOW_SIGN = re.compile(r"[^\n]*\n\s*")
+_BLOCK_HEADER = re.compile(r"[^\n]*\n\s*")
 _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None): "empty"}
 
 
@@ -53,41 +59,32 @@ class Budget:
     expanded: int = MAX_EXPANDED
 
 
-def parse(
-    source: Source,
-    findings: Findings,
-    budget: Budget | None = None,
-    *,
-    text: str | None = None,
-    parser: Callable[[str], EventParser] = fast_parser,
-) -> Node | None:
-    """The one document in `source`, or None where a finding says that there is none to use.
+def parse(source: Source, findings: Findings, budget: Budget | None = None, *, text: str | None = None) -> Node | None:
+    """The document in `source`; None if a finding says that it cannot be used.
 
-    `text` is what is parsed if that is not the whole source; its offsets are those of the source.
+    `text` is parsed instead of the text of the source, whose offsets it must share.
 
     Raises:
-        TooManyFindings: There are more than `findings` takes.
+        TooManyFindings: `findings` has reached its limit.
     """
     text = source.text if text is None else text
-    if "%TAG" in text and (directive := _TAG_DIRECTIVE.search(text)):
+    if directive := _TAG_DIRECTIVE.search(text):
         help = "remove it, or put it in quotes if it belongs to a text"
         findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help=help)
         return None
-    noticed = Findings(findings.most)
-    too_many: TooManyFindings | None = None
-    composer = _Composer(source, text, noticed, budget or Budget(), parser)
-    root, broken = None, None
+    noticed = Findings(findings.limit)
+    root, broken, too_many = None, None, None
     try:
-        root = composer.document()
+        root = _Builder(source, text, noticed, budget or Budget()).document()
     except MarkedYAMLError as error:
-        broken = syntax.explain(source, error)
+        broken = hints.syntax_error(source, error)
         findings.append(broken)
     except _OverLimitError:
         pass
     except TooManyFindings as error:
         too_many = error
     for finding in noticed:
-        # What else was said about a broken line is a consequence.
+        # Other findings on a broken line are consequences.
         if broken is None or finding.span.begin.line != broken.span.begin.line:
             findings.append(finding)
     if too_many is not None:
@@ -96,156 +93,146 @@ def parse(
 
 
 class _OverLimitError(Exception):
-    """A limit is reached and reported; there is no use in reading on."""
+    """A limit is exceeded and reported; the rest is not read."""
 
 
-@dataclass(frozen=True)
-class _Anchored:
-    """A node that aliases may repeat, with what a repetition costs."""
+class _Builder:
+    """Builds nodes from events, recursively: `depth` counts the containers around a node and is limited."""
 
-    node: Node | None
-    size: int
-    height: int
-
-
-class _Composer:
-    def __init__(self, source: Source, text: str, findings: Findings, budget: Budget, parser: Callable[[str], EventParser]) -> None:
+    def __init__(self, source: Source, text: str, findings: Findings, budget: Budget) -> None:
         self.source = source
         self.text = text
         self.findings = findings
         self.budget = budget
-        self.next = parser(text).get_event
-        self.anchors: dict[str, _Anchored] = {}
-        self.size = 0  # nodes so far, aliases expanded
-        self.deepest = 0  # levels below the root that were reached since it was last lowered
-        self.end = 0  # where the last token ended
+        self.events: Iterator[Event] = yaml.parse(text, Loader=LOADER)
+        self.anchors: dict[str, Node | None] = {}
+        self.end = 0  # of the last token
 
     def document(self) -> Node | None:
-        self.next()
-        if isinstance(self.next(), StreamEndEvent):
+        next(self.events)  # the stream
+        if isinstance(next(self.events), StreamEndEvent):
             help = "start from a shipped scenario: deepbots copy cartpole"
             self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help=help)
             return None
-        root = self.node(self.next(), 0)
-        self.next()
-        after = self.next()
+        root = self.node(next(self.events), 0)
+        next(self.events)  # the end of the document
+        after = next(self.events)
         if not isinstance(after, StreamEndEvent):
-            span = Span(self.source, begin(after), finish(after))
-            self.findings.add("DB001", span, "a second document begins here", help="keep to one document per file")
+            self.findings.add("DB001", self.span(after), "a second document begins here", help="keep to one document per file")
             return None
         return root
 
     def node(self, event: Event, depth: int) -> Node | None:
-        """The node that starts with `event`, below `depth` containers; None if a finding makes it useless."""
+        """The node that starts with `event`; None if a finding makes it useless."""
         if isinstance(event, AliasEvent):
             return self.alias(event, depth)
-        self.budget.nodes -= 1
-        self.size += 1
-        if self.budget.nodes < 0:
-            self.stop(event, f"the scenario has more than {MAX_NODES:_} values")
-        if not isinstance(event, NodeEvent) or event.anchor is None:
-            return self.content(event, depth)
-        size, deepest, self.deepest = self.size, self.deepest, depth
-        node = self.content(event, depth)
-        self.anchors[event.anchor] = _Anchored(node, self.size - size + 1, self.deepest - depth)
-        self.deepest = max(deepest, self.deepest)
-        return node
-
-    def content(self, event: Event, depth: int) -> Node | None:
+        self.count(event)
         node: Node | None
         if isinstance(event, ScalarEvent):
-            node = self.scalar(event)
-            if node.style == "plain" and isinstance(node.value, (str, int)):
-                scalars.warn(node.text, node.span, self.findings)
-            elif node.value == math.inf or node.value == -math.inf:
-                self.findings.add("DB105", node.span, "the number is too large to compute with", help="write a smaller number")
-                node = None
+            node = self.value(event)
+        elif depth >= MAX_DEPTH:
+            self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
         else:
-            if depth >= MAX_DEPTH:
-                self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
-            self.deepest = max(self.deepest, depth + 1)
             node = self.mapping(event, depth) if isinstance(event, MappingStartEvent) else self.sequence(event, depth)
-        return None if self.tagged(event) else node
+        return self.anchored(event, node)
+
+    def anchored(self, event: Event, node: Node | None) -> Node | None:
+        """`node` without its tag and known by its anchor; None if it has a tag, which is reported."""
+        if isinstance(event, (ScalarEvent, CollectionStartEvent)) and event.tag is not None:
+            mark = _TAG.search(self.text, _start(event))
+            span = Span(self.source, *mark.span()) if mark else self.span(event)
+            help = "put text that starts with `!` in quotes; `not` negates a condition"
+            self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help=help)
+            node = None
+        if isinstance(event, NodeEvent) and event.anchor is not None:
+            self.anchors[event.anchor] = node
+        return node
 
     def alias(self, event: AliasEvent, depth: int) -> Node | None:
         span = self.span(event)
         self.end = span.end
-        anchored = self.anchors.get(event.anchor or "")
-        if anchored is None:
+        if event.anchor not in self.anchors:
             name = span.text
             help = f'a leading `*` refers to an anchor; write "{name}" in quotes if a pattern is meant'
             fix = Fix((Edit(span, f'"{name}"'),), safe=True) if _PATTERN.fullmatch(name) else None
             self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help=help, fix=fix)
             return None
-        self.budget.expanded -= anchored.size
-        self.size += anchored.size
+        node = self.anchors[event.anchor]
+        # Measuring takes no longer than the budget for expansion allows.
+        size, height = measure(node) if node is not None else (1, 0)
+        self.budget.expanded -= size
         if self.budget.expanded < 0:
             self.stop(event, f"aliases expand to more than {MAX_EXPANDED:_} values")
-        if depth + anchored.height > MAX_DEPTH:
+        if depth + height > MAX_DEPTH:
             self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
-        self.deepest = max(self.deepest, depth + anchored.height)
-        return anchored.node
+        return node
+
+    def value(self, event: ScalarEvent) -> Scalar | None:
+        scalar = self.scalar(event)
+        if scalar.value in (math.inf, -math.inf):
+            self.findings.add("DB105", scalar.span, "the number is too large to compute with", help="write a smaller number")
+            return None
+        if scalar.style == "plain":
+            hints.unusual_value(scalar, self.findings)
+        return scalar
 
     def scalar(self, event: ScalarEvent) -> Scalar:
-        start, end = self.start(event), finish(event)
+        start, end = self.start(event), _end(event)
         style = _STYLES.get(event.style, "plain")
-        if style in ("literal", "folded"):
+        if style in _BLOCKS:
             end = start + len(self.text[start:end].rstrip())
         if end > start:
             self.end = end
         text = event.value
-        value = scalars.resolve(text) if style == "plain" else text
+        value: Value = resolve(text) if style == "plain" else text
         raw = self.text[start:end]
-        offsets = places.offsets(raw, start, text, style)
-        if style in ("literal", "folded"):
+        offsets = None if style == "plain" and raw == text else _offsets(raw, start, text, style)
+        if style in _BLOCKS:
             if not text.strip():
                 value = None
-            elif below := _BELOW_SIGN.match(raw):
-                start += below.end()  # where the text is, and not the `|` above it
+            elif header := _BLOCK_HEADER.match(raw):
+                start += header.end()
         return Scalar(Span(self.source, start, end), text, value, style, offsets)
 
     def sequence(self, start: Event, depth: int) -> Sequence | None:
         items = [self.node(event, depth + 1) for event in self.children()]
         span = self.close(start)
-        plain = [item if isinstance(item, Scalar) and item.style == "plain" else None for item in items]
-        cut = traps.cut_by_commas([(item, item) for item in plain], self.findings) if self.in_flow(start) else set()
-        for item in items:
-            if isinstance(item, Scalar) and item.value is None:
-                self.findings.add("DB107", item.span, "a list item is empty", help="give it a value, or remove it")
-        if cut or any(item is None or (isinstance(item, Scalar) and item.value is None) for item in items):
-            return None
-        return Sequence(span, tuple(item for item in items if item is not None))
+        scalars = [item for item in items if isinstance(item, Scalar)]
+        cut = hints.cut_by_commas(scalars, self.findings) if _is_flow(start) else []
+        empty = [item for item in scalars if item.value is None]
+        for item in empty:
+            self.findings.add("DB107", item.span, "a list item is empty", help="give it a value, or remove it")
+        kept = tuple(item for item in items if item is not None)
+        return None if cut or empty or len(kept) < len(items) else Sequence(span, kept)
 
     def mapping(self, start: Event, depth: int) -> Mapping:
-        pairs = [(self.key(event, depth), self.node(self.next(), depth + 1)) for event in self.children()]
+        pairs = [(self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()]
         span = self.close(start)
-        flow = self.in_flow(start)
-        cut = traps.cut_by_commas([traps.parts(key, value) for key, value in pairs], self.findings) if flow else set()
+        is_flow = _is_flow(start)
+        cut = hints.cut_by_commas([part for pair in pairs for part in pair if isinstance(part, Scalar)], self.findings) if is_flow else []
         entries: dict[str, Entry] = {}
         hollow: list[Scalar] = []
         seen: dict[str, Scalar] = {}
-        for index, (key, value) in enumerate(pairs):
-            if key is None or index in cut:
+        for key, value in pairs:
+            if key is None or any(cut_at.start <= part.span.start < cut_at.end for cut_at in cut for part in (key, value) if part):
                 continue
             if not isinstance(key.value, str):
                 headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
-                self.findings.add("DB103", key.span, headline, help=traps.help_for_key(key))
+                self.findings.add("DB103", key.span, headline, help=hints.help_for_key(key))
                 continue
             first = seen.setdefault(key.text, key)
             if first is not key:
-                help = "keep one of the two"
-                self.findings.add(
-                    "DB002", key.span, f"the key `{key.text}` is given twice", help=help, also=(Label(first.span, "first defined here"),)
-                )
+                also = (Label(first.span, "first defined here"),)
+                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", also=also)
             elif isinstance(value, Scalar) and value.value is None:
-                traps.report_empty(key, value, flow, self.findings)
+                hints.empty_value(key, value, self.findings, is_flow=is_flow)
                 hollow.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
         return Mapping(span, entries, partial=len(entries) < len(pairs), hollow=tuple(hollow))
 
     def key(self, event: Event, depth: int) -> Scalar | None:
-        """A key, or None with a finding if it is no scalar. One that is a number may be the part of a value that commas cut."""
+        """A key; None with a finding if it is no name."""
         if not isinstance(event, ScalarEvent):
             span = self.span(event)
             if not isinstance(event, AliasEvent):
@@ -253,12 +240,9 @@ class _Composer:
                 span = self.close(event)
             self.findings.add("DB001", span, "a key must be a name", help="write `name: value`")
             return None
-        self.budget.nodes -= 1
-        self.size += 1
+        self.count(event)
         key = self.scalar(event)
-        if event.anchor is not None:
-            self.anchors[event.anchor] = _Anchored(key, 1, 0)
-        if self.tagged(event):
+        if self.anchored(event, key) is None:
             return None
         if key.style == "plain" and key.text == "<<":
             help = "use `extends` for a whole file, or `include` for a part of one"
@@ -267,38 +251,116 @@ class _Composer:
         return key
 
     def children(self) -> Iterator[Event]:
-        while not isinstance(event := self.next(), CollectionEndEvent):
+        while not isinstance(event := next(self.events), CollectionEndEvent):
             yield event
-        # Only brackets of flow style are tokens; a block ends where its last value does.
-        if finish(event) > begin(event):
-            self.end = finish(event)
+        # Brackets end a flow collection; a block ends with its last value.
+        if _end(event) > _start(event):
+            self.end = _end(event)
+
+    def start(self, event: Event) -> int:
+        """Where a value begins, behind its anchor."""
+        start = _start(event)
+        if isinstance(event, NodeEvent) and event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
+            start = min(anchor.end(), _end(event)) if isinstance(event, ScalarEvent) else anchor.end()
+        return start
 
     def close(self, start: Event) -> Span:
         first = self.start(start)
         return Span(self.source, first, max(first, self.end))
 
-    def start(self, event: Event) -> int:
-        """Where a value begins, behind its anchor."""
-        start = begin(event)
-        if isinstance(event, NodeEvent) and event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
-            start = min(anchor.end(), finish(event)) if isinstance(event, ScalarEvent) else anchor.end()
-        return start
-
-    def in_flow(self, event: Event) -> bool:
-        return isinstance(event, CollectionStartEvent) and bool(event.flow_style)
-
-    def tagged(self, event: Event) -> bool:
-        if not isinstance(event, (ScalarEvent, CollectionStartEvent)) or event.tag is None:
-            return False
-        mark = _TAG.search(self.text, begin(event))
-        span = Span(self.source, *mark.span()) if mark else self.span(event)
-        help = "put text that starts with `!` in quotes; `not` negates a condition"
-        self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help=help)
-        return True
-
     def span(self, event: Event) -> Span:
-        return Span(self.source, begin(event), finish(event))
+        return Span(self.source, _start(event), _end(event))
+
+    def count(self, event: Event) -> None:
+        self.budget.nodes -= 1
+        if self.budget.nodes < 0:
+            self.stop(event, f"the scenario has more than {MAX_NODES:_} values")
 
     def stop(self, event: Event, headline: str) -> NoReturn:
         self.findings.add("DB005", self.span(event), headline, help="simplify the file; scenarios are far below this limit")
         raise _OverLimitError
+
+
+def _start(event: Event) -> int:
+    return event.start_mark.index if event.start_mark else 0
+
+
+def _end(event: Event) -> int:
+    return event.end_mark.index if event.end_mark else 0
+
+
+def _is_flow(event: Event) -> bool:
+    return isinstance(event, CollectionStartEvent) and bool(event.flow_style)
+
+
+# Plain scalars: the core schema of YAML 1.2 with decimal numbers only
+
+_WORDS: dict[str, Value] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+INTEGER = re.compile(r"[-+]?(?:[0-9]+|[0-9]{1,3}(?:_[0-9]{3})+)")
+"""Digits may be grouped in threes: `100_000`."""
+_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
+# Doubles tell integers apart up to 2**53; seeds may use all of 64 bits.
+_MAX_INTEGER = 2**64
+
+
+def resolve(text: str) -> Value:
+    """The value of the plain scalar `text`; a number beyond the limit is infinite."""
+    if text in _WORDS:
+        return _WORDS[text]
+    if INTEGER.fullmatch(text):
+        # Python refuses to read integers of more than 4300 digits.
+        number = int(text) if len(text) <= 24 else _MAX_INTEGER + 1
+        return number if abs(number) <= _MAX_INTEGER else math.inf
+    return float(text) if _FLOAT.fullmatch(text) else text
+
+
+# The place of each character of a quoted or folded scalar
+
+_ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|\r\n|[\s\S])")
+_NAMED = dict(zip("0abt\tnvfreN_LP", "\0\a\b\t\t\n\v\f\r\x1b\x85\xa0\u2028\u2029", strict=True))
+
+
+def _offsets(raw: str, start: int, text: str, style: Style) -> abc.Sequence[int]:
+    """The offset of each character of `text`, and of its end, in a file that holds `raw` at `start`.
+
+    Folding changes white space only, so matching the visible characters in order is enough.
+    """
+    quotes = 1 if style in ("single", "double") else 0
+    if quotes and raw[1:-1] == text:
+        return range(start + 1, start + len(raw))
+    places, written = array("I"), []
+    for place, character in _characters(raw, raw.find("\n") + 1 if style in _BLOCKS else quotes, len(raw) - quotes, style):
+        places.append(start + place)
+        written.append(character)
+    places.append(start + len(raw) - quotes)
+    found, at, last = array("I"), 0, len(written)
+    for character in text:
+        if not character.isspace():
+            while at < last - 1 and written[at] != character:
+                at += 1
+        found.append(places[at])
+        if at < last and (not character.isspace() or written[at].isspace()):
+            at += 1
+    found.append(places[at])
+    return found
+
+
+def _characters(raw: str, position: int, end: int, style: Style) -> Iterator[tuple[int, str]]:
+    """Each character that was written, with its place; an escape is one character, an escaped line break none."""
+    while position < end:
+        character, width = raw[position], 1
+        if style == "single" and character == "'":
+            width = 2
+        elif style == "double" and character == "\\" and (escape := _ESCAPE.match(raw, position)):
+            width, code = len(escape[0]), escape[0][1:]
+            if len(code) > 1 and code[0] in "xuU":
+                character = chr(int(code[1:], 16))
+            else:
+                character = "" if code in ("\n", "\r\n") else _NAMED.get(code, code)
+        if character:
+            yield position, character
+        position += width

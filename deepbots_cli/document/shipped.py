@@ -17,14 +17,10 @@ def data_dir() -> Path:
     return inside if (inside / "scenarios").is_dir() else package.parent
 
 
+@cache
 def data_roots() -> tuple[Path, Path]:
     """The folders that any scenario may read from, links followed."""
-    return _roots(data_dir())
-
-
-@cache
-def _roots(data: Path) -> tuple[Path, Path]:
-    return (data / "scenarios").resolve(), (data / "robots").resolve()
+    return (data_dir() / "scenarios").resolve(), (data_dir() / "robots").resolve()
 
 
 def scenario_names() -> list[str]:

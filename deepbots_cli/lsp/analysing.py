@@ -13,7 +13,7 @@ from deepbots_cli.cli.settings import Settings, settings
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.compiler.values import Reading
 from deepbots_cli.diagnostics import Finding, Source
-from deepbots_cli.diagnostics.selection import Selection
+from deepbots_cli.diagnostics.suppress import Selection
 from deepbots_cli.document import load, to_data
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.errors import UsageError

@@ -10,7 +10,7 @@ from lsprotocol import types
 from deepbots_cli.compiler.inventory import definition, names
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document import Mapping, descend
-from deepbots_cli.document.merge import follow
+from deepbots_cli.document.nodes import follow
 from deepbots_cli.lsp.asking import leaves, specs
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.diagnosing import Places

@@ -5,8 +5,7 @@ from __future__ import annotations
 from lsprotocol import types
 
 from deepbots_cli.diagnostics import Finding, Source, Span
-from deepbots_cli.diagnostics.escape import said
-from deepbots_cli.diagnostics.outside import told
+from deepbots_cli.diagnostics.render import message, shortened
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.documents import uri_of
 from deepbots_cli.lsp.positions import Lines
@@ -42,11 +41,11 @@ class Places:
 
 def diagnostic(finding: Finding, places: Places) -> types.Diagnostic:
     """One finding, with where else to look."""
-    also = [types.DiagnosticRelatedInformation(places.location(label.span), said(label.text)) for label in finding.also]
+    also = [types.DiagnosticRelatedInformation(places.location(label.span), shortened(label.text)) for label in finding.also]
     also += [types.DiagnosticRelatedInformation(places.location(span), "included from here") for span in finding.span.source.chain]
     return types.Diagnostic(
         range=places.range(finding.span),
-        message=told(finding),
+        message=message(finding),
         severity=_SEVERITIES[finding.severity],
         code=finding.code,
         source=NAME,

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from lsprotocol.types import CompletionItemKind
 
-from deepbots_cli.document import roots, shipped
+from deepbots_cli.document import shipped
+from deepbots_cli.document.files import project_root, resolve
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.expressing import Choice
 from deepbots_cli.robots import meshes
@@ -32,7 +33,7 @@ def located(view: View, reference: str, *, robots: bool = False) -> Path | None:
     """The file that a reference in the document stands for; None where there is none, or it may not be read."""
     if reference.startswith("package://"):
         return meshes.in_package(reference)
-    found = roots.resolve(reference, view.document.path.parent, _roots(view))
+    found = resolve(reference, view.document.path.parent, _roots(view))
     if isinstance(found, Path):
         return found
     return shipped.robot_path(reference) if robots else None
@@ -52,4 +53,4 @@ def _listed(view: View, folder: str) -> list[Path]:
 def _roots(view: View) -> tuple[Path, ...]:
     if view.analysis is not None and view.analysis.checked is not None:
         return view.analysis.checked.document.roots
-    return (roots.project_root(view.document.path.parent),)
+    return (project_root(view.document.path.parent),)

@@ -25,7 +25,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics import Finding, shielded
-from deepbots_cli.diagnostics.finding import fault
+from deepbots_cli.diagnostics.findings import fault
 from deepbots_cli.probing import ended, paid, physics, rays, seen
 from deepbots_cli.probing.limits import Limits
 from deepbots_cli.probing.plan import planned

@@ -30,7 +30,7 @@ def main(limits: Limits) -> None:
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
     except Exception as error:  # noqa: BLE001  # a fault of ours, which the parent tells
-        from deepbots_cli.diagnostics.finding import described
+        from deepbots_cli.diagnostics.findings import described
 
         out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document.layout import removing
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.document.removal import removing
 from deepbots_cli.expressions.typed import Invocation, Reference, Typed, children
 from deepbots_cli.expressions.types import Kind
 from deepbots_cli.task import Task, Valued

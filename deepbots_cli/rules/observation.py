@@ -9,7 +9,7 @@ from typing import NamedTuple
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
-from deepbots_cli.document.removal import removing
+from deepbots_cli.document.layout import removing
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import Family
 from deepbots_cli.expressions.intervals import Interval

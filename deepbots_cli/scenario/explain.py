@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, Sequence
-from deepbots_cli.document.traps import GIVE_A_VALUE
 from deepbots_cli.scenario.examples import example_of
 from deepbots_cli.scenario.fields import Leaf
 from deepbots_cli.scenario.hyperparameters import ELSEWHERE

@@ -14,8 +14,8 @@ from typing import Any
 
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Mapping, Path, Scalar, descend, to_data, walk
-from deepbots_cli.document.traps import GIVE_A_VALUE
 from deepbots_cli.scenario.check import check
 from deepbots_cli.scenario.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place, wanted
 from deepbots_cli.scenario.part import Keys
@@ -76,16 +76,16 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
     _advise(root, data, findings)
 
     earlier = findings.errors  # a warning leaves its value in place, so nothing is missing because of it
-    troubles = list(islice(_key_troubles(data), findings.most))
+    troubles = list(islice(_key_troubles(data), findings.limit))
     for round_number in range(_ROUNDS):
         scenario, refusals = check(Scenario, data, lenient=round_number > 0)
-        troubles += [_trouble(root, data, refusal) for refusal in refusals[: findings.most]]
+        troubles += [_trouble(root, data, refusal) for refusal in refusals[: findings.limit]]
         if round_number == 0:
             news = [new for new in troubles if not (_is_follow_up(root, new, earlier) or _is_misspelt(new, troubles))]
             found = [_finding(root, data, trouble) for trouble in _together(_in_place(root, data, news, findings))]
             for one in found:
                 findings.append(one)
-            if findings.most is not None and len(troubles) >= findings.most:  # what was left aside would be in the way of later passes
+            if findings.limit is not None and len(troubles) >= findings.limit:  # what was left aside would be in the way of later passes
                 raise TooManyFindings(found[-1])
         for trouble in troubles:
             _prune(data, trouble.path, pruned, trouble.missing)

@@ -115,6 +115,6 @@ def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_meas
 
 
 def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
-    from deepbots_cli.diagnostics.finding import failure
+    from deepbots_cli.diagnostics.findings import failure
 
     assert len(failure("the rule DB801", Source("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300

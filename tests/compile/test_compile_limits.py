@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.diagnostics import MOST_FINDINGS, Finding
+from deepbots_cli.diagnostics import MAX_FINDINGS, Finding
 from deepbots_cli.ir import MOST_SUBSTEPS
 
 
@@ -36,7 +36,7 @@ def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> 
 
 def wrong_in_many_places(workshop, text: str) -> list[Finding]:
     found = workshop.lint(text)
-    assert MOST_FINDINGS <= len(found) <= MOST_FINDINGS + 1
+    assert MAX_FINDINGS <= len(found) <= MAX_FINDINGS + 1
     return found
 
 

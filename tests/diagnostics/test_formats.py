@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.diagnostics import Finding, Label, Source, Span, github, junit, sarif
-from deepbots_cli.diagnostics.finding import Fix
+from deepbots_cli.diagnostics import Finding, Label, Source, Span
+from deepbots_cli.diagnostics.findings import Fix
+from deepbots_cli.diagnostics.formats import github, junit, sarif
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.rules.pages import pages_of
 
@@ -146,7 +147,7 @@ def warning(name: str = "a.yaml") -> Finding:
 
 
 def sarif_of(findings: list[Finding]) -> dict[str, object]:
-    log = json.loads(sarif.render(findings, page))
+    log = json.loads(sarif(findings, page))
     VALID.validate(log)
     (run,) = log["runs"]
     assert isinstance(run, dict)
@@ -154,27 +155,27 @@ def sarif_of(findings: list[Finding]) -> dict[str, object]:
 
 
 def test_a_workflow_shows_the_finding_at_its_line_with_its_code_and_help() -> None:
-    assert github.render([finding(help="write `timestep`")]) == (
+    assert github([finding(help="write `timestep`")]) == (
         "::error title=DB101 unknown-key,file=a.yaml,line=2,endLine=2,col=3,endColumn=11::the key is not known%0Ahelp: write `timestep`\n"
     )
 
 
 def test_a_workflow_is_given_errors_first_since_it_shows_only_ten() -> None:
-    said = github.render([warning("a.yaml"), finding(name="b.yaml"), warning("c.yaml"), finding(name="d.yaml")])
+    said = github([warning("a.yaml"), finding(name="b.yaml"), warning("c.yaml"), finding(name="d.yaml")])
     assert [line.partition(" ")[0] for line in said.splitlines()] == ["::error", "::error", "::warning", "::warning"]
     assert [name for name in ("b.yaml", "d.yaml", "a.yaml", "c.yaml") if name in said] == ["b.yaml", "d.yaml", "a.yaml", "c.yaml"]
     assert said.index("b.yaml") < said.index("d.yaml") < said.index("a.yaml") < said.index("c.yaml")
 
 
 def test_a_workflow_is_given_no_columns_for_a_place_over_several_lines() -> None:
-    said = github.render([Finding("DB101", Span(Source("a.yaml", "a:\n  b\n"), 0, 6), "x")])
+    said = github([Finding("DB101", Span(Source("a.yaml", "a:\n  b\n"), 0, 6), "x")])
     assert said.startswith("::error title=DB101 unknown-key,file=a.yaml,line=1,endLine=2::")
 
 
 def test_nothing_from_a_file_becomes_a_workflow_command_of_its_own() -> None:
     evil = "x\n::set-output name=a::b\r::stop-commands::y"
     found = Finding("DB101", Span(Source("a,line=9::b%\n.yaml", "a"), 0, 1), f"100 % {evil}", help=evil, notes=(evil,))
-    said = github.render([found])
+    said = github([found])
     assert said.count("\n") == 1
     assert "\r" not in said
     assert "file=a%2Cline=9%3A%3Ab%25\\u{a}.yaml,line=1," in said
@@ -228,15 +229,15 @@ def test_sarif_names_further_places_and_the_files_that_included_this_one() -> No
 def test_a_file_below_the_working_directory_is_named_from_there_in_every_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = [finding(name=str(tmp_path / "my worlds" / "a.yaml"))]
-    assert "file=my worlds/a.yaml," in github.render(found)
-    assert "my%20worlds/a.yaml" in sarif.render(found, page)
-    assert 'file="my worlds/a.yaml"' in junit.render(found, [], ("error",))
+    assert "file=my worlds/a.yaml," in github(found)
+    assert "my%20worlds/a.yaml" in sarif(found, page)
+    assert 'file="my worlds/a.yaml"' in junit(found, [], ("error",))
     elsewhere = finding(name="/elsewhere/a.yaml")
-    assert '"file:///elsewhere/a.yaml"' in sarif.render([elsewhere], page)
+    assert '"file:///elsewhere/a.yaml"' in sarif([elsewhere], page)
 
 
 def test_a_report_of_tests_has_a_suite_for_each_file_and_a_case_for_each_finding() -> None:
-    root = ElementTree.fromstring(junit.render([warning(), finding(), finding(name="b.yaml")], ["c.yaml", "a.yaml"], ("error",)))
+    root = ElementTree.fromstring(junit([warning(), finding(), finding(name="b.yaml")], ["c.yaml", "a.yaml"], ("error",)))
     assert root.attrib["tests"] == "4"
     assert root.attrib["failures"] == "2"
     suites = {suite.attrib["name"]: suite for suite in root}
@@ -253,12 +254,12 @@ def test_a_report_of_tests_has_a_suite_for_each_file_and_a_case_for_each_finding
 def test_two_findings_of_one_code_at_one_place_are_two_cases_of_a_report() -> None:
     span = Span(Source("a.yaml", "a: 1\n"), 0, 4)
     missing = [Finding("DB102", span, f"missing key `{key}`") for key in ("name", "world")]
-    (suite,) = ElementTree.fromstring(junit.render(missing, ["a.yaml"], ("error",)))
+    (suite,) = ElementTree.fromstring(junit(missing, ["a.yaml"], ("error",)))
     assert len({case.attrib["name"] for case in suite}) == 2
 
 
 def test_a_warning_is_a_failure_of_a_report_where_warnings_fail() -> None:
-    root = ElementTree.fromstring(junit.render([warning()], ["a.yaml"], ("error", "warning")))
+    root = ElementTree.fromstring(junit([warning()], ["a.yaml"], ("error", "warning")))
     assert root.attrib["failures"] == "1"
     assert root[0][0][0].tag == "failure"
 
@@ -269,8 +270,8 @@ def test_any_text_whatever_makes_reports_that_programs_can_read(text: str, one: 
     start, end = sorted((min(one, len(text)), min(two, len(text))))
     source = Source(name, text)
     found = Finding("DB101", Span(source, start, end), f"x{headline}", headline, (Label(Span(source, 0, start), headline),), (headline,))
-    assert github.render([found]).count("\n") == 1
-    ElementTree.fromstring(junit.render([found], [name], ("error",)))
+    assert github([found]).count("\n") == 1
+    ElementTree.fromstring(junit([found], [name], ("error",)))
     (result,) = sarif_of([found])["results"]  # type: ignore[attr-defined]
     uri = result["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert Path(unquote(uri.removeprefix("file://"))) == Path(name) or "\\" in name or "\0" in name

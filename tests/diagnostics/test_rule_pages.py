@@ -11,7 +11,7 @@ import pytest
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RETIRED, Findings
 from deepbots_cli.diagnostics import RULES as CATALOGUE
-from deepbots_cli.diagnostics.finding import Source
+from deepbots_cli.diagnostics.findings import Source
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
 from deepbots_cli.probing import RULES as MEASURED

@@ -16,9 +16,9 @@ from deepbots_cli import api, rules
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
-from deepbots_cli.document.merge import merge, without
-from deepbots_cli.document.merge import replace as replaced
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data
+from deepbots_cli.document.load import merge
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data, without
+from deepbots_cli.document.nodes import replace as replaced
 from deepbots_cli.scenario import Scenario, hyperparameters
 from deepbots_cli.scenario.examples import example_of, table
 from deepbots_cli.scenario.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields

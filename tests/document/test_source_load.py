@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.document import Document, Mapping, load, loads, shipped, to_data
-from deepbots_cli.document.roots import Refused, project_root, resolve
+from deepbots_cli.document.files import Refused, project_root, resolve
 from deepbots_cli.errors import UsageError
 
 

@@ -13,7 +13,8 @@ from deepbots_cli.cli.starters.draft import Draft
 from deepbots_cli.cli.starters.parts import Robot
 from deepbots_cli.cli.starters.survey import Survey
 from deepbots_cli.cli.starters.templates import title
-from deepbots_cli.document import roots, shipped
+from deepbots_cli.document import shipped
+from deepbots_cli.document.files import Refused, project_root, resolve
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.model import RobotModel
 
@@ -35,8 +36,8 @@ def _reference(robot: str, folder: Path) -> str:
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
-    found = roots.resolve(path, folder.resolve(), [roots.project_root(folder), *shipped.data_roots()])
-    if isinstance(found, roots.Refused):
+    found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
+    if isinstance(found, Refused):
         raise UsageError(f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it there")
     return path
 

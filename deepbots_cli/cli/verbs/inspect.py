@@ -16,7 +16,7 @@ from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Json, Sets, St
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import Mapping
-from deepbots_cli.document.overrides import under
+from deepbots_cli.document.load import under
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.ir import CompiledScenario
 

@@ -16,7 +16,7 @@ from deepbots_cli.cli.reports import report
 from deepbots_cli.cli.settings import settings
 from deepbots_cli.diagnostics import Finding, Severity, Source
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.diagnostics.selection import Selection, Words
+from deepbots_cli.diagnostics.suppress import Selection, Words
 from deepbots_cli.errors import UsageError
 
 

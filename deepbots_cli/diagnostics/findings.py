@@ -1,7 +1,7 @@
 """Findings as data: what is wrong, where exactly, and what to write instead.
 
-A `Source` is a text with a name; a `Span` is a piece of one, kept as two offsets, so that a
-position inside a scalar is as easy to name as a whole line. Rendering lives elsewhere.
+A `Source` is a text with a name. A `Span` is a piece of it, given by two offsets, so a place inside a scalar is as
+easy to name as a whole line.
 """
 
 from __future__ import annotations
@@ -12,13 +12,19 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-Severity = Literal["error", "warning"]
+from deepbots_cli.diagnostics.registry import RULES, Severity
+
+MAX_FINDINGS = 500
+"""Findings of one scenario. A file of 1 MiB can be wrong in 30 000 places, which takes half a minute to word."""
+
+_MAX_MESSAGE = 200
+"""Characters quoted from the message of an exception, which may quote a whole file."""
 
 
 class Position(NamedTuple):
-    """A place in a text; both numbers count from 1, columns in code points."""
+    """A place in a text; line and column count from 1, columns in code points."""
 
     line: int
     column: int
@@ -26,10 +32,10 @@ class Position(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A text that was read, and where it came from.
+    """A text and where it came from.
 
-    `name` is what the user sees: the path as given on the command line, or relative to the working
-    directory. `included_from` is the span of the `include` or `extends` that brought this file in.
+    `name` is what the user sees: the path as given on the command line, or relative to the working directory.
+    `included_from` is the span of the `include` or `extends` that brought this file in.
     """
 
     name: str
@@ -38,7 +44,7 @@ class Source:
 
     @property
     def chain(self) -> Iterator[Span]:
-        """The `include`s and `extends` that brought this file in, its own first."""
+        """The `include`s and `extends` that brought this file in, innermost first."""
         above = self.included_from
         while above is not None:
             yield above
@@ -53,17 +59,14 @@ class Source:
         return Position(line, offset - self._line_starts[line - 1] + 1)
 
     def line(self, number: int) -> str:
-        """The text of line `number` (from 1), without its end."""
+        """The text of line `number` (from 1), without its line end."""
         starts = self._line_starts
         end = starts[number] - 1 if number < len(starts) else len(self.text)
         return self.text[starts[number - 1] : end].rstrip("\r")
 
 
 class Span(NamedTuple):
-    """The half-open piece `[start, end)` of a source, in code points.
-
-    Reading a file makes one for each key and value, and making a tuple takes half of the time of making a frozen dataclass.
-    """
+    """The half-open piece `[start, end)` of a source, in code points."""
 
     source: Source
     start: int
@@ -83,7 +86,7 @@ class Span(NamedTuple):
 
     @property
     def where(self) -> str:
-        """`file:line:column`, as editors and terminals link it."""
+        """`file:line:column`, which editors and terminals link."""
         return f"{self.source.name}:{self.begin.line}:{self.begin.column}"
 
 
@@ -97,7 +100,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Edit:
-    """`text` in the place of what stands at `span`, and nothing else changed."""
+    """Replaces the text at `span` by `text`."""
 
     span: Span
     text: str
@@ -105,9 +108,9 @@ class Edit:
 
 @dataclass(frozen=True)
 class Fix:
-    """What a program may write to be rid of a finding.
+    """Edits that remove a finding.
 
-    A `safe` one keeps the meaning, or puts right what can have been meant in one way only; any other is a good guess.
+    A `safe` fix keeps the meaning, or corrects a mistake that has only one possible meaning. Any other is a guess.
     """
 
     edits: tuple[Edit, ...]
@@ -115,7 +118,7 @@ class Fix:
 
     @classmethod
     def replacing(cls, span: Span, old: str, new: str, *, safe: bool) -> Fix | None:
-        """`new` for `old`, where that stands at `span` as it is, in quotes perhaps: neither folded nor written with escapes."""
+        """`new` for `old`; None if the source does not hold `old` at `span` literally, plain or in quotes."""
         if span.text in (f'"{old}"', f"'{old}'") and not set(new) & set("\"'\\"):
             span = Span(span.source, span.start + 1, span.end - 1)
         return cls((Edit(span, new),), safe) if span.text == old else None
@@ -125,8 +128,8 @@ class Fix:
 class Finding:
     """One problem at one place.
 
-    Headlines start in lower case, carry no full stop and never hold the remedy; that is `help`.
-    `code` must be in the rule registry, which supplies the kebab-case name and the severity.
+    A headline starts in lower case, has no full stop and does not hold the remedy, which is `help`.
+    `code` is in the rule registry, which supplies name and severity.
     """
 
     code: str
@@ -139,19 +142,15 @@ class Finding:
 
     @property
     def severity(self) -> Severity:
-        from deepbots_cli.diagnostics.registry import rule
-
-        return rule(self.code).severity
+        return RULES[self.code].severity
 
     @property
     def name(self) -> str:
-        from deepbots_cli.diagnostics.registry import rule
-
-        return rule(self.code).name
+        return RULES[self.code].name
 
     @property
     def is_fault(self) -> bool:
-        """Whether it reports a fault of deepbots (DB903), which says nothing about the scenario."""
+        """Whether it reports a fault of deepbots (DB903) and not of the scenario."""
         return self.code == "DB903"
 
     @property
@@ -160,47 +159,40 @@ class Finding:
 
 
 def shielded(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
-    """The findings of `find`; if it raises an exception, the last of them says so (see `failure`)."""
+    """The findings of `find`; an exception ends them with a DB903 (see `failure`)."""
     try:
         yield from find()
-    except Exception as error:  # noqa: BLE001  # a fault of ours, which must not hide other findings
+    except Exception as error:  # noqa: BLE001  # a fault of deepbots must not hide other findings
         yield failure(what, source, error)
 
 
 def failure(what: str, source: Source, error: Exception) -> Finding:
-    """A DB903 at the start of `source` that says which exception `what` raised; with DEEPBOTS_DEBUG=1 it is raised again."""
+    """A DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`; DEEPBOTS_DEBUG=1 raises it again."""
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
     return fault(what, source, described(error))
 
 
 def fault(what: str, source: Source, description: str) -> Finding:
-    """The DB903 for `what`, such as `the rule DB705`; the description is that of `described`."""
+    """The DB903 for `what`; `described` gives the description."""
     help = "this is a fault of deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
     return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
 
 
 def described(error: BaseException) -> str:
-    """Type and message of an exception on one line, and the innermost place in deepbots that it passed: `module:line`."""
+    """Type and message of an exception on one line, and the innermost place in deepbots of its traceback: `module:line`."""
     place, trace = "", error.__traceback__
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__"))
         if not place or module.startswith("deepbots"):
             place = f"{module}:{trace.tb_lineno}"
         trace = trace.tb_next
-    message = " ".join(str(error)[:_LONGEST_MESSAGE].split())
+    message = " ".join(str(error)[:_MAX_MESSAGE].split())
     return f"{type(error).__name__}{f': {message}' if message else ''} ({place})"
 
 
-_LONGEST_MESSAGE = 200
-"""Characters of the message of an exception, which may quote a whole file."""
-
-MOST_FINDINGS = 500
-"""Of one scenario. Nobody reads more, and a file of a megabyte may be wrong in 30 000 places, which took half a minute to word."""
-
-
-class TooManyFindings(Exception):  # noqa: N818  # nothing failed: who asked for no more than some has them
-    """Leaves whatever was looking for findings; `one` was one too many."""
+class TooManyFindings(Exception):  # noqa: N818  # reaching the limit that was asked for is no error
+    """A list of findings has reached its limit; `one` did not fit."""
 
     def __init__(self, one: Finding) -> None:
         super().__init__()
@@ -208,13 +200,13 @@ class TooManyFindings(Exception):  # noqa: N818  # nothing failed: who asked for
 
 
 class Findings:
-    """A list that passes add to; sorted and free of repeats when it is read.
+    """A list that passes add to; iteration is sorted and free of repeats.
 
-    Where it holds `most` already, another one raises `TooManyFindings`.
+    Beyond `limit` findings, another one raises `TooManyFindings`.
     """
 
-    def __init__(self, most: int | None = None) -> None:
-        self.most = most
+    def __init__(self, limit: int | None = None) -> None:
+        self.limit = limit
         self._found: dict[tuple[str, int, int, str, str], Finding] = {}
 
     def add(
@@ -231,18 +223,18 @@ class Findings:
         self.append(Finding(code, span, headline, help, also, notes, fix))
 
     def append(self, finding: Finding) -> None:
-        if self.most is not None and len(self._found) >= self.most and finding.sort_key not in self._found:
+        if self.limit is not None and len(self._found) >= self.limit and finding.sort_key not in self._found:
             raise TooManyFindings(finding)
         self._found.setdefault(finding.sort_key, finding)
 
     def give_up(self, too_many: TooManyFindings) -> None:
-        """Say that there are more, and that nothing else was looked for."""
+        """Report that the limit is reached and the search ended."""
         help = "mend some of these first; nothing more was looked for"
-        last = Finding("DB005", too_many.one.span, f"more than {self.most} findings", help)
+        last = Finding("DB005", too_many.one.span, f"more than {self.limit} findings", help)
         self._found.setdefault(last.sort_key, last)
 
     def advise(self, finding: Finding, help: str) -> None:
-        """Give a finding that was added a better help."""
+        """Replace the help of a finding that was added."""
         self._found[finding.sort_key] = replace(finding, help=help)
 
     def __iter__(self) -> Iterator[Finding]:
@@ -252,7 +244,7 @@ class Findings:
         return len(self._found)
 
     def __repr__(self) -> str:
-        """A line for each, since a finding holds the whole text of its file."""
+        """One line for each finding, since its source holds the whole text of a file."""
         return f"Findings({[f'{finding.span.where}: {finding.code} {finding.headline}' for finding in self]})"
 
     @property

@@ -1,0 +1,371 @@
+"""YAML mistakes: the wording of syntax errors, and text that is YAML but not what was meant.
+
+The parser only says what it expected. Its message chooses the case here, and the text around the place tells what was
+written and what to write instead.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from yaml.error import MarkedYAMLError
+
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Source, Span
+from deepbots_cli.document.nodes import Scalar
+
+GIVE_A_VALUE = "give it a value, or remove the key"
+"""The help for an empty key, until a later pass knows what the key takes."""
+
+# Syntax errors
+
+_QUOTE_HELP = "put the whole value in quotes, or behind `|` on a line of its own"
+_NO_KEY = "a line without a key"
+_KEY = re.compile(r"\s*(?:- +)*[^\s:#]+: +")
+_TAB_INDENT = re.compile(r"[ ]*\t")
+_NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
+_HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
+_GLUED = re.compile(r"[\w.]+:(?=\S)")
+_ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
+_PARTED = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
+_MAX_SHOWN = 60
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Where the parser stopped (`at`), where it began to read the piece that it stopped in (`since`), and what it says."""
+
+    source: Source
+    at: int
+    since: int
+    problem: str
+    context: str
+
+    @property
+    def line_start(self) -> int:
+        return self.source.text.rfind("\n", 0, self.at) + 1
+
+    @property
+    def before(self) -> str:
+        """The line up to the place."""
+        return self.source.text[self.line_start : self.at]
+
+    def rest(self, start: int) -> str:
+        """The line from `start` on, without a comment."""
+        line = self.source.text[start:].partition("\n")[0]
+        return re.split(r"\s#", line, maxsplit=1)[0].rstrip()
+
+    def says(self, *words: str) -> bool:
+        return any(word in self.problem or word in self.context for word in words)
+
+    def finding(self, headline: str, help: str, start: int, length: int = 1, fix: Fix | None = None) -> Finding:
+        return Finding("DB001", Span(self.source, start, min(start + length, len(self.source.text))), headline, help, fix=fix)
+
+
+def syntax_error(source: Source, error: MarkedYAMLError) -> Finding:
+    """The finding for an error of the YAML parser."""
+    at = min(error.problem_mark.index, len(source.text)) if error.problem_mark else len(source.text)
+    since = error.context_mark.index if error.context_mark else at
+    problem = _Problem(source, at, since, error.problem or "", error.context or "")
+    for hint in _SYNTAX_HINTS:
+        found = hint(problem)
+        if found is not None:
+            return found
+    return problem.finding("the text cannot be read as YAML from here", _QUOTE_HELP, at)
+
+
+def _tab(problem: _Problem) -> Finding | None:
+    text = problem.source.text
+    for start in (problem.line_start, text.rfind("\n", 0, problem.since) + 1):
+        if found := _TAB_INDENT.match(text, start):
+            return problem.finding("a tab in the indentation", "indent with spaces", found.end() - 1)
+    return None
+
+
+def _exclamation_mark(problem: _Problem) -> Finding | None:
+    """`!(a)`, which YAML reads as a tag."""
+    found = _NEGATED.search(problem.before)
+    if found is None:
+        return None
+    return problem.finding("a leading `!` begins a tag", "`not` negates a condition", problem.line_start + found.end() - 2, 2)
+
+
+def _leading_sign(problem: _Problem) -> Finding | None:
+    """A value that begins with a character to which YAML gives a meaning."""
+    at = problem.at
+    if problem.source.text.startswith("%", problem.line_start):
+        at = problem.line_start
+    elif problem.says("block scalar", "an alias", "an anchor"):
+        at = problem.since
+    elif not problem.says("cannot start any token", "node content", "keys are not allowed"):
+        return None
+    if problem.source.text.startswith("\t", at):
+        return problem.finding("a tab where YAML allows only spaces", "use spaces", at)
+    rest = problem.rest(at)
+    if rest.startswith("? "):
+        return problem.finding("a value cannot start with `? `", "choose by where(condition, a, b), or put the value in quotes", at)
+    if not rest:
+        return problem.finding("a value is missing", "write a value", at)
+    sign = "a backtick" if rest[0] == "`" else f"`{rest[0]}`"
+    return problem.finding(f"a value cannot start with {sign}", f"put it in quotes: {_quoted(rest)}", at)
+
+
+def _quote(problem: _Problem) -> Finding | None:
+    if not problem.says("quoted scalar", "double-quoted"):
+        return None
+    if "escape" in problem.problem:
+        at = problem.source.text.rfind("\\", problem.since, problem.at + 1)
+        return problem.finding("an unknown escape in double quotes", "use single quotes, or double the backslash", at, 2)
+    return problem.finding("this quote is never closed", "close it on the same line", problem.since)
+
+
+def _brackets(problem: _Problem) -> Finding | None:
+    if "flow" not in problem.context:
+        return None
+    text, opening = problem.source.text, problem.since
+    if text[opening : opening + 1] not in ("{", "["):
+        opening = max(text.rfind(sign, 0, problem.at + 1) for sign in "{[")
+        if opening < 0:
+            return None
+    hidden = _HIDDEN_IN_BRACKETS.search(text, opening, problem.at)
+    if hidden and hidden[1].count("#") == 1:
+        help = f'put the value in quotes: "{hidden[1]}"'
+        return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
+    here = text[problem.at : problem.at + 1]
+    if here == ":" and opening >= problem.line_start:
+        return _second_colon(problem, "separate keys by commas, or put the value in quotes")
+    if here in ("", ":", "-") or problem.line_start > opening:
+        sign, closing = ("{", "}") if text[opening] == "{" else ("[", "]")
+        return problem.finding(f"this `{sign}` is never closed", f"add the closing `{closing}`", opening)
+    return problem.finding(f"unexpected `{here}` between brackets", "separate items by commas, or put the value in quotes", problem.at)
+
+
+def _second_colon(problem: _Problem, help: str) -> Finding:
+    help = "choose by where(condition, a, b)" if " ? " in problem.before else help
+    return problem.finding("a second colon in one value", help, problem.at)
+
+
+def _colon(problem: _Problem) -> Finding | None:
+    """A colon that begins a mapping where none can begin."""
+    if not problem.says("mapping values are not allowed"):
+        return None
+    if ": " in problem.before.lstrip() or (":" in problem.before and '"' in problem.before):
+        return _second_colon(problem, _QUOTE_HELP)
+    text, line_start = problem.source.text, problem.line_start
+    above = text.rfind("\n", 0, max(0, line_start - 1)) + 1
+    line = text[above:line_start].strip()
+    if line.startswith("//"):
+        return _line_without_key(problem, text.index("//", above), line)
+    indent = len(problem.before) - len(problem.before.lstrip())
+    help = "align it with the keys that it belongs to; a key holds a value or further keys, not both"
+    return problem.finding("a key where the value above goes on", help, line_start + indent, max(1, len(problem.before) - indent))
+
+
+def _dash(problem: _Problem) -> Finding | None:
+    if not problem.says("sequence entries are not allowed"):
+        return None
+    help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
+    return problem.finding("a list item on the line of its key", help, problem.at)
+
+
+def _no_colon(problem: _Problem) -> Finding | None:
+    return _line_without_key(problem, problem.since, problem.rest(problem.since)) if problem.says("could not find expected ':'") else None
+
+
+def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
+    """A comment of another language, or a key without its colon."""
+    help, edit = "write `key: value`, or indent the line if it belongs to the value above", None
+    if line.startswith("//"):
+        help, edit = "a comment begins with `#`", (0, 2, "#")
+    elif found := _GLUED.match(line):
+        help, edit = "put a space after the colon", (found.end(), found.end(), " ")
+    elif found := _ASSIGNED.match(line):
+        help, edit = f"write a colon: `{found[1]}: {found[2][:_MAX_SHOWN]}`", (found.end(1), found.start(2), ": ")
+    elif found := _PARTED.match(line):
+        help, edit = f"write a colon behind the key: `{f'{found[1]}: {found[2]}'.rstrip()}`", (found.end(1), found.end(1), ":")
+    fix = Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False) if edit else None
+    return problem.finding(_NO_KEY, help, start, max(1, len(line)), fix)
+
+
+def _behind_value(problem: _Problem) -> Finding | None:
+    """Text behind a complete value, on its line or on the next with another indentation."""
+    if not problem.says("expected key", "block end", "'-' indicator", "document start"):
+        return None
+    at, before, rest = problem.at, problem.before.rstrip(), problem.rest(problem.at)
+    length = max(1, len(rest))
+    if before.strip() and (before[-1] in "]}\"'" or not rest.startswith(("}", "]", ":"))):
+        key = _KEY.match(problem.before)
+        whole = problem.rest(problem.line_start + (key.end() if key else len(before) - len(before.lstrip())))
+        quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'[^\"]*'", whole) else _quoted(whole)
+        return problem.finding("text behind the end of a value", f"put the whole value in quotes: {quoted}", at, length)
+    if rest.startswith(("}", "]")):
+        return problem.finding(f"a closing `{rest[0]}` without an opening one", "remove it, or put the value in quotes", at)
+    if rest.startswith(":"):
+        return problem.finding("a key is missing before the colon", "write `key: value`", at)
+    if rest.startswith("- ") or rest == "-":
+        return problem.finding("a list item among keys", "indent the list below its key", at, length)
+    return problem.finding("this line does not align with the lines above", "give keys of one mapping the same indentation", at, length)
+
+
+def _quoted(text: str) -> str:
+    """`text` in quotes that YAML reads back as it."""
+    return f"'{text}'" if '"' in text and "'" not in text else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+_SYNTAX_HINTS: tuple[Callable[[_Problem], Finding | None], ...] = (
+    _tab,
+    _exclamation_mark,
+    _quote,
+    _brackets,
+    _leading_sign,
+    _colon,
+    _dash,
+    _no_colon,
+    _behind_value,
+)
+
+
+# Values cut by a comma, or emptied by a `#`
+
+_QUOTABLE = re.compile(r"""[^"\\#\n]*""")
+_DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
+_JOINED = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
+_HAS_COLON = re.compile(r"\s*:")
+_HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
+_COLOUR = re.compile(r"#[0-9A-Fa-f]{6}")
+_NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
+_COMMA_HELP = "a comma inside brackets separates keys; decimals take a point, digits are grouped as in 100_000; "
+
+
+def cut_by_commas(scalars: Iterable[Scalar], findings: Findings) -> list[Span]:
+    """Report values that a comma inside `{...}` or `[...]` cuts in pieces, and return their spans.
+
+    `scalars` are those of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has an open parenthesis
+    that `1)` closes.
+    """
+    cut: list[Span] = []
+    start, balance = -1, 0
+    for scalar in scalars:
+        if scalar.style != "plain":
+            continue
+        opened = scalar.text.count("(") - scalar.text.count(")")
+        if start < 0 and opened > 0:
+            start, balance = scalar.span.start, 0
+        if start >= 0:
+            balance += opened
+            if balance <= 0:
+                cut.append(Span(scalar.span.source, start, scalar.span.end))
+                start = -1
+    for span in cut:
+        text = " ".join(span.text.split())
+        quoted = f': "{text}"' if len(text) <= _MAX_SHOWN and '"' not in text else ""
+        help = f"put the value in quotes{quoted}, or on a line of its own"
+        fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
+        if draw := _DRAW.fullmatch(text):
+            better = f"{draw[1]}({draw[2]} {_JOINED[draw[1]]} {draw[3]})"
+            help, fix = f"a draw needs no comma: `{better}`", Fix((Edit(span, better),), safe=True)
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help=help, fix=fix)
+    return cut
+
+
+def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool) -> None:
+    """Report a key without a value, with the probable reason."""
+    text, end = key.span.source.text, key.span.end
+    hidden = _HIDDEN.match(text, end)
+    following = _NEXT_LINE.match(text, end)
+    help, fix = GIVE_A_VALUE, None
+    if value.style != "plain":
+        help = f'a leading `{value.span.text[0]}` begins a block of text; put the value in quotes: "{value.span.text}"'
+    elif value.text:
+        help = "there is no null; remove the key"
+    elif is_flow and _GLUED.match(key.text):
+        help = "put a space after the colon"
+    elif is_flow and not _HAS_COLON.match(text, end):
+        help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
+    elif hidden:
+        help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
+        if _COLOUR.fullmatch(hidden[1]) and not is_flow:
+            fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
+    elif not is_flow and following and len(following[1]) == key.span.begin.column - 1:
+        help = "give it a value, or indent the lines that belong to it"
+    findings.add("DB107", key.span, f"`{key.text}` has no value", help=help, fix=fix)
+
+
+def help_for_key(key: Scalar) -> str:
+    """The help for a key that is no text; a number without a colon is what a comma left over."""
+    if not key.text:
+        return "write `name: value`"
+    if not _HAS_COLON.match(key.span.source.text, key.span.end):
+        return _COMMA_HELP + "put a value with a comma in quotes"
+    return f'put it in quotes: "{key.text}"'
+
+
+# Plain values that older or looser readers take differently
+
+# `y` and `n` are left out: they are coordinates and counts far more often than answers.
+_YAML11 = {
+    **dict.fromkeys(("on", "On", "ON", "yes", "Yes", "YES"), "true"),
+    **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
+}
+# Common to all odd numbers, and quickly false for an expression such as `2 * x`.
+_PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]*+")
+_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
+_RADIX = re.compile(r"([-+]?)0(?:x([0-9A-Fa-f]+)|o([0-7]+)|b([01]+))")
+_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
+_THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(?:,[0-9]{3})+")
+_SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
+_GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
+# Possessive: a million digits would be tried in half a million ways.
+_GROUPS = re.compile(r"(?=[^_]*+_)[-+]?[0-9][0-9_]*+(?:\.[0-9_]*+)?")
+_MAX_DIGITS = 24
+
+
+def unusual_value(scalar: Scalar, findings: Findings) -> None:
+    """Report a plain value that another reader of YAML takes differently, or that looks like a number and is text."""
+    text, span = scalar.text, scalar.span
+    if text in _YAML11:
+        help = f"write {_YAML11[text]}, or put it in quotes if text is meant"
+        headline = f"`{text}` is text, though older YAML reads it as {_YAML11[text]}"
+        # Where a truth value is needed, a later pass reports an error, whose fix comes first.
+        findings.add("DB003", span, headline, help=help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
+    elif (odd := _odd_number(text)) is not None:
+        headline, help, number = odd
+        if isinstance(scalar.value, str):
+            help = f"{help}, or put it in quotes if text is meant"
+            number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
+        findings.add("DB004", span, headline, help=help, fix=Fix((Edit(span, number),), safe=True) if number else None)
+
+
+def as_a_number(span: Span) -> Fix | None:
+    """The fix of an odd number where a number is needed; None if it can be read in several ways."""
+    odd = _odd_number(span.text)
+    return Fix((Edit(span, odd[2]),), safe=True) if odd and odd[2] else None
+
+
+def _odd_number(text: str) -> tuple[str, str, str | None] | None:
+    """Headline and help for a text that looks like a number, or is another number elsewhere, and its only possible meaning."""
+    if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
+        return None
+    short = len(text) <= _MAX_DIGITS
+    if _LEADING_ZERO.fullmatch(text):
+        number = str(int(text)) if short else None
+        headline = f"`{text}` is {number} here, though older YAML reads a leading zero as octal"
+        return (headline, f"write {number}", number) if number else None
+    if radix := _RADIX.fullmatch(text):
+        sign, hexadecimal, octal, binary = radix.groups()
+        number = f"{sign}{int(hexadecimal, 16) if hexadecimal else int(octal, 8) if octal else int(binary, 2)}" if short else None
+        return f"`{text}` is text: numbers are decimal", f"write {number}" if number else "write it in decimal", number
+    if _COMMAS.fullmatch(text):
+        decimal, grouped = text.replace(",", "."), text.replace(",", "_")
+        several = text.count(",") > 1
+        is_thousands = _THOUSANDS.fullmatch(text) is not None
+        help = f"write {grouped}" if several else f"write {decimal} for a decimal"
+        number = (grouped if several else None) if is_thousands else (None if several else decimal)  # `1,500` may be either
+        return f"`{text}` is text: a decimal takes a point", help, number if short else None
+    if _SEXAGESIMAL.fullmatch(text):
+        return f"`{text}` is text, though older YAML reads it as a number in base 60", "write a duration with its unit, such as 750 s", None
+    if _GROUPS.fullmatch(text):
+        number = text.replace("_", "")
+        return f"`{text}` is text: digits are grouped in threes", f"write {number}", number if short else None
+    return None
