@@ -345,256 +345,140 @@ _FROM_ZERO = "{result} = {memory} = 0.0"
 _FROM_VALUE = "{result} = {memory} = {x}"
 
 _ENTRIES = (
-    Function(
-        "abs", _PURE, (_X,), "The size of x without its sign.", "abs(joint_velocity(rover.left_wheel))",
-        interval=iv.absolute, python="abs(x)",
-    ),
-    Function(
-        "sqrt", _PURE, (_X,), "The square root; halves the dimension.", "sqrt(distance(rover, ball) / m)",
-        lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)", array="np.sqrt(x)",
-    ),
-    Function(
-        "exp", _PURE, (_PLAIN,), "e to the power of a plain number.", "exp(-distance(rover, ball) / m)",
-        _NUMBER, lambda x: iv.monotone(math.exp, x), python="exp(x)", array="np.exp(x)",
-    ),
-    Function(
-        "log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover, ball) / m)",
-        _NUMBER, iv.logarithm, domain=Interval(math.ulp(0.0), INF), python="log(x)", array="np.log(x)",
-    ),
-    Function(
-        "sin", _PURE, (_TURN,), "The sine of an angle.", "sin(yaw(rover))",
-        _NUMBER, iv.sine, python="sin(angle)", array="np.sin(angle)",
-    ),
-    Function(
-        "cos", _PURE, (_TURN,), "The cosine of an angle.", "cos(2 * bearing(rover, ball))",
-        _NUMBER, iv.cosine, python="cos(angle)", array="np.cos(angle)",
-    ),
-    Function(
-        "tan", _PURE, (_TURN,), "The tangent of an angle.", "tan(tilt(rover) / 2)",
-        _NUMBER, iv.tangent, python="tan(angle)", array="np.tan(angle)",
-    ),
-    Function(
-        "atan2", _PURE, (_Y, _X), "The angle of the point (x, y), between -180 and 180 deg.", "atan2(velocity(rover).y, velocity(rover).x)",
-        _ANGLE, iv.angle_of, python="atan2(y, x)", array="np.arctan2(y, x)",
-    ),
-    Function(
-        # numpy's own hypot rounds differently and takes two arguments; this one costs 0.1 us per value.
-        "hypot", _PURE, (_X, Param("y", many=True)), "The root of the sum of squares.", "hypot(position(rover).x, position(rover).y)",
-        interval=iv.length_of, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)",
-    ),
-    Function(
-        "clamp", _PURE, (_X, _RANGE), "x, kept within the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
-        interval=iv.clamped, python="min(max(x, low), high)",
-        short="low if x < low else high if x > high else x",  # 25 ns; two calls take 110
-        array="np.minimum(np.maximum(x, low), high)",
-    ),
-    Function(
-        "wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
-        _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau",
-    ),
-    Function(
-        "where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
-        "where(contact(rover, ball), 1, 0)", interval=lambda _condition, a, b: iv.hull((a, b)), truths=True,
-        python="a if condition else b", array="np.where(condition, a, b)",
-    ),
-    Function(
-        "min", _PURE, (Param("x", many=True),), "The least component of one vector, or of several values.", "min(rover.near)",
-        interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF),
-    ),
-    Function(
-        "max", _PURE, (Param("x", many=True),), "The greatest component of one vector, or of several values.", "max(abs(gas), abs(turn))",
-        interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)", reduction=Reduction("max", -INF),
-    ),
-    Function(
-        "sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
-        reduction=Reduction("add", 0.0, iv.times_count),
-    ),
-    Function(
-        "mean", _PURE, (_V,), "The mean of the components.", "mean(joint_velocity(rover.wheels))",
-        reduction=Reduction("add", None, mean=True),
-    ),
-    Function(
-        "norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.", "norm(velocity(rover).xy)",
-        reduction=Reduction("hypot", 0.0, _norm),
-    ),
-    Function(
-        "any", _PURE, (Param("v", truth=True),), "Whether a component is true.", "any(rover.near < 0.1 m)",
-        _NUMBER, boolean=True, reduction=Reduction("or", False),
-    ),
-    Function(
-        "all", _PURE, (Param("v", truth=True),), "Whether every component is true.", "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)",
-        _NUMBER, boolean=True, reduction=Reduction("and", True),
-    ),
-    Function(
-        "vector", _PURE, (_X, Param("y", many=True)), "A vector of two (x, y) or three (x, y, z) values.",
-        "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull,
-    ),
+    Function("abs", _PURE, (_X,), "The size of x without its sign.", "abs(joint_velocity(rover.left_wheel))",
+             interval=iv.absolute, python="abs(x)"),
+    Function("sqrt", _PURE, (_X,), "The square root; halves the dimension.", "sqrt(distance(rover, ball) / m)",
+             lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)", array="np.sqrt(x)"),
+    Function("exp", _PURE, (_PLAIN,), "e to the power of a plain number.", "exp(-distance(rover, ball) / m)",
+             _NUMBER, lambda x: iv.monotone(math.exp, x), python="exp(x)", array="np.exp(x)"),
+    Function("log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover, ball) / m)",
+             _NUMBER, iv.logarithm, domain=Interval(math.ulp(0.0), INF), python="log(x)", array="np.log(x)"),
+    Function("sin", _PURE, (_TURN,), "The sine of an angle.", "sin(yaw(rover))",
+             _NUMBER, iv.sine, python="sin(angle)", array="np.sin(angle)"),
+    Function("cos", _PURE, (_TURN,), "The cosine of an angle.", "cos(2 * bearing(rover, ball))",
+             _NUMBER, iv.cosine, python="cos(angle)", array="np.cos(angle)"),
+    Function("tan", _PURE, (_TURN,), "The tangent of an angle.", "tan(tilt(rover) / 2)",
+             _NUMBER, iv.tangent, python="tan(angle)", array="np.tan(angle)"),
+    Function("atan2", _PURE, (_Y, _X), "The angle of the point (x, y), between -180 and 180 deg.",
+             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.angle_of, python="atan2(y, x)", array="np.arctan2(y, x)"),
+    # numpy's own hypot rounds differently and takes two arguments; this one costs 0.1 us per value.
+    Function("hypot", _PURE, (_X, Param("y", many=True)), "The root of the sum of squares.",
+             "hypot(position(rover).x, position(rover).y)",
+             interval=iv.length_of, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
+    # The short form takes 25 ns, two calls take 110.
+    Function("clamp", _PURE, (_X, _RANGE), "x, kept within the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
+             interval=iv.clamped, python="min(max(x, low), high)", short="low if x < low else high if x > high else x",
+             array="np.minimum(np.maximum(x, low), high)"),
+    Function("wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
+             _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau"),
+    Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
+             "where(contact(rover, ball), 1, 0)",
+             interval=lambda _condition, a, b: iv.hull((a, b)), truths=True, python="a if condition else b",
+             array="np.where(condition, a, b)"),
+    Function("min", _PURE, (Param("x", many=True),), "The least component of one vector, or of several values.", "min(rover.near)",
+             interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
+    Function("max", _PURE, (Param("x", many=True),), "The greatest component of one vector, or of several values.",
+             "max(abs(gas), abs(turn))",
+             interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)", reduction=Reduction("max", -INF)),
+    Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
+             reduction=Reduction("add", 0.0, iv.times_count)),
+    Function("mean", _PURE, (_V,), "The mean of the components.", "mean(joint_velocity(rover.wheels))",
+             reduction=Reduction("add", None, mean=True)),
+    Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.", "norm(velocity(rover).xy)",
+             reduction=Reduction("hypot", 0.0, _norm)),
+    Function("any", _PURE, (Param("v", truth=True),), "Whether a component is true.", "any(rover.near < 0.1 m)",
+             _NUMBER, boolean=True, reduction=Reduction("or", False)),
+    Function("all", _PURE, (Param("v", truth=True),), "Whether every component is true.",
+             "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True, reduction=Reduction("and", True)),
+    Function("vector", _PURE, (_X, Param("y", many=True)), "A vector of two (x, y) or three (x, y, z) values.",
+             "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
     Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
-
-    Function(
-        "position", _OF_WORLD, (_BODY,), "Where the origin of a link is, in the world.", "position(rover.left_wheel)",
-        _LENGTH, components=SPACE, at_link=True,
-    ),
-    Function(
-        "velocity", _OF_WORLD, (_BODY,), "How fast the origin of a link moves, in the world.", "velocity(ball)",
-        _always(LENGTH / TIME), components=SPACE, at_link=True,
-    ),
-    Function(
-        "angular_velocity", _OF_WORLD, (_BODY,), "How fast a link turns, about the axes of the world.", "angular_velocity(rover).z",
-        _always(ANGLE / TIME), components=SPACE, at_link=True,
-    ),
-    Function(
-        "orientation", _OF_WORLD, (_BODY,), "The quaternion (x, y, z, w) of a link.", "orientation(rover)",
-        _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, at_link=True,
-    ),
-    Function(
-        "roll", _OF_WORLD, (_BODY,), "The turn about the forward axis.", "roll(rover)",
-        _ANGLE, _known(iv.TURN), tree=_roll, at_link=True,
-    ),
-    Function(
-        "pitch", _OF_WORLD, (_BODY,), "The turn about the sideways axis; nose down is positive.", "pitch(rover)",
-        _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, at_link=True,
-    ),
-    Function(
-        "yaw", _OF_WORLD, (_BODY,), "The turn about the vertical; left is positive.", "yaw(rover)",
-        _ANGLE, _known(iv.TURN), tree=_yaw, at_link=True,
-    ),
-    Function(
-        "tilt", _OF_WORLD, (_BODY,), "The angle between a link's own vertical and that of the world.", "tilt(rover)",
-        _ANGLE, _known(iv.HALF_TURN), tree=_tilt, at_link=True,
-    ),
-    Function(
-        "local", _OF_WORLD, (_BODY, Param("v", components=SPACE)), "A vector of the world, as seen from a body.",
-        "local(rover, velocity(rover))", components=SPACE, at_link=True,
-    ),
-    Function(
-        "distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in space.", "distance(rover, ball)",
-        _LENGTH, _known(iv.POSITIVE), tree=_distance, at_link=True,
-    ),
-    Function(
-        "ground_distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in the plane.", "ground_distance(rover, ball)",
-        _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, at_link=True,
-    ),
-    Function(
-        "bearing", _OF_WORLD, (_BODY, _OTHER), "The horizontal angle from straight ahead to another body; left is positive.",
-        "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, at_link=True,
-    ),
-    Function(
-        "gap", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "How far apart two surfaces are.", "gap(rover, ball)",
-        _LENGTH, _known(iv.POSITIVE), of_pieces="min",
-    ),
-    Function(
-        "path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest way around what is solid.", "path_distance(rover, ball)",
-        _LENGTH, _known(iv.POSITIVE),
-    ),
-    Function(
-        "reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a way around what is solid.", "reachable(rover, ball)",
-        _NUMBER, boolean=True,
-    ),
-    Function(
-        "visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether a camera's newest picture shows a body.", "visible(rover.eye, ball)",
-        _NUMBER, boolean=True,
-    ),
-    Function(
-        "contact", _OF_WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this tick.", "contact(ball, ground)",
-        _NUMBER, boolean=True,
-    ),
-    Function(
-        "collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything but the ground.", "collided(rover)",
-        _NUMBER, boolean=True,
-    ),
-    Function(
-        "joint_position", _OF_WORLD, (_JOINT,), "The angle or travel of a joint.", "joint_position(rover.left_wheel)",
-        interval=_first,
-    ),
-    Function(
-        "joint_velocity", _OF_WORLD, (_JOINT,), "How fast a joint moves.", "joint_velocity(rover.wheels)",
-        lambda d: d / TIME,
-    ),
-    Function(
-        "joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.", "joint_torque(rover.wheels)",
-        lambda d: FORCE if d == LENGTH else TORQUE,
-    ),
-    Function(
-        "beside", _OF_WORLD, (_BODY, _LINE), "How far a body is to the left of a line.", "beside(rover, track)",
-        _LENGTH, at_link=True,
-    ),
+    Function("position", _OF_WORLD, (_BODY,), "Where the origin of a link is, in the world.", "position(rover.left_wheel)",
+             _LENGTH, components=SPACE, at_link=True),
+    Function("velocity", _OF_WORLD, (_BODY,), "How fast the origin of a link moves, in the world.", "velocity(ball)",
+             _always(LENGTH / TIME), components=SPACE, at_link=True),
+    Function("angular_velocity", _OF_WORLD, (_BODY,), "How fast a link turns, about the axes of the world.", "angular_velocity(rover).z",
+             _always(ANGLE / TIME), components=SPACE, at_link=True),
+    Function("orientation", _OF_WORLD, (_BODY,), "The quaternion (x, y, z, w) of a link.", "orientation(rover)",
+             _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, at_link=True),
+    Function("roll", _OF_WORLD, (_BODY,), "The turn about the forward axis.", "roll(rover)",
+             _ANGLE, _known(iv.TURN), tree=_roll, at_link=True),
+    Function("pitch", _OF_WORLD, (_BODY,), "The turn about the sideways axis; nose down is positive.", "pitch(rover)",
+             _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, at_link=True),
+    Function("yaw", _OF_WORLD, (_BODY,), "The turn about the vertical; left is positive.", "yaw(rover)",
+             _ANGLE, _known(iv.TURN), tree=_yaw, at_link=True),
+    Function("tilt", _OF_WORLD, (_BODY,), "The angle between a link's own vertical and that of the world.", "tilt(rover)",
+             _ANGLE, _known(iv.HALF_TURN), tree=_tilt, at_link=True),
+    Function("local", _OF_WORLD, (_BODY, Param("v", components=SPACE)), "A vector of the world, as seen from a body.",
+             "local(rover, velocity(rover))", components=SPACE, at_link=True),
+    Function("distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in space.", "distance(rover, ball)",
+             _LENGTH, _known(iv.POSITIVE), tree=_distance, at_link=True),
+    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in the plane.",
+             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, at_link=True),
+    Function("bearing", _OF_WORLD, (_BODY, _OTHER), "The horizontal angle from straight ahead to another body; left is positive.",
+             "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, at_link=True),
+    Function("gap", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "How far apart two surfaces are.", "gap(rover, ball)",
+             _LENGTH, _known(iv.POSITIVE), of_pieces="min"),
+    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest way around what is solid.",
+             "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
+    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a way around what is solid.", "reachable(rover, ball)",
+             _NUMBER, boolean=True),
+    Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether a camera's newest picture shows a body.", "visible(rover.eye, ball)",
+             _NUMBER, boolean=True),
+    Function("contact", _OF_WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this tick.", "contact(ball, ground)",
+             _NUMBER, boolean=True),
+    Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything but the ground.", "collided(rover)",
+             _NUMBER, boolean=True),
+    Function("joint_position", _OF_WORLD, (_JOINT,), "The angle or travel of a joint.", "joint_position(rover.left_wheel)",
+             interval=_first),
+    Function("joint_velocity", _OF_WORLD, (_JOINT,), "How fast a joint moves.", "joint_velocity(rover.wheels)", lambda d: d / TIME),
+    Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.", "joint_torque(rover.wheels)",
+             lambda d: FORCE if d == LENGTH else TORQUE),
+    Function("beside", _OF_WORLD, (_BODY, _LINE), "How far a body is to the left of a line.", "beside(rover, track)",
+             _LENGTH, at_link=True),
     Function("along", _OF_WORLD, (_BODY, _LINE), "How far a body has come along a line.", "along(rover, track)", _LENGTH, at_link=True),
-
-    Function(
-        "age", Family.MESSAGE, (_SENDER,), "The time since what the last message that arrived says was measured.", "age(rover)",
-        _TIME, _known(iv.POSITIVE),
-    ),
-    Function(
-        "fresh", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this tick.", "fresh(rover)",
-        _NUMBER, boolean=True,
-    ),
-
-    Function(
-        "delta", _STATEFUL, (_X, _START), "The change since the tick before; 0 at a reset.", "delta(along(rover, track))",
-        interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
-        memory=Memory("{memory} = {start}\n{result} = 0.0", "{result} = {x}\n{result}, {memory} = {result} - {memory}, {result}"),
-    ),
-    Function(
-        "previous", _STATEFUL, (_X, _START), "The value in the tick before.", "previous(gas, 0)",
-        interval=_hull, truths=True,
-        memory=Memory("{result} = {memory} = {start}", "{result}, {memory} = {memory}, {x}"),
-    ),
-    Function(
-        "running_max", _STATEFUL, (_X,), "The greatest value since the reset.", "running_max(along(rover, track))",
-        interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = max({memory}, {x})"),
-    ),
-    Function(
-        "running_min", _STATEFUL, (_X,), "The least value since the reset.", "running_min(distance(rover, ball))",
-        interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = min({memory}, {x})"),
-    ),
-    Function(
-        "hold", _STATEFUL, (_X, _CONDITION), "The value when the condition last held, or at the reset.",
-        "hold(position(rover), contact(rover, ball))", interval=_first, truths=True,
-        memory=Memory(_FROM_VALUE, "if {condition}:\n    {memory} = {x}\n{result} = {memory}"),
-    ),
-    Function(
-        # Backward Euler: stable for every time constant, and the complementary filter's own formula.
-        "smooth", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with the time constant tau.",
-        "smooth(velocity(rover).x, 0.2 s)", interval=_first,
-        memory=Memory(
-            _FROM_VALUE,
-            "{result} = {memory}\n{result} += ({(x)} - {result}) * ({timestep} / ({(tau)} + {timestep}))\n{memory} = {result}",
-        ),
-    ),
-    Function(
-        "integral", _STATEFUL, (_X,), "The integral over time since the reset.", "integral(abs(beside(rover, track)))",
-        lambda d: d * TIME, memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {(x)} * {timestep}"),
-    ),
-    Function(
-        "accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")), "The running sum of increments, kept within the range.",
-        "accumulate(0.1 * gas, 0 .. 1, 0.5)", interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
-        memory=Memory("{result} = {memory} = {start}", "{result} = {memory} = min(max({memory} + {(increment)}, {low}), {high})"),
-    ),
-    Function(
-        "duration", _STATEFUL, (_CONDITION,), "For how long the condition has held without a break.",
-        "duration(abs(beside(rover, track)) < 2 cm)", _TIME, _known(iv.POSITIVE),
-        memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {timestep} if {(condition)} else 0.0"),
-    ),
-    Function(
-        "rising", _STATEFUL, (_CONDITION,), "Whether the condition has just become true.", "rising(contact(rover, ball))",
-        _NUMBER, boolean=True,
-        memory=Memory(
-            "{memory} = {condition}\n{result} = False",
-            "{result} = {condition}\n{result}, {memory} = {result} and not {memory}, {result}",
-        ),
-    ),
-
+    Function("age", Family.MESSAGE, (_SENDER,), "The time since what the last message that arrived says was measured.", "age(rover)",
+             _TIME, _known(iv.POSITIVE)),
+    Function("fresh", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this tick.", "fresh(rover)",
+             _NUMBER, boolean=True),
+    Function("delta", _STATEFUL, (_X, _START), "The change since the tick before; 0 at a reset.", "delta(along(rover, track))",
+             interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
+             memory=Memory("{memory} = {start}\n{result} = 0.0", "{result} = {x}\n{result}, {memory} = {result} - {memory}, {result}")),
+    Function("previous", _STATEFUL, (_X, _START), "The value in the tick before.", "previous(gas, 0)",
+             interval=_hull, truths=True, memory=Memory("{result} = {memory} = {start}", "{result}, {memory} = {memory}, {x}")),
+    Function("running_max", _STATEFUL, (_X,), "The greatest value since the reset.", "running_max(along(rover, track))",
+             interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = max({memory}, {x})")),
+    Function("running_min", _STATEFUL, (_X,), "The least value since the reset.", "running_min(distance(rover, ball))",
+             interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = min({memory}, {x})")),
+    Function("hold", _STATEFUL, (_X, _CONDITION), "The value when the condition last held, or at the reset.",
+             "hold(position(rover), contact(rover, ball))",
+             interval=_first, truths=True, memory=Memory(_FROM_VALUE, "if {condition}:\n    {memory} = {x}\n{result} = {memory}")),
+    # Backward Euler: stable for every time constant, and the complementary filter's own formula.
+    Function("smooth", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with the time constant tau.",
+             "smooth(velocity(rover).x, 0.2 s)",
+             interval=_first,
+             memory=Memory(_FROM_VALUE, "{result} = {memory}\n"
+                           "{result} += ({(x)} - {result}) * ({timestep} / ({(tau)} + {timestep}))\n{memory} = {result}")),
+    Function("integral", _STATEFUL, (_X,), "The integral over time since the reset.", "integral(abs(beside(rover, track)))",
+             lambda d: d * TIME, memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {(x)} * {timestep}")),
+    Function("accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")),
+             "The running sum of increments, kept within the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
+             interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
+             memory=Memory("{result} = {memory} = {start}", "{result} = {memory} = min(max({memory} + {(increment)}, {low}), {high})")),
+    Function("duration", _STATEFUL, (_CONDITION,), "For how long the condition has held without a break.",
+             "duration(abs(beside(rover, track)) < 2 cm)",
+             _TIME, _known(iv.POSITIVE),
+             memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {timestep} if {(condition)} else 0.0")),
+    Function("rising", _STATEFUL, (_CONDITION,), "Whether the condition has just become true.", "rising(contact(rover, ball))",
+             _NUMBER, boolean=True,
+             memory=Memory("{memory} = {condition}\n{result} = False",
+                           "{result} = {condition}\n{result}, {memory} = {result} and not {memory}, {result}")),
     Function("uniform", _DRAW, (_RANGE,), "A draw from a range, all values alike.", "uniform(-10 .. 10 cm)", interval=_hull),
-    Function(
-        "integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number from a range, both ends included.", "integer(1 .. 6)",
-        _NUMBER, _hull,
-    ),
+    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number from a range, both ends included.",
+             "integer(1 .. 6)", _NUMBER, _hull),
     Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A draw from a normal distribution.", "normal(0 +- 2 deg)"),
-    Function(
-        "choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, all alike.", "choice(-30 deg | 0 deg | 30 deg)",
-        interval=_hull, truths=True,
-    ),
+    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, all alike.", "choice(-30 deg | 0 deg | 30 deg)",
+             interval=_hull, truths=True),
 )  # fmt: skip
 
 _A, _B = Param("a"), Param("b")
@@ -667,6 +551,10 @@ def _add_plugins(known: dict[str, Function]) -> None:
             logging.getLogger("deepbots").warning("warning: the functions '%s' (%s) are not available: %s", entry.name, entry.value, reason)
 
 
+_OPERATORS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp, ast.IfExp, ast.operator, ast.boolop, ast.cmpop, ast.unaryop)
+_PRINTED = (*_OPERATORS, ast.Name, ast.expr_context, ast.Constant, ast.Call, ast.Starred)
+
+
 def _require_usable(function: object, known: Mapping[str, Function]) -> None:
     """Refuse an entry of another package that would break ours.
 
@@ -680,7 +568,10 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
-    names = [node.id for node in ast.walk(ast.parse(function.python, mode="eval")) if isinstance(node, ast.Name)]
+    nodes = list(ast.walk(ast.parse(function.python, mode="eval").body))
+    if not all(isinstance(node, _PRINTED) for node in nodes):
+        raise ValueError(f"the python of {name!r} may hold operators, numbers, calls and `if else`, nothing else")
+    names = [node.id for node in nodes if isinstance(node, ast.Name)]
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].many and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")
