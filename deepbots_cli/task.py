@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from deepbots_cli import ir
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.expressions.typed import Redraw, Typed
-from deepbots_cli.expressions.types import Components
+from deepbots_cli.expressions.types import Components, Redraw, Typed
 
 
 @dataclass(frozen=True, eq=False)

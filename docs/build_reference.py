@@ -13,12 +13,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
-from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME
-from deepbots_cli.expressions.examples import EXAMPLES
-from deepbots_cli.expressions.functions import ALLOWED, Family, Function
-from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
+from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
-from deepbots_cli.expressions.units import UNITS
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.rules.pages import Page, every_page
 from deepbots_cli.scenario.examples import example_of
@@ -255,7 +252,7 @@ def _functions() -> str:
 
 
 def _function_row(function: Function) -> str:
-    example = _cell(EXAMPLES[function.name])
+    example = _cell(function.example)
     return f"| `{_cell(function.signature)}` | {_cell(function.doc)} | {_unit(function)} | `{example}` |"
 
 

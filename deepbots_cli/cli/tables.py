@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from deepbots_cli.cli.terminal import printable
 from deepbots_cli.diagnostics.render import columns
-from deepbots_cli.expressions.emit import python
+from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]

@@ -12,9 +12,8 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.expressions.examples import EXAMPLES
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.scenario.examples import example_of
 from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.hover import default_of, unit_of
@@ -135,8 +134,8 @@ def _of_function(word: str) -> Iterator[str]:
     if function is not None:
         yield f"{function.signature}: a function"
         yield function.doc
-        if function.name in EXAMPLES:
-            yield f"For example: {EXAMPLES[function.name]}"
+        if function.example:
+            yield f"For example: {function.example}"
 
 
 def _of_unit(word: str) -> Iterator[str]:

@@ -61,7 +61,7 @@ from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.document.nodes import Mapping as Tree
 from deepbots_cli.document.nodes import descend
-from deepbots_cli.expressions import agree
+from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.expressions.types import Context, Stage, Symbol
 from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
@@ -275,7 +275,7 @@ class _Pass:
         typed = checked.value
         if not is_repeated_as_a_whole(typed, checked.redraw, text, self.values):
             return Symbol(name, None)
-        agree.warn_of_degrees(typed, self.values.report(text))
+        unification.warn_of_degrees(typed, self.values.report(text))
         fixed = self.values.fixed(typed, text, f"`{name}`") if typed.type.stage is Stage.FIXED else None
         if typed.type.stage is Stage.FIXED and fixed is None:
             return Symbol(name, None)

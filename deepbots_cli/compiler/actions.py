@@ -10,10 +10,10 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.document.nodes import Mapping, Path
 from deepbots_cli.expressions.dimensions import NUMBER
-from deepbots_cli.expressions.expect import expect
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Components, Context, Stage, Symbol, Type
+from deepbots_cli.expressions.unification import expect
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction
 from deepbots_cli.task import Forbidden, Valued

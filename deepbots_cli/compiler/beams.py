@@ -11,9 +11,9 @@ from deepbots_cli.compiler.sensors import SensorKind
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
-from deepbots_cli.expressions.expect import ANY_SHAPE
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.types import Components, NoNames
+from deepbots_cli.expressions.unification import ANY_SHAPE
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.scenario.sensors import Fan, RaySensor, Reflectance
 

@@ -8,11 +8,9 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
-from deepbots_cli.expressions.expect import expect
-from deepbots_cli.expressions.functions import Family
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Invocation, Redraw, Typed, children
-from deepbots_cli.expressions.types import Context, Stage
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.types import Context, Invocation, Redraw, Stage, Typed, children
+from deepbots_cli.expressions.unification import expect
 from deepbots_cli.scenario.robot import Route
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import TaskRoute, Valued

@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterator
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.diagnostics import Edit, Fix
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, Dimension
+from deepbots_cli.expressions.dimensions import ANGLE, UNITS, Dimension, Unit
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.units import UNITS, Unit
 
 _NUMBER = re.compile(r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?")
 _DIGITS = 4

@@ -9,8 +9,7 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import TRUTH, Interval
-from deepbots_cli.expressions.typed import Constant
-from deepbots_cli.expressions.types import Stage, Type
+from deepbots_cli.expressions.types import Constant, Stage, Type
 from deepbots_cli.scenario.task import PythonTerm
 from deepbots_cli.task import Valued
 

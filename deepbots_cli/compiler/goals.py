@@ -12,11 +12,9 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import GOAL_IS_LATE, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.compiler.variations import noise
-from deepbots_cli.expressions.expect import ANY_SHAPE, expect
-from deepbots_cli.expressions.functions import Family
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Invocation, Reference, Typed, children
-from deepbots_cli.expressions.types import Context, Stage, Symbol, Type
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.types import Context, Invocation, Reference, Stage, Symbol, Type, Typed, children
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import TaskGoal, Valued
 

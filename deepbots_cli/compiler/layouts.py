@@ -15,8 +15,7 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
 from deepbots_cli.expressions.intervals import exact
-from deepbots_cli.expressions.typed import Constant
-from deepbots_cli.expressions.types import Context, Type
+from deepbots_cli.expressions.types import Constant, Context, Type
 from deepbots_cli.robots.model import Box
 from deepbots_cli.scenario.reset import MapLayout
 from deepbots_cli.scenario.scenario import Scenario

@@ -9,8 +9,8 @@ from dataclasses import replace
 from deepbots_cli import footprint, ir
 from deepbots_cli.compiler.stamps import with_stamps
 from deepbots_cli.expressions import lower as lang
-from deepbots_cli.expressions.fold import op
 from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import op
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar, walk
 from deepbots_cli.task import (
     Command,

@@ -11,8 +11,7 @@ from deepbots_cli.compiler.values import Text
 from deepbots_cli.compiler.variations import noise
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.typed import Typed
-from deepbots_cli.expressions.types import Context
+from deepbots_cli.expressions.types import Context, Typed
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Observed
 from deepbots_cli.task import ObservedValue, Valued

@@ -14,8 +14,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.typed import Constant
-from deepbots_cli.expressions.types import PLANE, SPACE, Context, Stage, Type
+from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Stage, Type
 from deepbots_cli.scenario.pose import Pose
 from deepbots_cli.scenario.reset import Placement as PlacementSpec
 from deepbots_cli.scenario.reset import Region

@@ -11,8 +11,7 @@ from deepbots_cli.compiler.places import Places
 from deepbots_cli.compiler.room import check_surroundings
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.typed import Invocation, Typed, children
-from deepbots_cli.expressions.types import Context
+from deepbots_cli.expressions.types import Context, Invocation, Typed, children
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Beginnings, Placement, TaskLayout, Valued
 

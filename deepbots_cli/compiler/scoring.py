@@ -13,10 +13,9 @@ from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.compiler.variations import noise
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, TIME
-from deepbots_cli.expressions.expect import expect
 from deepbots_cli.expressions.intervals import EVERYTHING
-from deepbots_cli.expressions.typed import Typed
-from deepbots_cli.expressions.types import Context, Stage, Symbol
+from deepbots_cli.expressions.types import Context, Stage, Symbol, Typed
+from deepbots_cli.expressions.unification import expect
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Measured, PythonTerm
 from deepbots_cli.task import TaskEnding, Valued

@@ -13,9 +13,9 @@ from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import SupervisorScope
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.expect import expect
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Components, Context
+from deepbots_cli.expressions.unification import expect
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Pick, TaskScript, Valued
 

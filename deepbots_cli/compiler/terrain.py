@@ -12,9 +12,8 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.variations import figure
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
-from deepbots_cli.expressions.fold import op
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.lower import lower, op
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
 from deepbots_cli.scenario import world as spec

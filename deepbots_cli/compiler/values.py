@@ -10,12 +10,11 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.document.nodes import Mapping, Path, Scalar, descend
-from deepbots_cli.expressions import agree, check, parser, syntax
+from deepbots_cli.expressions import check, parser, syntax, unification
 from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.expect import expect, expect_range
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.typed import Redraw, Typed, TypedRange, zero
-from deepbots_cli.expressions.types import Components, NoNames, Report, Rewriting, Scope, Stage
+from deepbots_cli.expressions.types import Components, NoNames, Redraw, Report, Rewriting, Scope, Stage, Typed, TypedRange, zero
+from deepbots_cli.expressions.unification import expect, expect_range
 from deepbots_cli.scenario.fields import Leaf, Quantity
 from deepbots_cli.scenario.habits import other_name
 from deepbots_cli.scenario.plain import choose_from
@@ -163,7 +162,7 @@ class Values:
         self.readings.append(Reading(text, scope, (typed,) if typed else ()))
         if typed is None or boolean is None:
             return typed
-        agrees = agree.truths if boolean else agree.numbers
+        agrees = unification.truths if boolean else unification.numbers
         return typed if agrees([typed], self.report(text)) else None
 
     def drawn(self, text: Text, scope: Scope) -> check.Checked | None:

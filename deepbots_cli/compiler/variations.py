@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
-from deepbots_cli.expressions.expect import expect
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.typed import Typed, zero
-from deepbots_cli.expressions.types import Components, Scope, Stage
+from deepbots_cli.expressions.types import Components, Scope, Stage, Typed, zero
+from deepbots_cli.expressions.unification import expect
 from deepbots_cli.scenario.fields import Quantity
 from deepbots_cli.task import TaskNoise, Valued, Varied
 

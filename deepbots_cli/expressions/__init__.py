@@ -3,17 +3,15 @@
 It knows nothing of YAML or scenarios: it sees a text, a scope that resolves names, and a place to
 report findings to. Read in this order:
 
-dimensions.py  what a quantity measures             units.py      the names behind numbers
-lexer.py       text to tokens                       syntax.py     the untyped tree
-stream.py      the tokens one by one, quantities    parser.py     tokens to tree
-foreign.py     habits of other languages, refused kindly
-types.py       Type, Stage, Symbol, Subject, Scope  intervals.py  interval arithmetic
-functions.py   what an entry of the table says      table.py      the functions of the language
-examples.py    a call of each, for the reference
-typed.py       the typed tree                       check.py      tree to typed tree, with
-                 names.py, operators.py, calls.py, agree.py, size.py, guesses.py
-expect.py      what a field demands of a value
-scalar.py      what is left: single SI numbers      lower.py      typed tree to scalars, with
-                 fold.py (constants), geometry.py (world functions)
-state.py       stateful functions as statements     emit.py       scalars to Python text
+dimensions.py   what a quantity measures, and the names behind numbers
+intervals.py    interval arithmetic
+types.py        types, stages, symbols, scopes; the typed tree
+syntax.py       tokens and the untyped tree
+parser.py       text to tree, with hints for the commonest slips
+functions.py    THE table: all that is known of each function and operator; functions of other packages
+unification.py  whether values fit together and fit their field
+check.py        tree to typed tree
+scalar.py       single SI numbers: what the compiled scenario holds
+lower.py        typed tree to scalars; constants are folded
+printer.py      scalars to Python text; stateful functions as statements
 """

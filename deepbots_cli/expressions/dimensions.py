@@ -1,21 +1,25 @@
-"""Dimensions: what a quantity measures, as exponents of metre, kilogram, second and radian.
+"""Dimensions and units: what a quantity measures, and the names that may stand behind a number.
 
-Angle is a dimension of its own, so that an angular velocity times a radius is no speed until the
-radian is divided out.
+Angle is a dimension: an angular velocity times a radius becomes a speed only when it is divided by a radian.
+Unit names are reserved: no parameter or signal may take one. In an expression, a unit name that stands alone
+is a constant of one such unit.
 """
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import NamedTuple
+
+from deepbots_cli.diagnostics.nearest import Meant
 
 Exponent = int | Fraction
 
 
 class Dimension(NamedTuple):
-    """Exponents of the base units; whole numbers, or fractions after a root.
+    """Exponents of metre, kilogram, second and radian: whole numbers, or fractions after a root.
 
-    A tuple, since checking expressions is comparing dimensions; `*` is not that of tuples, though, which would repeat it.
+    `*` multiplies the quantities; it does not repeat the tuple.
     """
 
     m: Exponent = 0
@@ -33,29 +37,34 @@ class Dimension(NamedTuple):
         return Dimension(self.m * exponent, self.kg * exponent, self.s * exponent, self.rad * exponent)
 
     def __str__(self) -> str:
-        """The unit in which the quantity is kept: `m/s^2`, `N*m`, `1` for a plain number."""
-        return _UNIT_TEXT.get(self) or self._spelled()
+        """The SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
+        known = QUANTITIES.get(self)
+        if known is not None and known.unit:
+            return known.unit
+        bases = (("kg", self.kg), ("m", self.m), ("s", self.s), ("rad", self.rad))
+        above = "*".join(_power(base, exponent) for base, exponent in bases if exponent > 0)
+        below = "".join(f"/{_power(base, -exponent)}" for base, exponent in bases if exponent < 0)
+        return (above or "1") + below
 
     @property
     def words(self) -> str:
         """For a sentence: `a speed (m/s)`, `an angle (rad)`, `a plain number`."""
         if self == NUMBER:
             return "a plain number"
-        noun = _NOUNS.get(self)
-        return f"{noun} ({self})" if noun else f"a quantity in {self}"
+        known = QUANTITIES.get(self)
+        return f"{known.noun} ({self})" if known is not None and known.noun else f"a quantity in {self}"
 
-    def _spelled(self) -> str:
-        bases = (("kg", self.kg), ("m", self.m), ("s", self.s), ("rad", self.rad))
-        above = "*".join(_power(base, exponent) for base, exponent in bases if exponent > 0)
-        below = "".join(f"/{_power(base, -exponent)}" for base, exponent in bases if exponent < 0)
-        return (above or "1") + below
+    @property
+    def example(self) -> str:
+        """A value with its unit, for a hint."""
+        known = QUANTITIES.get(self)
+        return (known.example if known is not None else "") or f"0.5 {self}"
 
 
 def _power(base: str, exponent: Exponent) -> str:
     if exponent == 1:
         return base
-    whole = Fraction(exponent).denominator == 1
-    return f"{base}^{exponent}" if whole else f"{base}^({exponent})"
+    return f"{base}^{exponent}" if Fraction(exponent).denominator == 1 else f"{base}^({exponent})"
 
 
 NUMBER = Dimension()
@@ -72,34 +81,152 @@ TORQUE = FORCE * LENGTH
 POWER = TORQUE / TIME
 PRESSURE = FORCE / LENGTH**2
 
-_UNIT_TEXT = {
-    FORCE: "N",
-    TORQUE: "N*m",
-    POWER: "W",
-    PRESSURE: "Pa",
-    FORCE / LENGTH: "N/m",
-    FORCE / SPEED: "N*s/m",
-    TORQUE / ANGLE: "N*m/rad",
-    TORQUE / ANGULAR_VELOCITY: "N*m*s/rad",
+
+class PhysicalQuantity(NamedTuple):
+    """What the messages say about a dimension.
+
+    `unit` is its name where the base units would read badly. No robot has a value beyond `plausible`: such a
+    value has a wrong unit or a slipped exponent. `bare_is_si` lets a field take a number without a unit.
+    """
+
+    dimension: Dimension
+    noun: str = ""
+    unit: str = ""
+    example: str = ""
+    plausible: float = math.inf
+    bare_is_si: bool = False
+
+
+QUANTITIES = {
+    quantity.dimension: quantity
+    for quantity in (
+        PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible=1e5, bare_is_si=True),
+        PhysicalQuantity(LENGTH**2, "an area"),
+        PhysicalQuantity(LENGTH**3, "a volume"),
+        PhysicalQuantity(MASS / LENGTH**3, "a density"),
+        PhysicalQuantity(MASS, "a mass", example="0.5 kg", plausible=1e6, bare_is_si=True),
+        PhysicalQuantity(TIME, "a duration", example="20 ms", plausible=1e7),
+        PhysicalQuantity(ANGLE, "an angle", example="30 deg", plausible=1e4),
+        PhysicalQuantity(SPEED, "a speed", plausible=1e4),
+        PhysicalQuantity(ACCELERATION, "an acceleration", plausible=1e6),
+        PhysicalQuantity(ANGULAR_VELOCITY, "an angular velocity", plausible=1e5),
+        PhysicalQuantity(ANGULAR_VELOCITY / TIME, "an angular acceleration"),
+        PhysicalQuantity(FREQUENCY, "a frequency"),
+        PhysicalQuantity(FORCE, "a force", "N", plausible=1e8),
+        PhysicalQuantity(TORQUE, "a torque or an energy", "N*m", plausible=1e8),
+        PhysicalQuantity(POWER, "a power", "W"),
+        PhysicalQuantity(PRESSURE, "a pressure", "Pa"),
+        PhysicalQuantity(MASS * LENGTH**2, "a moment of inertia"),
+        PhysicalQuantity(FORCE / LENGTH, unit="N/m"),
+        PhysicalQuantity(FORCE / SPEED, unit="N*s/m"),
+        PhysicalQuantity(TORQUE / ANGLE, "a rotational stiffness", "N*m/rad"),
+        PhysicalQuantity(TORQUE / ANGULAR_VELOCITY, "a rotational damping", "N*m*s/rad"),
+    )
 }
-_NOUNS = {
-    LENGTH: "a length",
-    LENGTH**2: "an area",
-    LENGTH**3: "a volume",
-    MASS: "a mass",
-    MASS / LENGTH**3: "a density",
-    TIME: "a duration",
-    ANGLE: "an angle",
-    SPEED: "a speed",
-    ACCELERATION: "an acceleration",
-    ANGULAR_VELOCITY: "an angular velocity",
-    ANGULAR_VELOCITY / TIME: "an angular acceleration",
-    FREQUENCY: "a frequency",
-    FORCE: "a force",
-    TORQUE: "a torque or an energy",
-    POWER: "a power",
-    PRESSURE: "a pressure",
-    MASS * LENGTH**2: "a moment of inertia",
-    TORQUE / ANGLE: "a rotational stiffness",
-    TORQUE / ANGULAR_VELOCITY: "a rotational damping",
+
+
+class Unit(NamedTuple):
+    """A `value` of this unit is `value * scale / divisor` in SI units.
+
+    The divisor is kept apart because 57 / 100 is the float 0.57 and 57 * 0.01 is not.
+    """
+
+    text: str
+    dimension: Dimension
+    scale: float = 1.0
+    divisor: float = 1.0
+
+    def to_si(self, value: float) -> float:
+        return value * self.scale / self.divisor
+
+    def times(self, other: Unit) -> Unit:
+        return Unit(f"{self.text}*{other.text}", self.dimension * other.dimension, self.scale * other.scale, self.divisor * other.divisor)
+
+    def per(self, other: Unit) -> Unit:
+        return Unit(f"{self.text}/{other.text}", self.dimension / other.dimension, self.scale * other.divisor, self.divisor * other.scale)
+
+    def to_power(self, exponent: int) -> Unit:
+        """The unit raised to `exponent`, which the parser keeps small enough for the factors to stay finite."""
+        scale, divisor = (self.scale, self.divisor) if exponent >= 0 else (self.divisor, self.scale)
+        return Unit(f"{self.text}^{exponent}", self.dimension**exponent, scale ** abs(exponent), divisor ** abs(exponent))
+
+
+ONE = Unit("1", NUMBER)
+UNITS = {
+    unit.text: unit
+    for unit in (
+        Unit("m", LENGTH),
+        Unit("mm", LENGTH, divisor=1000.0),
+        Unit("cm", LENGTH, divisor=100.0),
+        Unit("km", LENGTH, scale=1000.0),
+        Unit("s", TIME),
+        Unit("ms", TIME, divisor=1000.0),
+        Unit("us", TIME, divisor=1e6),
+        Unit("min", TIME, scale=60.0),
+        Unit("h", TIME, scale=3600.0),
+        Unit("kg", MASS),
+        Unit("g", MASS, divisor=1000.0),
+        Unit("rad", ANGLE),
+        Unit("deg", ANGLE, scale=math.pi / 180.0),
+        Unit("rpm", ANGULAR_VELOCITY, scale=math.pi / 30.0),
+        Unit("Hz", FREQUENCY),
+        Unit("kHz", FREQUENCY, scale=1000.0),
+        Unit("N", FORCE),
+        Unit("mN", FORCE, divisor=1000.0),
+        Unit("kN", FORCE, scale=1000.0),
+        Unit("J", TORQUE),
+        Unit("W", POWER),
+        Unit("Pa", PRESSURE),
+        Unit("kPa", PRESSURE, scale=1000.0),
+        Unit("%", NUMBER, divisor=100.0),
+    )
 }
+
+_WRITTEN_OUT = {
+    word: unit
+    for unit, words in {
+        "m": "meter meters metre metres",
+        "mm": "millimeter millimeters millimetre millimetres",
+        "cm": "centimeter centimeters centimetre centimetres",
+        "s": "sec secs second seconds",
+        "ms": "msec millisecond milliseconds",
+        "min": "minute minutes",
+        "h": "hour hours",
+        "g": "gram grams",
+        "kg": "kilogram kilograms",
+        "deg": "degree degrees",
+        "rad": "radian radians",
+        "rad/s": "rads",
+        "m/s": "mps",
+        "N*m": "Nm nm",
+        "N": "newton newtons",
+        "Hz": "hz hertz",
+        "J": "joule",
+        "W": "watt",
+        "%": "percent",
+    }.items()
+    for word in words.split()
+}
+_AMBIGUOUS = frozenset({"rads", "nm"})
+"""They may also mean more than one radian, and nanometres."""
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+
+
+def suggest_unit(name: str) -> Meant | None:
+    """The unit that the unknown `name` probably means; safe where `name` is the unit written out."""
+    known = name if name in _WRITTEN_OUT else name.lower()
+    if known in _WRITTEN_OUT:
+        return Meant(_WRITTEN_OUT[known], known not in _AMBIGUOUS)
+    if multiple(name) is not None:
+        return None  # the unit without its prefix would be another value
+    if len(name) > 1 and known in UNITS:
+        return Meant(known, safe=False)
+    from difflib import get_close_matches  # only on the way to a finding: its import costs 4 ms; case matters here: m, M
+
+    close = get_close_matches(name, UNITS, n=1)
+    return Meant(close[0], safe=False) if close else None
+
+
+def multiple(name: str) -> tuple[float, str] | None:
+    """Factor and unit where `name` is a known unit with a prefix the language lacks: `mrad` is 0.001 rad."""
+    return (_PREFIXES[name[0]], name[1:]) if name[:1] in _PREFIXES and name[1:] in UNITS else None

@@ -1,17 +1,34 @@
-"""What an entry of the function table says, and which families of functions each place may call.
+"""The functions of the language: one entry per function, in one table.
 
-Nothing is computed here: the entries are in `table`, their typing in `calls`, their meaning in `lower`.
+Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the entries
+and nothing else, so one entry makes a function. `OPERATORS` holds the operators in the same form.
+
+Other packages add functions of the family `PURE` by an entry point of the group `deepbots.functions`, which names
+a `Function` or a list of them:
+
+    [project.entry-points."deepbots.functions"]
+    more = "my_package.functions:FUNCTIONS"
+
+    FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2 * x")]
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import ast
+import math
+from collections.abc import Callable, Iterator, Mapping
 from enum import Enum, auto
-from typing import NamedTuple
+from fractions import Fraction
+from functools import cache, reduce
+from typing import Any, NamedTuple
 
-from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Components, Context, Kind
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
+from deepbots_cli.expressions.scalar import Const, Op, Scalar, World
+from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
+
+GROUP = "deepbots.functions"
 
 
 class Family(Enum):
@@ -24,6 +41,30 @@ class Family(Enum):
     DRAW = auto()
 
 
+_WORLD = frozenset({Family.PURE, Family.WORLD})
+_TASK = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE, Family.STATEFUL})
+_BOARD = frozenset({Family.PURE, Family.STATEFUL})
+_DRAWN = frozenset({Family.PURE, Family.DRAW})
+ALLOWED: dict[Context, frozenset[Family]] = {
+    Context.FIXED: frozenset({Family.PURE}),
+    Context.PARAMETER: _DRAWN,
+    Context.FIELD: _DRAWN,
+    Context.EMIT: _BOARD,
+    Context.APPLY: _BOARD,
+    Context.RECEIVE: _TASK,
+    Context.SIGNAL: _TASK,
+    Context.OBSERVATION: frozenset({Family.PURE}),
+    Context.FORBID: frozenset({Family.PURE}),
+    Context.SCRIPT: _TASK - {Family.STATEFUL},
+    Context.GOAL: _WORLD,
+    Context.REWARD: _TASK,
+    Context.ENDING: _TASK,
+    Context.RESET: _DRAWN,
+    Context.REQUIRE: _WORLD,
+}
+"""The families that each place may call."""
+
+
 class Form(Enum):
     """How an argument is written: a value, `low .. high`, `mean +- deviation`, `a | b`, or a name in the world."""
 
@@ -34,19 +75,11 @@ class Form(Enum):
     SUBJECT = auto()
 
 
-class Shape(Enum):
-    """How the components of the result follow from those of the arguments."""
-
-    EACH = auto()  # elementwise; single values serve every component
-    ONE = auto()  # a vector becomes a single value
-    FOLD = auto()  # one vector becomes a single value, several arguments go elementwise
-    GATHER = auto()  # single values become a vector
-
-
 class Param(NamedTuple):
     """One argument. `dimension` None means: any, but the same for all such arguments of the call.
 
-    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name.
+    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `many` lets the
+    last argument be given once or more often.
     """
 
     name: str
@@ -63,57 +96,506 @@ class Param(NamedTuple):
         return f"[{shown}]" if self.optional else f"{shown}, ..." if self.many else shown
 
 
-DimensionRule = Callable[[Dimension], Dimension]
-IntervalRule = Callable[[Sequence[Interval], int], Interval]
+class Reduction(NamedTuple):
+    """How a vector becomes a single value: by an operation on all components, perhaps divided by their number.
+
+    `empty` is the value of no component at all, which absent copies of a group take; None refuses such vectors.
+    `interval` maps the interval of the components and their number to that of the result.
+    """
+
+    operation: str
+    empty: float | bool | None
+    interval: Callable[[Interval, int], Interval] = lambda components, _count: components
+    mean: bool = False
 
 
-def _nothing_known(_args: Sequence[Interval], _count: int) -> Interval:
+class Memory(NamedTuple):
+    """A stateful function as statements, run in every timestep, whether or not the result is used.
+
+    `{memory}` and `{result}` are the two variables, `{timestep}` is in seconds. `{x}` is the code of the argument x,
+    `{(x)}` the same in parentheses where it needs them beside an operator. An absent `start` is the first argument.
+    `reset` runs after the first readings of an episode, `advance` in each timestep after it.
+    """
+
+    reset: str
+    advance: str
+
+
+def _same(shared: Dimension) -> Dimension:
+    return shared
+
+
+def _unknown(*_arguments: Interval) -> Interval:
     return EVERYTHING
 
 
 class Function(NamedTuple):
-    """One entry. `result` maps the shared dimension of the arguments to that of the value.
+    """One function, or one operator.
 
-    `interval` receives the intervals of all arguments (subjects give theirs) and the number of
-    components of the first. `truths` lets the shared arguments be truth values, and so the result.
+    Attributes:
+        doc: One sentence.
+        example: A call about the scenario tests/data/scenarios/reference.yaml, for the reference page.
+        result: Maps the dimension shared by the arguments to that of the value.
+        interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value.
+        components: Those of the value, where they do not follow from the arguments.
+        boolean: The value is a truth value.
+        truths: The arguments without a dimension of their own may be truth values; the value is then one, too.
+        domain: The first argument must stay within; otherwise DB406.
+
+    The meaning of a pure function is one of these, or both:
+        python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the module
+            `math`, `abs`, `min` and `max`. It holds each argument once. Generated code prints it, folding evaluates
+            it. An operator of many arguments combines them from left to right.
+        short: A faster form where all arguments are names or numbers; it may repeat them.
+        array: The same over numpy arrays: names of the arguments, `np`, `reduce`, `math`'s. Empty where `python` does.
+        reduction: The meaning for a single argument that is a vector.
+
+    That of a function of the world is a reading of the engine, unless it has a `tree`:
+        tree: Makes the scalar tree from the full names of the subjects.
+        at_link: The subject is read at the link that stands for it; a robot is read at its base link.
+        of_pieces: The operation that joins the values for a wall of several pieces.
+
+    memory: The meaning of a stateful function.
     """
 
     name: str
     family: Family
     params: tuple[Param, ...]
-    doc: str
-    result: DimensionRule
-    shape: Shape | Components = Shape.EACH
-    interval: IntervalRule = _nothing_known
+    doc: str = ""
+    example: str = ""
+    result: Callable[[Dimension], Dimension] = _same
+    interval: Callable[..., Interval] = _unknown
+    components: Components | None = None
     boolean: bool = False
     truths: bool = False
+    domain: Interval = EVERYTHING
+    python: str = ""
+    short: str = ""
+    array: str = ""
+    reduction: Reduction | None = None
+    tree: Callable[..., Scalar] | None = None
+    at_link: bool = False
+    of_pieces: str = "or"
+    memory: Memory | None = None
 
     @property
     def signature(self) -> str:
         return f"{self.name}({', '.join(map(str, self.params))})"
 
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """The names of the single values that the function takes; the last with a star where it takes the rest."""
+        names = [name for param in self.params for name in (("low", "high") if param.form is Form.RANGE else (param.name,))]
+        return (*names[:-1], f"*{names[-1]}") if f"*{names[-1]}" in self.python else tuple(names)
 
-_EVERYWHERE = frozenset({Family.PURE})
-_WORLD = frozenset({Family.PURE, Family.WORLD})
-_NOW = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE})
-_TASK = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE, Family.STATEFUL})
-_BOARD = frozenset({Family.PURE, Family.STATEFUL})
-_DRAWN = frozenset({Family.PURE, Family.DRAW})
+    def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
+        """The callable of `python` or `array`."""
+        compute: Callable[..., Any] = eval(f"lambda {', '.join(self.arguments)}: {text}", namespace)
+        if self.params[-1].many and not self.arguments[-1].startswith("*"):
+            return lambda *terms: reduce(compute, terms)
+        return compute
 
-ALLOWED: dict[Context, frozenset[Family]] = {
-    Context.FIXED: _EVERYWHERE,
-    Context.PARAMETER: _DRAWN,
-    Context.FIELD: _DRAWN,
-    Context.EMIT: _BOARD,
-    Context.APPLY: _BOARD,
-    Context.RECEIVE: _TASK,
-    Context.SIGNAL: _TASK,
-    Context.OBSERVATION: _EVERYWHERE,
-    Context.FORBID: _EVERYWHERE,
-    Context.SCRIPT: _NOW,
-    Context.GOAL: _WORLD,
-    Context.REWARD: _TASK,
-    Context.ENDING: _TASK,
-    Context.RESET: _DRAWN,
-    Context.REQUIRE: _WORLD,
+
+@cache
+def scalar_function(name: str) -> Callable[..., float | bool]:
+    """Computes an operation on floats and truth values, as generated code does.
+
+    It raises an ArithmeticError or a ValueError where the operation has no value.
+    """
+    if name == "pow":
+        return _power
+    function = operation(name)
+    return function.compiled(function.python, {**vars(math)})
+
+
+def whole_exponent(exponent: float) -> int | None:
+    """The exponent as Python's `**` takes it; others go to `math.pow`, which never turns complex."""
+    return int(exponent) if float(exponent).is_integer() and abs(exponent) <= 1000 else None
+
+
+def _power(base: float, exponent: float) -> float:
+    """As `printer` prints powers: `x * x`, `x ** n`, `pow(x, y)`."""
+    whole = whole_exponent(exponent)
+    if whole == 2:
+        return base * base
+    return math.pow(base, exponent) if whole is None else float(base) ** whole
+
+
+# Scalar trees of functions of the world, over readings of the engine: the same on every engine. World frame, z up.
+
+
+def _op(name: str, *args: Scalar) -> Op:
+    return Op(name, args)
+
+
+def _position(body: str, axis: str) -> World:
+    return World("position", (body,), axis)
+
+
+def _quaternion(body: str) -> tuple[World, ...]:
+    return tuple(World("orientation", (body,), axis) for axis in QUATERNION)
+
+
+def rotation(body: str, row: int, column: int) -> Scalar:
+    """One entry of the matrix that turns vectors of the body into vectors of the world."""
+    q, two = _quaternion(body), Const(2.0)
+    if row == column:
+        a, b = (q[axis] for axis in range(3) if axis != row)
+        return _op("sub", Const(1.0), _op("mul", two, _op("add", _op("mul", a, a), _op("mul", b, b))))
+    other = q[3 - row - column]
+    sign = "add" if (row - column) % 3 == 1 else "sub"
+    return _op("mul", two, _op(sign, _op("mul", q[row], q[column]), _op("mul", other, q[3])))
+
+
+def _roll(body: str) -> Scalar:
+    return _op("atan2", rotation(body, 2, 1), rotation(body, 2, 2))
+
+
+def _pitch(body: str) -> Scalar:
+    """As an atan2 it stays exact at the poles, where rounding takes an arcsine out of its domain."""
+    level = _op("hypot", rotation(body, 0, 0), rotation(body, 1, 0))
+    return _op("atan2", _op("neg", rotation(body, 2, 0)), level)
+
+
+def _yaw(body: str) -> Scalar:
+    return _op("atan2", rotation(body, 1, 0), rotation(body, 0, 0))
+
+
+def _tilt(body: str) -> Scalar:
+    """Twice the half angle: exact near 0, where the arccosine of the matrix entry loses half its digits."""
+    x, y, z, w = _quaternion(body)
+    return _op("mul", Const(2.0), _op("atan2", _op("hypot", x, y), _op("hypot", z, w)))
+
+
+def _apart(body: str, other: str, axis: str) -> Scalar:
+    return _op("sub", _position(other, axis), _position(body, axis))
+
+
+def _distance(body: str, other: str) -> Scalar:
+    return _op("hypot", *(_apart(body, other, axis) for axis in "xyz"))
+
+
+def _ground_distance(body: str, other: str) -> Scalar:
+    return _op("hypot", *(_apart(body, other, axis) for axis in "xy"))
+
+
+def _bearing(body: str, other: str) -> Scalar:
+    """The angle between the body's forward axis and the line to the other, both seen from above."""
+    ahead_x, ahead_y = rotation(body, 0, 0), rotation(body, 1, 0)
+    dx, dy = _apart(body, other, "x"), _apart(body, other, "y")
+    across = _op("sub", _op("mul", ahead_x, dy), _op("mul", ahead_y, dx))
+    along = _op("add", _op("mul", ahead_x, dx), _op("mul", ahead_y, dy))
+    return _op("atan2", across, along)
+
+
+# The table.
+
+
+def _always(dimension: Dimension) -> Callable[[Dimension], Dimension]:
+    return lambda _shared: dimension
+
+
+def _known(interval: Interval) -> Callable[..., Interval]:
+    return lambda *_arguments: interval
+
+
+def _first(first: Interval, *_others: Interval) -> Interval:
+    return first
+
+
+def _hull(*arguments: Interval) -> Interval:
+    return iv.hull(arguments)
+
+
+def _norm(components: Interval, count: int) -> Interval:
+    return iv.length_of(*[components] * min(count, 1000))
+
+
+_NUMBER, _ANGLE, _LENGTH, _TIME = _always(NUMBER), _always(ANGLE), _always(LENGTH), _always(TIME)
+_PURE, _OF_WORLD, _STATEFUL, _DRAW = Family.PURE, Family.WORLD, Family.STATEFUL, Family.DRAW
+
+_X, _Y, _V = Param("x"), Param("y"), Param("v")
+_CONDITION = Param("condition", truth=True)
+_START = Param("start", optional=True)
+_PLAIN = Param("x", dimension=NUMBER)
+_TURN = Param("angle", dimension=ANGLE)
+_RANGE = Param("range", Form.RANGE)
+
+
+def _subject(name: str, *kinds: Kind) -> Param:
+    return Param(name, Form.SUBJECT, kinds=frozenset(kinds))
+
+
+_PLACED = (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL)
+_PLACES = (*_PLACED, Kind.LINKS, Kind.OBJECTS)
+_BODY = _subject("body", *_PLACED)
+_BODIES = _subject("body", *_PLACES, Kind.WALLS)
+_OTHER = _subject("other", *_PLACES)
+_SURFACE = _subject("body", *_PLACED, Kind.WALLS)
+_OTHER_SURFACE = _subject("other", *_PLACES, Kind.WALLS)
+_TOUCHED = _subject("other", *_PLACES, Kind.WALLS, Kind.GROUND)
+_JOINT = _subject("joint", Kind.JOINT, Kind.JOINTS)
+_LINE = _subject("line", Kind.LINE)
+_SEEN = _subject("body", Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.WALL, Kind.WALLS)
+_CAMERA = _subject("camera", Kind.CAMERA)
+_EMITTER = _subject("robot", Kind.ROBOT)
+_SENDER = _subject("sender", Kind.ROBOT, Kind.SENSOR, Kind.CAMERA)
+
+_FROM_ZERO = "{result} = {memory} = 0.0"
+_FROM_VALUE = "{result} = {memory} = {x}"
+
+_ENTRIES = (
+    Function("abs", _PURE, (_X,), "The size of x without its sign.", "abs(joint_velocity(rover.left_wheel))",
+             interval=iv.absolute, python="abs(x)"),
+    Function("sqrt", _PURE, (_X,), "The square root; halves the dimension.", "sqrt(distance(rover, ball) / m)",
+             lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)", array="np.sqrt(x)"),
+    Function("exp", _PURE, (_PLAIN,), "e to the power of a plain number.", "exp(-distance(rover, ball) / m)",
+             _NUMBER, lambda x: iv.monotone(math.exp, x), python="exp(x)", array="np.exp(x)"),
+    Function("log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover, ball) / m)",
+             _NUMBER, iv.logarithm, domain=Interval(math.ulp(0.0), INF), python="log(x)", array="np.log(x)"),
+    Function("sin", _PURE, (_TURN,), "The sine of an angle.", "sin(yaw(rover))",
+             _NUMBER, iv.sine, python="sin(angle)", array="np.sin(angle)"),
+    Function("cos", _PURE, (_TURN,), "The cosine of an angle.", "cos(2 * bearing(rover, ball))",
+             _NUMBER, iv.cosine, python="cos(angle)", array="np.cos(angle)"),
+    Function("tan", _PURE, (_TURN,), "The tangent of an angle.", "tan(tilt(rover) / 2)",
+             _NUMBER, iv.tangent, python="tan(angle)", array="np.tan(angle)"),
+    Function("atan2", _PURE, (_Y, _X), "The angle of the point (x, y), between -180 and 180 deg.",
+             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.angle_of, python="atan2(y, x)", array="np.arctan2(y, x)"),
+    # numpy's own hypot rounds differently and takes two arguments; this one costs 0.1 us per value.
+    Function("hypot", _PURE, (_X, Param("y", many=True)), "The root of the sum of squares.",
+             "hypot(position(rover).x, position(rover).y)",
+             interval=iv.length_of, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
+    # The short form takes 25 ns, two calls take 110.
+    Function("clamp", _PURE, (_X, _RANGE), "x, kept within the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
+             interval=iv.clamped, python="min(max(x, low), high)", short="low if x < low else high if x > high else x",
+             array="np.minimum(np.maximum(x, low), high)"),
+    Function("wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
+             _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau"),
+    Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
+             "where(contact(rover, ball), 1, 0)",
+             interval=lambda _condition, a, b: iv.hull((a, b)), truths=True, python="a if condition else b",
+             array="np.where(condition, a, b)"),
+    Function("min", _PURE, (Param("x", many=True),), "The least component of one vector, or of several values.", "min(rover.near)",
+             interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
+    Function("max", _PURE, (Param("x", many=True),), "The greatest component of one vector, or of several values.",
+             "max(abs(gas), abs(turn))",
+             interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)", reduction=Reduction("max", -INF)),
+    Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
+             reduction=Reduction("add", 0.0, iv.times_count)),
+    Function("mean", _PURE, (_V,), "The mean of the components.", "mean(joint_velocity(rover.wheels))",
+             reduction=Reduction("add", None, mean=True)),
+    Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.", "norm(velocity(rover).xy)",
+             reduction=Reduction("hypot", 0.0, _norm)),
+    Function("any", _PURE, (Param("v", truth=True),), "Whether a component is true.", "any(rover.near < 0.1 m)",
+             _NUMBER, boolean=True, reduction=Reduction("or", False)),
+    Function("all", _PURE, (Param("v", truth=True),), "Whether every component is true.",
+             "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True, reduction=Reduction("and", True)),
+    Function("vector", _PURE, (_X, Param("y", many=True)), "A vector of two (x, y) or three (x, y, z) values.",
+             "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
+    Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
+    Function("position", _OF_WORLD, (_BODY,), "Where the origin of a link is, in the world.", "position(rover.left_wheel)",
+             _LENGTH, components=SPACE, at_link=True),
+    Function("velocity", _OF_WORLD, (_BODY,), "How fast the origin of a link moves, in the world.", "velocity(ball)",
+             _always(LENGTH / TIME), components=SPACE, at_link=True),
+    Function("angular_velocity", _OF_WORLD, (_BODY,), "How fast a link turns, about the axes of the world.", "angular_velocity(rover).z",
+             _always(ANGLE / TIME), components=SPACE, at_link=True),
+    Function("orientation", _OF_WORLD, (_BODY,), "The quaternion (x, y, z, w) of a link.", "orientation(rover)",
+             _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, at_link=True),
+    Function("roll", _OF_WORLD, (_BODY,), "The turn about the forward axis.", "roll(rover)",
+             _ANGLE, _known(iv.TURN), tree=_roll, at_link=True),
+    Function("pitch", _OF_WORLD, (_BODY,), "The turn about the sideways axis; nose down is positive.", "pitch(rover)",
+             _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, at_link=True),
+    Function("yaw", _OF_WORLD, (_BODY,), "The turn about the vertical; left is positive.", "yaw(rover)",
+             _ANGLE, _known(iv.TURN), tree=_yaw, at_link=True),
+    Function("tilt", _OF_WORLD, (_BODY,), "The angle between a link's own vertical and that of the world.", "tilt(rover)",
+             _ANGLE, _known(iv.HALF_TURN), tree=_tilt, at_link=True),
+    Function("local", _OF_WORLD, (_BODY, Param("v", components=SPACE)), "A vector of the world, as seen from a body.",
+             "local(rover, velocity(rover))", components=SPACE, at_link=True),
+    Function("distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in space.", "distance(rover, ball)",
+             _LENGTH, _known(iv.POSITIVE), tree=_distance, at_link=True),
+    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in the plane.",
+             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, at_link=True),
+    Function("bearing", _OF_WORLD, (_BODY, _OTHER), "The horizontal angle from straight ahead to another body; left is positive.",
+             "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, at_link=True),
+    Function("gap", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "How far apart two surfaces are.", "gap(rover, ball)",
+             _LENGTH, _known(iv.POSITIVE), of_pieces="min"),
+    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest way around what is solid.",
+             "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
+    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a way around what is solid.", "reachable(rover, ball)",
+             _NUMBER, boolean=True),
+    Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether a camera's newest picture shows a body.", "visible(rover.eye, ball)",
+             _NUMBER, boolean=True),
+    Function("contact", _OF_WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this tick.", "contact(ball, ground)",
+             _NUMBER, boolean=True),
+    Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything but the ground.", "collided(rover)",
+             _NUMBER, boolean=True),
+    Function("joint_position", _OF_WORLD, (_JOINT,), "The angle or travel of a joint.", "joint_position(rover.left_wheel)",
+             interval=_first),
+    Function("joint_velocity", _OF_WORLD, (_JOINT,), "How fast a joint moves.", "joint_velocity(rover.wheels)", lambda d: d / TIME),
+    Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.", "joint_torque(rover.wheels)",
+             lambda d: FORCE if d == LENGTH else TORQUE),
+    Function("beside", _OF_WORLD, (_BODY, _LINE), "How far a body is to the left of a line.", "beside(rover, track)",
+             _LENGTH, at_link=True),
+    Function("along", _OF_WORLD, (_BODY, _LINE), "How far a body has come along a line.", "along(rover, track)", _LENGTH, at_link=True),
+    Function("age", Family.MESSAGE, (_SENDER,), "The time since what the last message that arrived says was measured.", "age(rover)",
+             _TIME, _known(iv.POSITIVE)),
+    Function("fresh", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this tick.", "fresh(rover)",
+             _NUMBER, boolean=True),
+    Function("delta", _STATEFUL, (_X, _START), "The change since the tick before; 0 at a reset.", "delta(along(rover, track))",
+             interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
+             memory=Memory("{memory} = {start}\n{result} = 0.0", "{result} = {x}\n{result}, {memory} = {result} - {memory}, {result}")),
+    Function("previous", _STATEFUL, (_X, _START), "The value in the tick before.", "previous(gas, 0)",
+             interval=_hull, truths=True, memory=Memory("{result} = {memory} = {start}", "{result}, {memory} = {memory}, {x}")),
+    Function("running_max", _STATEFUL, (_X,), "The greatest value since the reset.", "running_max(along(rover, track))",
+             interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = max({memory}, {x})")),
+    Function("running_min", _STATEFUL, (_X,), "The least value since the reset.", "running_min(distance(rover, ball))",
+             interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = min({memory}, {x})")),
+    Function("hold", _STATEFUL, (_X, _CONDITION), "The value when the condition last held, or at the reset.",
+             "hold(position(rover), contact(rover, ball))",
+             interval=_first, truths=True, memory=Memory(_FROM_VALUE, "if {condition}:\n    {memory} = {x}\n{result} = {memory}")),
+    # Backward Euler: stable for every time constant, and the complementary filter's own formula.
+    Function("smooth", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with the time constant tau.",
+             "smooth(velocity(rover).x, 0.2 s)",
+             interval=_first,
+             memory=Memory(_FROM_VALUE, "{result} = {memory}\n"
+                           "{result} += ({(x)} - {result}) * ({timestep} / ({(tau)} + {timestep}))\n{memory} = {result}")),
+    Function("integral", _STATEFUL, (_X,), "The integral over time since the reset.", "integral(abs(beside(rover, track)))",
+             lambda d: d * TIME, memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {(x)} * {timestep}")),
+    Function("accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")),
+             "The running sum of increments, kept within the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
+             interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
+             memory=Memory("{result} = {memory} = {start}", "{result} = {memory} = min(max({memory} + {(increment)}, {low}), {high})")),
+    Function("duration", _STATEFUL, (_CONDITION,), "For how long the condition has held without a break.",
+             "duration(abs(beside(rover, track)) < 2 cm)",
+             _TIME, _known(iv.POSITIVE),
+             memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {timestep} if {(condition)} else 0.0")),
+    Function("rising", _STATEFUL, (_CONDITION,), "Whether the condition has just become true.", "rising(contact(rover, ball))",
+             _NUMBER, boolean=True,
+             memory=Memory("{memory} = {condition}\n{result} = False",
+                           "{result} = {condition}\n{result}, {memory} = {result} and not {memory}, {result}")),
+    Function("uniform", _DRAW, (_RANGE,), "A draw from a range, all values alike.", "uniform(-10 .. 10 cm)", interval=_hull),
+    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number from a range, both ends included.",
+             "integer(1 .. 6)", _NUMBER, _hull),
+    Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A draw from a normal distribution.", "normal(0 +- 2 deg)"),
+    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, all alike.", "choice(-30 deg | 0 deg | 30 deg)",
+             interval=_hull, truths=True),
+)  # fmt: skip
+
+_A, _B = Param("a"), Param("b")
+_MANY = (_A, Param("b", many=True))
+
+
+def _operator(name: str, params: tuple[Param, ...], python: str, interval: Callable[..., Interval], array: str = "") -> Function:
+    return Function(name, _PURE, params, interval=interval, python=python, array=array)
+
+
+OPERATORS: Mapping[str, Function] = {
+    function.name: function
+    for function in (
+        _operator("neg", (_A,), "-a", iv.negate),
+        _operator("add", _MANY, "a + b", iv.add),
+        _operator("sub", (_A, _B), "a - b", iv.subtract),
+        _operator("mul", (_A, _B), "a * b", iv.multiply),
+        _operator("div", (_A, _B), "a / b", iv.divide, "np.true_divide(a, b)"),
+        _operator("pow", (_A, _B), "pow(a, b)", iv.power, "np.power(np.asarray(a, float), b)"),
+        _operator("less", (_A, _B), "a < b", iv.less),
+        _operator("less_equal", (_A, _B), "a <= b", iv.less_equal),
+        _operator("greater", (_A, _B), "a > b", lambda a, b: iv.less(b, a)),
+        _operator("greater_equal", (_A, _B), "a >= b", lambda a, b: iv.less_equal(b, a)),
+        _operator("equal", (_A, _B), "a == b", iv.equal),
+        _operator("not_equal", (_A, _B), "a != b", lambda a, b: iv.subtract(iv.ALWAYS, iv.equal(a, b))),
+        _operator("not", (_A,), "not a", lambda a: iv.subtract(iv.ALWAYS, a), "np.logical_not(a)"),
+        _operator("and", _MANY, "a and b", iv.minimum, "np.logical_and(a, b)"),
+        _operator("or", _MANY, "a or b", iv.maximum, "np.logical_or(a, b)"),
+    )
 }
+"""The operators of scalar trees; they are no functions of the language."""
+
+
+class _Functions(Mapping[str, Function]):
+    """Our functions by name, then those of other packages, which are loaded when a name is not ours or all are asked for."""
+
+    def __init__(self) -> None:
+        self._own = {function.name: function for function in _ENTRIES}
+        self._all: dict[str, Function] | None = None
+
+    def _loaded(self) -> dict[str, Function]:
+        if self._all is None:
+            self._all = dict(self._own)  # before loading: a plug-in may read the table
+            _add_plugins(self._all)
+        return self._all
+
+    def __getitem__(self, name: str) -> Function:
+        return self._own[name] if name in self._own else self._loaded()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._loaded())
+
+    def __len__(self) -> int:
+        return len(self._loaded())
+
+
+def _add_plugins(known: dict[str, Function]) -> None:
+    from importlib.metadata import entry_points  # 15 ms, which lint without unknown functions saves
+
+    for entry in entry_points(group=GROUP):
+        try:
+            found = entry.load()
+            for function in [found] if isinstance(found, Function) else list(found):
+                _require_usable(function, known)
+                known[function.name] = function
+        except Exception as error:  # noqa: BLE001 - the code of a plug-in may raise anything
+            import logging
+
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            logging.getLogger("deepbots").warning("warning: the functions '%s' (%s) are not available: %s", entry.name, entry.value, reason)
+
+
+_OPERATORS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp, ast.IfExp, ast.operator, ast.boolop, ast.cmpop, ast.unaryop)
+_PRINTED = (*_OPERATORS, ast.Name, ast.expr_context, ast.Constant, ast.Call, ast.Starred)
+
+
+def _require_usable(function: object, known: Mapping[str, Function]) -> None:
+    """Refuse an entry of another package that would break ours.
+
+    Raises:
+        ValueError: Says what is wrong with the entry.
+    """
+    if not isinstance(function, Function):
+        raise ValueError(f"{str(function)[:60]!r} is no Function")
+    name = function.name
+    if not name.isidentifier() or name in known or name in OPERATORS or name in UNITS or hasattr(math, name):
+        raise ValueError(f"the name {name!r} is taken or no identifier")
+    if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
+        raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
+    nodes = list(ast.walk(ast.parse(function.python, mode="eval").body))
+    if not all(isinstance(node, _PRINTED) for node in nodes):
+        raise ValueError(f"the python of {name!r} may hold operators, numbers, calls and `if else`, nothing else")
+    names = [node.id for node in nodes if isinstance(node, ast.Name)]
+    arguments = [argument.removeprefix("*") for argument in function.arguments]
+    if function.params[-1].many and not function.arguments[-1].startswith("*"):
+        raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")
+    if any(names.count(argument) != 1 for argument in arguments):
+        raise ValueError(f"the python of {name!r} must hold each of {', '.join(arguments)} once")
+    unknown = set(names) - {*arguments, *vars(math), "abs", "min", "max"}
+    if unknown:
+        raise ValueError(f"the python of {name!r} holds {', '.join(sorted(unknown))}")
+
+
+FUNCTIONS: Mapping[str, Function] = _Functions()
+
+
+def operation(name: str) -> Function:
+    """The operator or the function that a node of a scalar tree names.
+
+    Raises:
+        KeyError: There is none.
+    """
+    return OPERATORS[name] if name in OPERATORS else FUNCTIONS[name]
+
+
+def math_names() -> frozenset[str]:
+    """The names of `math` that the code of functions may hold."""
+    texts = [text for function in (*OPERATORS.values(), *FUNCTIONS.values()) for text in (function.python, function.short) if text]
+    names = {node.id for text in texts for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name)}
+    return frozenset(names & vars(math).keys()) | {"inf"}

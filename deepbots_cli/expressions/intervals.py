@@ -1,9 +1,9 @@
-"""Interval arithmetic: closed intervals that certainly hold the result, infinite where nothing is known."""
+"""Interval arithmetic: closed intervals that hold every possible result, infinite where nothing is known."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 INF = math.inf
@@ -12,7 +12,7 @@ INF = math.inf
 class Interval(NamedTuple):
     """All numbers from `low` to `high`, both included; either may be infinite.
 
-    Rules make thousands for each scenario, and making a tuple takes half of the time of making a frozen dataclass.
+    Rules make thousands of them for each scenario; a tuple takes half the time of a frozen dataclass.
     """
 
     low: float = -INF
@@ -41,10 +41,12 @@ TRUTH = Interval(0.0, 1.0)
 HALF_TURN = Interval(0.0, math.pi)
 QUARTER_TURNS = Interval(-math.pi / 2, math.pi / 2)
 TURN = Interval(-math.pi, math.pi)
+NEVER, ALWAYS = Interval(0.0, 0.0), Interval(1.0, 1.0)
+"""Truth values as numbers: never true, and always."""
 
 
 def _of(low: float, high: float) -> Interval:
-    """Inf minus inf is not a number; nothing is known then."""
+    """The interval; a bound that is not a number (inf - inf) becomes infinite."""
     return Interval(low if low == low else -INF, high if high == high else INF)
 
 
@@ -65,6 +67,7 @@ def exact(value: float) -> Interval:
 
 
 def hull(intervals: Sequence[Interval]) -> Interval:
+    """The smallest interval that holds all of them."""
     return Interval(min(i.low for i in intervals), max(i.high for i in intervals))
 
 
@@ -72,8 +75,9 @@ def negate(a: Interval) -> Interval:
     return Interval(-a.high, -a.low)
 
 
-def add(a: Interval, b: Interval) -> Interval:
-    return _of(a.low + b.low, a.high + b.high)
+def add(a: Interval, b: Interval, *more: Interval) -> Interval:
+    total = _of(a.low + b.low, a.high + b.high)
+    return add(total, *more) if more else total
 
 
 def subtract(a: Interval, b: Interval) -> Interval:
@@ -83,7 +87,7 @@ def subtract(a: Interval, b: Interval) -> Interval:
 def multiply(a: Interval, b: Interval) -> Interval:
     (p, q), (r, s) = a, b
     corners = (p * r, p * s, q * r, q * s)
-    if math.isnan(sum(corners)):  # of 0 times infinity, which is 0 here; or the sum alone is, of infinities of both signs
+    if math.isnan(sum(corners)):  # 0 times infinity is 0 here; the sum is also NaN for infinities of both signs, which stay
         corners = (_times(p, r), _times(p, s), _times(q, r), _times(q, s))
     return Interval(min(corners), max(corners))
 
@@ -130,7 +134,7 @@ def logarithm(a: Interval) -> Interval:
 
 
 def sine(a: Interval) -> Interval:
-    """Between the ends the sine rises or falls, but for the peaks and troughs that lie inside."""
+    """The values at both ends, and the peaks and troughs between them."""
     if not a.finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
     ends = (math.sin(a.low), math.sin(a.high))
@@ -155,41 +159,30 @@ def wrapped(a: Interval) -> Interval:
     return a if a.inside(TURN) else TURN
 
 
-def lesser(intervals: Sequence[Interval]) -> Interval:
+def minimum(*intervals: Interval) -> Interval:
     return Interval(min(i.low for i in intervals), min(i.high for i in intervals))
 
 
-def greater(intervals: Sequence[Interval]) -> Interval:
+def maximum(*intervals: Interval) -> Interval:
     return Interval(max(i.low for i in intervals), max(i.high for i in intervals))
 
 
 def clamped(a: Interval, low: Interval, high: Interval) -> Interval:
-    return lesser((greater((a, low)), high))
+    return minimum(maximum(a, low), high)
 
 
 def times_count(a: Interval, count: int) -> Interval:
     return Interval(_times(a.low, count), _times(a.high, count))
 
 
-def length_of(parts: Sequence[Interval]) -> Interval:
+def length_of(*parts: Interval) -> Interval:
     """The square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
     return Interval(guarded(math.hypot, *(s.low for s in sizes)), guarded(math.hypot, *(s.high for s in sizes)))
 
 
-NEVER, ALWAYS = exact(0.0), exact(1.0)
-"""Truth values as numbers: never true, and always."""
-
-
-def _sum(*terms: Interval) -> Interval:
-    total = terms[0]
-    for term in terms[1:]:
-        total = add(total, term)
-    return total
-
-
-def _angle(y: Interval, x: Interval) -> Interval:
-    """Of the point (x, y): all round, but for half planes that it cannot lie in."""
+def angle_of(y: Interval, x: Interval) -> Interval:
+    """The angle of the point (x, y), without the half planes where the point cannot lie."""
     if y.low < 0.0:
         return QUARTER_TURNS if x.low >= 0.0 else TURN
     if y == NEVER and x.low >= 0.0:
@@ -201,34 +194,13 @@ def _truth(sure: bool, out: bool) -> Interval:
     return ALWAYS if sure else NEVER if out else TRUTH
 
 
-def _less(a: Interval, b: Interval) -> Interval:
+def less(a: Interval, b: Interval) -> Interval:
     return _truth(a.high < b.low, a.low >= b.high)
 
 
-def _less_equal(a: Interval, b: Interval) -> Interval:
+def less_equal(a: Interval, b: Interval) -> Interval:
     return _truth(a.high <= b.low, a.low > b.high)
 
 
-def _equal(a: Interval, b: Interval) -> Interval:
+def equal(a: Interval, b: Interval) -> Interval:
     return _truth(a.single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)
-
-
-OPERATORS: Mapping[str, Callable[..., Interval]] = {
-    "neg": negate,
-    "add": _sum,
-    "sub": subtract,
-    "mul": multiply,
-    "div": divide,
-    "pow": power,
-    "atan2": _angle,
-    "less": _less,
-    "less_equal": _less_equal,
-    "greater": lambda a, b: _less(b, a),
-    "greater_equal": lambda a, b: _less_equal(b, a),
-    "equal": _equal,
-    "not_equal": lambda a, b: subtract(ALWAYS, _equal(a, b)),
-    "not": lambda a: subtract(ALWAYS, a),
-    "and": lambda *terms: lesser(terms),
-    "or": lambda *terms: greater(terms),
-}
-"""The operators of scalar trees that are no functions of the language."""

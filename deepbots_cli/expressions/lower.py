@@ -1,4 +1,4 @@
-"""Typed tree to scalar trees, one per component: SI numbers, no units, no vectors, constants computed."""
+"""Typed tree to scalar trees, one per component: SI numbers, no units, no vectors, constants folded."""
 
 from __future__ import annotations
 
@@ -6,28 +6,55 @@ import math
 from collections.abc import Mapping
 from itertools import product
 
-from deepbots_cli.expressions import geometry
-from deepbots_cli.expressions.fold import op
-from deepbots_cli.expressions.functions import Family
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar, State, World
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Constant, Invocation, Operation, Pick, Reference, Typed, Vector
-from deepbots_cli.expressions.types import Components, Subject
+from deepbots_cli.expressions.functions import FUNCTIONS, Family, Function, Reduction, rotation, scalar_function
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.types import Components, Constant, Invocation, Operation, Pick, Reference, Subject, Typed, Vector
 
 Scalars = tuple[Scalar, ...]
 
-_REDUCTIONS = {"sum": "add", "norm": "hypot", "any": "or", "all": "and", "min": "min", "max": "max"}
-# Read at the link that stands for the subject; a robot is where its base link is.
-_OF_LINKS = frozenset({"position", "velocity", "angular_velocity", "orientation", "local", "beside", "along"})
-_OF_LINKS |= geometry.OF_ONE.keys() | geometry.OF_TWO.keys()
+# The right or left argument that leaves the other as it is: x + 0, x - 0, x * 1, x / 1, x ^ 1. Units become such factors.
+_NEUTRAL_RIGHT = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0, "pow": 1.0}
+_NEUTRAL_LEFT = {"add": 0.0, "mul": 1.0}
+_SAME_OF_ONE = frozenset({"add", "min", "max", "and", "or"})
+
+
+def op(name: str, *args: Scalar) -> Scalar:
+    """The operation, or its value where that is known now.
+
+    An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and fails where
+    it runs.
+    """
+    if len(args) == 1 and name in _SAME_OF_ONE:
+        return args[0]
+    values = [arg.value for arg in args if isinstance(arg, Const)]
+    if len(values) == len(args):
+        return _computed(name, values) or Op(name, args)
+    if name == "where" and isinstance(args[0], Const):
+        return args[1] if args[0].value else args[2]
+    if len(args) == 2:
+        left, right = args
+        if isinstance(right, Const) and right.value == _NEUTRAL_RIGHT.get(name):
+            return left
+        if isinstance(left, Const) and left.value == _NEUTRAL_LEFT.get(name):
+            return right
+    return Op(name, args)
+
+
+def _computed(name: str, values: list[float | bool]) -> Const | None:
+    try:
+        value = scalar_function(name)(*values)
+    except (ArithmeticError, ValueError):
+        return None
+    return Const(value) if isinstance(value, bool) or math.isfinite(value) else None
 
 
 def lower(value: Typed, owner: str, spread: Components | None = None) -> Scalars:
     """One scalar per component, or a single one.
 
-    `owner` is the path of the item in the scenario: slots of states and streams of draws are named
-    after it, `owner#0` and so on, so that a new item changes no other item's draws. With `spread`
-    there is one scalar for each of these components, and a single draw is drawn anew for each.
+    Args:
+        owner: The path of the item in the scenario. Slots of states and streams of draws are named after it, `owner#0`
+            and so on, so that a new item changes no other item's draws.
+        spread: Gives one scalar for each of these components; a single draw is drawn anew for each.
     """
     if spread is None:
         return Lowering(owner).scalars(value)
@@ -58,7 +85,7 @@ class Lowering:
             case Operation(operator=operator, args=args):
                 return tuple(op(operator, *column) for column in self._columns(value, args))
             case Invocation():
-                return self._invocation(value)
+                return self._invocation(value, FUNCTIONS[value.function])
             case Pick(value=whole, indices=indices):
                 parts = self.scalars(whole)
                 return tuple(parts[index] for index in indices)
@@ -71,41 +98,40 @@ class Lowering:
         count = len(value.type.components or ("",))
         return [tuple(row[index if len(row) > 1 else 0] for row in rows) for index in range(count)]
 
-    def _invocation(self, value: Invocation) -> Scalars:
-        match FUNCTIONS[value.function].family:
-            case Family.PURE:
-                return self._pure(value)
+    def _invocation(self, value: Invocation, function: Function) -> Scalars:
+        match function.family:
             case Family.WORLD | Family.MESSAGE:
-                return self._world(value)
+                return self._world(value, function)
             case Family.STATEFUL:
                 columns = self._columns(value, value.args)
-                return tuple(State(value.function, args, self._place(value, index)) for index, args in enumerate(columns))
+                return tuple(State(function.name, args, self._place(value, index)) for index, args in enumerate(columns))
             case Family.DRAW:
                 columns = self._columns(value, value.args)
                 target = "" if value.type.components else self._target
-                return tuple(Draw(value.function, args, self._place(value, index) + target) for index, args in enumerate(columns))
-
-    def _pure(self, value: Invocation) -> Scalars:
-        if value.function == "length":  # of a line, known before anything runs
+                return tuple(Draw(function.name, args, self._place(value, index) + target) for index, args in enumerate(columns))
+        if function.name == "length":  # of a line, known before anything runs
             return (Const(value.type.interval.low),)
-        if len(value.args) == 1 and value.type.components is None and value.args[0].type.components is not None:
-            parts = self.scalars(value.args[0])
-            if value.args[0].type.copies:
-                copies = value.args[0].type.components or ()
-                parts = tuple(_if_present(value.function, copy, part) for copy, part in zip(copies, parts, strict=True))
-            if value.function == "mean":
-                return (op("div", op("add", *parts), Const(float(len(parts)))),)
-            return (op(_REDUCTIONS[value.function], *parts),)
-        return tuple(op(value.function, *column) for column in self._columns(value, value.args))
+        if function.reduction is not None and value.type.components is None and value.args[0].type.components is not None:
+            return (self._reduced(value.args[0], function.reduction),)
+        return tuple(op(function.name, *column) for column in self._columns(value, value.args))
 
-    def _world(self, value: Invocation) -> Scalars:
-        function, components = value.function, value.type.components
+    def _reduced(self, vector: Typed, reduction: Reduction) -> Scalar:
+        parts = self.scalars(vector)
+        if vector.type.copies:
+            copies = zip(vector.type.components or (), parts, strict=True)
+            parts = tuple(_if_present(reduction, copy, part) for copy, part in copies)
+        whole = op(reduction.operation, *parts)
+        return op("div", whole, Const(float(len(parts)))) if reduction.mean else whole
+
+    def _world(self, value: Invocation, function: Function) -> Scalars:
+        components = value.type.components
         names = [_named(subject, function) for subject in value.subjects]
-        if function == "local":
-            vector = self.scalars(value.args[0])
-            return geometry.local(names[0][0], vector)
-        if isinstance(FUNCTIONS[function].shape, tuple):
-            return tuple(World(function, (names[0][0],), component) for component in components or ())
+        if value.args:  # `local`: the transposed rotation matrix times the vector
+            vector, body = self.scalars(value.args[0]), names[0][0]
+            rows = [[op("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
+            return tuple(op("add", *row) for row in rows)
+        if function.components is not None:
+            return tuple(World(function.name, (names[0][0],), component) for component in function.components)
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
         pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
@@ -116,17 +142,16 @@ class Lowering:
         return f"{self._owner}#{value.occurrence}" + (f".{components[index]}" if components else "")
 
 
-# What stands in a reduction for a copy that is absent, so that it changes nothing.
-_ABSENT = {"min": math.inf, "max": -math.inf, "sum": 0.0, "norm": 0.0}
-
-
-def _if_present(reduction: str, copy: str, part: Scalar) -> Scalar:
+def _if_present(reduction: Reduction, copy: str, part: Scalar) -> Scalar:
+    """The component of a copy of a group; an absent copy changes nothing."""
     present = World("present", (copy,))
-    if reduction == "any":
-        return op("and", present, part)
-    if reduction == "all":
-        return op("or", op("not", present), part)
-    return op("where", present, part, Const(_ABSENT[reduction]))
+    match reduction.operation:
+        case "or":
+            return op("and", present, part)
+        case "and":
+            return op("or", op("not", present), part)
+        case _:
+            return op("where", present, part, Const(reduction.empty or 0.0))
 
 
 def _reference(value: Reference) -> Scalars:
@@ -138,21 +163,15 @@ def _reference(value: Reference) -> Scalars:
     return tuple(Name(symbol.name, component) for component in value.type.components)
 
 
-def _named(subject: Subject, function: str) -> tuple[str, ...]:
+def _named(subject: Subject, function: Function) -> tuple[str, ...]:
+    """The full names to read: those of the members of a group, or that of the link that stands for the subject."""
     if subject.members:
         return subject.members
-    return (subject.link if subject.link is not None and function in _OF_LINKS else subject.name,)
+    return (subject.link if subject.link is not None and function.at_link else subject.name,)
 
 
-def _of_pieces(function: str, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
-    """The least gap to any piece of a wall; whether any of its pieces is touched or seen."""
-    found = [_world(function, each) for each in product(*(pieces.get(name, (name,)) for name in names))]
-    return found[0] if len(found) == 1 else op("min" if function == "gap" else "or", *found)
-
-
-def _world(function: str, names: tuple[str, ...]) -> Scalar:
-    if function in geometry.OF_ONE:
-        return geometry.OF_ONE[function](names[0])
-    if function in geometry.OF_TWO:
-        return geometry.OF_TWO[function](names[0], names[1])
-    return World(function, names)
+def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
+    """The value for every piece of a wall, joined: the least gap, whether any is touched or seen."""
+    read = function.tree or (lambda *bodies: World(function.name, bodies))
+    found = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
+    return found[0] if len(found) == 1 else op(function.of_pieces, *found)

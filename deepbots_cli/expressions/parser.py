@@ -1,4 +1,4 @@
-"""Tokens to a syntax tree: a hand-written parser by binding strength, linear in the length of the text.
+"""Text to a syntax tree: a hand-written parser by binding strength, linear in the length of the text.
 
     text        value [when condition] [every period | each step]
     value       slot [.. slot]
@@ -11,11 +11,12 @@ The first fault ends the reading of a text: what follows it could only be guesse
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
-from deepbots_cli.expressions.lexer import MAX_LENGTH, Token, TokenKind
-from deepbots_cli.expressions.stream import WORDS, ExpressionError, TokenStream
+from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
 from deepbots_cli.expressions.syntax import (
+    MAX_LENGTH,
     Binary,
     Call,
     Member,
@@ -26,20 +27,24 @@ from deepbots_cli.expressions.syntax import (
     Range,
     Redrawn,
     Spread,
+    Token,
+    TokenKind,
     Truth,
     Unary,
     Vector,
     When,
     depth,
+    tokens,
 )
 from deepbots_cli.expressions.types import Report
-from deepbots_cli.expressions.units import UNITS
 
+WORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
 # Python allows 1000 frames: the parser takes eight per level of nesting, later passes three per level of the tree.
 MAX_NESTING = 64
 MAX_DEPTH = 128
 _MAX_DOTS = 8
 _SHORT = 80
+_MAX_FACTORS = 8
 
 _STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
@@ -47,6 +52,7 @@ _NEVER_CLOSED = "a parenthesis that is never closed"
 _SMALLER = "name parts of it, as signals or parameters"
 _SLOT_ENDS = {",", ")", "..", "+-", "|"}
 _SUFFIXES = {"when", "every", "each"}
+_WANT_VALUE = {"when", "and", "or", "not", "every"}
 
 
 def parse(text: str, report: Report) -> Node | None:
@@ -58,7 +64,7 @@ def parse(text: str, report: Report) -> Node | None:
         if len(text) <= _SHORT:
             return _remembered(text)  # each level takes a character at least, so that it cannot be too deep
         tree = _Parser(text).text()
-    except ExpressionError as fault:
+    except _SyntaxError as fault:
         report(fault.code, fault.start, fault.end, fault.headline, fault.help, meant=fault.meant)
         return None
     if depth(tree) > MAX_DEPTH:
@@ -69,20 +75,136 @@ def parse(text: str, report: Report) -> Node | None:
 
 @lru_cache(maxsize=1024)
 def _remembered(text: str) -> Node:
-    """The tree of a short text. Trees are values and know no file, and `1 m` or `-1 .. 1` stand in every scenario: of 200 files, two
-    thirds of all texts were read before.
-    """
+    """The tree of a short text. Trees are values and know no file; two thirds of the texts in 200 files occur more than once."""
     return _Parser(text).text()
 
 
-class _Parser(TokenStream):
-    _nesting = 0
+class _SyntaxError(Exception):
+    """Carries the finding to `parse`, which reports it."""
+
+    def __init__(
+        self, start: int, end: int, headline: str, help: str | None = None, code: str = "DB401", meant: Meant | None = None
+    ) -> None:
+        super().__init__(headline)
+        self.meant = meant
+        self.start, self.end, self.headline, self.help, self.code = start, end, headline, help, code
+
+
+class _Parser:
+    """A place in a list of tokens. Looking ahead by one token is always possible: the last one is END."""
+
+    def __init__(self, text: str) -> None:
+        self._tokens = tokens(text)
+        self._at = 0
+        self._nesting = 0
+
+    @property
+    def _peek(self) -> Token:
+        return self._tokens[self._at]
+
+    @property
+    def _ahead(self) -> Token:
+        """The token after this one, where this one is not END."""
+        return self._tokens[self._at + 1]
+
+    @property
+    def _ended(self) -> bool:
+        return self._peek.kind is TokenKind.END
+
+    def _next(self) -> Token:
+        """The token here; the END stays in place however often it is taken."""
+        token = self._tokens[self._at]
+        if token.kind is not TokenKind.END:
+            self._at += 1
+        return token
+
+    def _take(self, text: str) -> bool:
+        if self._peek.text != text:
+            return False
+        self._next()
+        return True
+
+    def _unclosed(self) -> Token | None:
+        """The last parenthesis that nothing closes."""
+        opened: list[Token] = []
+        for token in self._tokens:
+            if token.text == "(":
+                opened.append(token)
+            elif token.text == ")" and opened:
+                opened.pop()
+        return opened[-1] if opened else None
+
+    def _number(self) -> Number:
+        token = self._next()
+        value = float(token.text.replace("_", ""))
+        if value == float("inf"):
+            raise _SyntaxError(token.start, token.end, "a number too large to be kept", "the largest is about 1.8e308")
+        behind = self._peek
+        if behind.start == token.end and behind.text[:1] == "_":
+            raise _SyntaxError(token.start, behind.end, "an underscore that does not group three digits", "write `100_000` or `100000`")
+        return Number(token.start, token.end, value)
+
+    def _unit(self) -> Unit | None:
+        """The unit that begins here: names joined by `*` and `/`, each perhaps to a whole power, or `1/s`."""
+        if self._one_over():
+            self._at += 2
+            unit = ONE.per(self._unit_power())
+        elif self._unit_at(self._at):
+            unit = self._unit_power()
+        elif self._peek.text == "%" and self._percent_ends():
+            self._next()
+            return UNITS["%"]
+        else:
+            return None
+        factors = 1
+        while self._peek.text in ("*", "/") and self._unit_at(self._at + 1):
+            factors += 1
+            if factors > _MAX_FACTORS:
+                raise _SyntaxError(self._peek.start, self._peek.end, f"a unit of more than {_MAX_FACTORS} factors")
+            times = self._next().text == "*"
+            factor = self._unit_power()
+            unit = unit.times(factor) if times else unit.per(factor)
+        return unit
+
+    def _unit_power(self) -> Unit:
+        unit = UNITS[self._next().text]
+        if self._peek.text != "^":
+            return unit
+        begin = self._next()
+        sign = self._next() if self._peek.text == "-" else None
+        digits = self._next()
+        if not digits.text.isdigit() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
+            raise _SyntaxError(
+                begin.start,
+                digits.end,
+                "a unit raised to something other than a small whole number",
+                "put the number and its unit in parentheses",
+            )
+        return unit.to_power(-int(digits.text) if sign else int(digits.text))
+
+    def _unit_at(self, index: int) -> bool:
+        """Whether a unit name stands there; `min(` is a function."""
+        token = self._tokens[index]
+        return token.kind is TokenKind.NAME and token.text in UNITS and self._tokens[index + 1].text != "("
+
+    def _one_over(self) -> bool:
+        """Whether `1/s` or the like begins here, written without spaces."""
+        one = self._peek
+        if one.text != "1" or self._ahead.text != "/":
+            return False
+        slash = self._ahead
+        return slash.start == one.end and self._tokens[self._at + 2].start == slash.end and self._unit_at(self._at + 2)
+
+    def _percent_ends(self) -> bool:
+        """Whether the `%` here closes its number; before an operand it would be a modulo."""
+        behind = self._ahead
+        return (behind.kind in (TokenKind.SIGN, TokenKind.END) and behind.text != "(") or behind.text in WORDS
 
     # text and slots
 
     def text(self) -> Node:
         if self._ended:
-            raise ExpressionError(0, self._peek.end, "an expression is missing")
+            raise _SyntaxError(0, self._peek.end, "an expression is missing")
         node = self._range(self._slot())
         if self._take("when"):
             condition = self._slot()
@@ -93,7 +215,7 @@ class _Parser(TokenStream):
         elif self._take("each"):
             step = self._next()
             if step.text != "step":
-                raise ExpressionError(step.start, step.end, "`each` without `step`", "write `each step`, or `every` and a duration")
+                raise _SyntaxError(step.start, step.end, "`each` without `step`", "write `each step`, or `every` and a duration")
             node = Redrawn(node.start, step.end, node, None)
         if not self._ended:
             self._unexpected()
@@ -146,17 +268,17 @@ class _Parser(TokenStream):
 
     # operations
 
-    def _operation(self, least: int) -> Node:
-        """An operand and every operator behind it that binds at least as strongly as `least`."""
+    def _operation(self, weakest: int) -> Node:
+        """An operand and every operator behind it that binds at least as strongly as `weakest`."""
         left = self._operand()
-        while (strength := _STRENGTH.get(self._peek.text, 0)) and strength >= least:
+        while (strength := _STRENGTH.get(self._peek.text, 0)) and strength >= weakest:
             operator = self._next()
             right = self._operation(strength + 1)
             if strength == _COMPARISON and _STRENGTH.get(self._peek.text) == _COMPARISON:
                 opening = self._unclosed()
                 if opening is not None and opening.start < right.start:  # what was left out belongs before the second one
-                    raise ExpressionError(opening.start, opening.end, _NEVER_CLOSED)
-                raise ExpressionError(left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`")
+                    raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
+                raise _SyntaxError(left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`")
             left = Binary(left.start, right.end, operator.text, left, right)
         return left
 
@@ -179,7 +301,7 @@ class _Parser(TokenStream):
         while self._take("."):
             member = self._next()
             if member.kind is not TokenKind.NAME:
-                raise ExpressionError(member.start, member.end, "a component name is missing after the point")
+                raise _SyntaxError(member.start, member.end, "a component name is missing after the point")
             base = Member(base.start, member.end, base, member.text)
         if self._peek.text != "^":
             return base
@@ -262,12 +384,12 @@ class _Parser(TokenStream):
             parts.append(part.text)
             end = part.end
         if len(parts) > _MAX_DOTS:
-            raise ExpressionError(first.start, end, f"a name of {len(parts)} parts")
+            raise _SyntaxError(first.start, end, f"a name of {len(parts)} parts")
         return Name(first.start, end, tuple(parts))
 
     def _close(self, opening: Token) -> Token:
         if self._ended:
-            raise ExpressionError(opening.start, opening.end, _NEVER_CLOSED)
+            raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
         if self._peek.text != ")":
             self._unexpected()
         return self._next()
@@ -275,10 +397,18 @@ class _Parser(TokenStream):
     def _deeper(self, token: Token) -> None:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise ExpressionError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, "DB005")
+            raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, "DB005")
 
     def _unexpected(self) -> NoReturn:
         raise self._fault(missing=False)
+
+    def _fault(self, missing: bool) -> _SyntaxError:
+        """The fault at a token that cannot stand here; `missing` where a value was due."""
+        before = self._tokens[self._at - 1] if self._at else None
+        if before is not None and before.kind is TokenKind.NAME and before.text in _SLIPS:
+            return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _SLIPS[before.text].help)
+        headline, help = _explanation(self._tokens, self._at, missing)
+        return _SyntaxError(self._peek.start, self._peek.end, headline, help, meant=_correction(self._tokens, self._at))
 
 
 def _borrow_unit(left: Node, right: Node) -> Node:
@@ -286,3 +416,130 @@ def _borrow_unit(left: Node, right: Node) -> Node:
     if isinstance(left, Number | Vector) and isinstance(right, Number | Vector) and left.unit is None:
         return left._replace(unit=right.unit)
     return left
+
+
+# Hints: signs and words of other languages, and the commonest slips.
+
+
+class _Slip(NamedTuple):
+    """What to write instead, in words and, where it has one meaning wherever it stands, as text."""
+
+    help: str
+    text: str | None = None
+
+
+_SAME = {
+    "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/",
+    "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
+}  # fmt: skip
+_CONDITIONAL = _Slip("write `where(condition, a, b)`, or `a when condition`")
+_NO_TEXT = _Slip("expressions hold no text, only numbers and names")
+_SLIPS = {sign: _Slip(f"write `{text.strip()}`", text) for sign, text in _SAME.items()} | {
+    "**": _Slip("a power is `a ^ b`", "^"),
+    "−": _Slip("write the plain minus `-`", "-"),
+    "–": _Slip("write the plain minus `-`", "-"),
+    "\u00a0": _Slip("this is a space that only looks like one; type it anew", " "),
+    "!": _Slip("write `not`"),
+    "?": _CONDITIONAL,
+    ":": _CONDITIONAL,
+    "if": _CONDITIONAL,
+    "else": _CONDITIONAL,
+    "is": _Slip("compare with `==`"),
+    "in": _Slip("compare with `<` and `>`, joined by `and`"),
+    "lambda": _Slip("there are no functions of one's own; name the value under `signals`"),
+    "[": _Slip("a component is named: `v.x`"),
+    "{": _Slip("a vector is written `0 0 1 m`, or `vector(a, b, c)`"),
+    '"': _NO_TEXT,
+    "'": _NO_TEXT,
+    "...": _Slip("a range has two dots: `low .. high`"),
+    "..": _Slip("a range stands alone or in a function such as `clamp(x, low .. high)`"),
+    "//": _Slip("write `/`; a comment begins with ` # `"),
+    "%": _Slip("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
+    ",": _Slip("a comma only parts the arguments of a function; decimals take a point"),
+    "+-": _Slip("`normal(mean +- deviation)` is a draw; elsewhere put a space between the signs"),
+    "|": _Slip("`abs(x)` is a value without its sign, `choice(a | b)` is a draw; for conditions write `or`"),
+    "->": _Slip("a schedule belongs in the settings of `train`"),
+}
+_ASSIGNED = frozenset("+-*/")
+"""Before `=` these make an assignment of other languages."""
+
+
+def _correction(tokens: list[Token], at: int) -> Meant | None:
+    """What to write for the sign at fault, with the blanks that a word needs around it."""
+    token = tokens[at]
+    if _decimal(tokens, at):
+        return Meant(".", safe=False)
+    if _is_trailing_comma(tokens, at):
+        return Meant("", safe=True)
+    if token.text == "...":
+        return Meant("..", safe=False)  # the third may be the point of a decimal
+    if token.text == "=":
+        assigned = at and tokens[at - 1].text in _ASSIGNED
+        named = at >= 2 and tokens[at - 2].text in ("(", ",")
+        return None if assigned or named else Meant("==", safe=True)
+    slip = _SLIPS.get(token.text)
+    if slip is None or slip.text is None:
+        return None
+    before = " " if slip.text.isalpha() and at and tokens[at - 1].end == token.start else ""
+    after = " " if slip.text.isalpha() and tokens[at + 1].start == token.end else ""
+    return Meant(f"{before}{slip.text}{after}", safe=True)
+
+
+def _explanation(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None]:
+    """Headline and help, where the token `at` cannot stand; `missing` where a value was due."""
+    token = tokens[at]
+    before = tokens[at - 1] if at else token
+    shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
+    help = _SLIPS[token.text].help if token.text in _SLIPS else None
+    if token.kind is TokenKind.END:
+        return "the expression breaks off", _missing_end(tokens, before) if at else None
+    if token.text == "=":
+        return "`=` in an expression", _about_equals(tokens, at)
+    if token.kind is TokenKind.STRANGE or (token.kind is TokenKind.NAME and help is not None):
+        return f"`{shown}` in an expression", help
+    if missing:
+        return f"a value is missing before `{shown}`", help
+    if token.text == ")":
+        return "a parenthesis that was never opened", None
+    if _is_trailing_comma(tokens, at):
+        return "a comma at the end", "a line ends without one"
+    if number := _decimal(tokens, at):
+        return "a comma in a number", f"decimals take a point: `{number}`"
+    if token.kind is TokenKind.SIGN and token.text != "(":
+        return f"`{shown}` in an odd place", help
+    if token.text == "(" and before.kind is TokenKind.NAME:
+        return "an operator is missing before `(`", "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
+    if token.kind is TokenKind.NUMBER and before.kind is TokenKind.NUMBER:
+        help = "a vector within a larger expression is written `vector(a, b, c)`"
+    elif token.kind is TokenKind.NAME and tokens[at + 1].kind is TokenKind.END:
+        help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
+    return f"an operator is missing before `{shown}`", help
+
+
+def _is_trailing_comma(tokens: list[Token], at: int) -> bool:
+    return tokens[at].text == "," and at > 0 and tokens[at + 1].kind is TokenKind.END
+
+
+def _decimal(tokens: list[Token], at: int) -> str | None:
+    """The number that `0,5` was meant to be, where the token is its comma."""
+    if tokens[at].text != "," or not 0 < at < len(tokens) - 1:
+        return None
+    whole, comma, part = tokens[at - 1 : at + 2]
+    if not (whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start):
+        return None
+    return f"{whole.text}.{part.text}"
+
+
+def _missing_end(tokens: list[Token], last: Token) -> str | None:
+    if last.text == ")" or (last.kind is not TokenKind.SIGN and last.text not in _WANT_VALUE):
+        return None
+    signs = [token.text for token in tokens]
+    missing = "a value and the closing `)` are" if signs.count("(") > signs.count(")") else "a value is"
+    return f"{missing} missing behind `{last.text}`"
+
+
+def _about_equals(tokens: list[Token], at: int) -> str:
+    if at and tokens[at - 1].text in _ASSIGNED:
+        return "leave it out: an entry says what a value is, and the terms of a reward are added up"
+    named = at >= 2 and tokens[at - 1].kind is TokenKind.NAME and tokens[at - 2].text in ("(", ",")
+    return "arguments are given in order, without their names" if named else "compare with `==`"

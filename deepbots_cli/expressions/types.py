@@ -1,24 +1,25 @@
-"""What an expression is known to be before anything runs, and what it is told about the names in it."""
+"""What is known of an expression before anything runs: types, the names it may use, and the typed tree."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from enum import Enum, IntEnum, StrEnum, auto
+from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
 from deepbots_cli.diagnostics.nearest import Meant
-from deepbots_cli.expressions.dimensions import NUMBER, Dimension
+from deepbots_cli.expressions.dimensions import NUMBER, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 
 Components = tuple[str, ...]
 PLANE: Components = ("x", "y")
 SPACE: Components = ("x", "y", "z")
-Shape = tuple[int, int, int]
 QUATERNION: Components = ("x", "y", "z", "w")
+Shape = tuple[int, int, int]
+"""Rows, columns and channels of a picture."""
 
 
 class Copies(tuple[str, ...]):
-    """The components of a value for each copy of a group, told by what they are: a joint may be called `hip#1` as well."""
+    """The components of a value per copy of a group. A class, since a joint may be called `hip#1` as well."""
 
 
 class Stage(IntEnum):
@@ -34,10 +35,10 @@ class Stage(IntEnum):
 
 
 class Type(NamedTuple):
-    """Dimension, components (None for a single value), truth or number, interval in SI, stage.
+    """Dimension, components (None for a single value), truth or number, interval in SI units, stage.
 
-    The interval of a vector covers all of its components; that of a truth value means nothing. A picture,
-    which is neither truth nor number, says its rows, columns and channels.
+    The interval of a vector covers all its components; that of a truth value means nothing. A picture is
+    neither truth nor number.
     """
 
     dimension: Dimension = NUMBER
@@ -54,7 +55,7 @@ class Type(NamedTuple):
 
     @property
     def copies(self) -> bool:
-        """Whether there is a component for each copy of a group, of which some may be absent."""
+        """Whether there is a component per copy of a group, of which some may be absent."""
         return isinstance(self.components, Copies)
 
     @property
@@ -62,14 +63,14 @@ class Type(NamedTuple):
         return "a single value" if self.components is None else f"a vector of {shown(self.components)}"
 
 
-def shown(names: Iterable[str], most: int = 12) -> str:
-    """`a, b, c`, cut short after `most`."""
+def shown(names: Iterable[str], limit: int = 12) -> str:
+    """`a, b, c`, cut short after `limit`."""
     listed = list(names)
-    return ", ".join(listed[:most]) + (f" and {len(listed) - most} more" if len(listed) > most else "")
+    return ", ".join(listed[:limit]) + (f" and {len(listed) - limit} more" if len(listed) > limit else "")
 
 
 class Symbol(NamedTuple):
-    """A named value. `type` None marks one whose own definition is broken: using it is no further fault.
+    """A named value. `type` None marks one with an invalid definition: its uses are not reported.
 
     `value` holds SI numbers, one per component, where the value is fixed and known; it is folded.
     `refused` says why the name, which exists, has no value in this place.
@@ -108,10 +109,9 @@ class Subject(NamedTuple):
     """A part of the world that functions may ask about.
 
     `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the
-    link whose pose stands for it: a robot's base link. `pieces` are the bodies that a wall consists of;
-    what is asked of the wall is asked of each piece. For joints, `dimension` is that of their
-    position (angle or length) and `interval` its limits. The kind `BROKEN` marks one whose own
-    definition had findings: using it is no further fault.
+    link whose pose stands for it: a robot's base link. `pieces` are the bodies of a wall: a question about
+    the wall is asked of each piece. For joints, `dimension` is that of their position (angle or length) and
+    `interval` its limits. The kind `BROKEN` marks one with an invalid definition: its uses are not reported.
     """
 
     name: str
@@ -127,28 +127,28 @@ class Subject(NamedTuple):
         """The short names of a group's members; None where the subject is a single thing."""
         if self.kind is Kind.OBJECTS:
             return Copies(self.members) if self.members else None
-        # The first dot is behind the robot's name; a joint may have dots in its own.
+        # The first dot follows the robot's name; a joint may have dots in its own.
         return tuple(member.partition(".")[2] for member in self.members) if self.members else None
 
 
 class Context(Enum):
     """The place of an expression in the scenario, which decides what may be called in it."""
 
-    FIXED = auto()
-    PARAMETER = auto()
-    FIELD = auto()
-    EMIT = auto()
-    APPLY = auto()
-    RECEIVE = auto()
-    SIGNAL = auto()
-    OBSERVATION = auto()
-    FORBID = auto()
-    SCRIPT = auto()
-    GOAL = auto()
-    REWARD = auto()
-    ENDING = auto()
-    RESET = auto()
-    REQUIRE = auto()
+    FIXED = "a fixed value"
+    PARAMETER = "a parameter"
+    FIELD = "a field of the world"
+    EMIT = "what a robot sends"
+    APPLY = "what drives an actuator"
+    RECEIVE = "what a robot receives"
+    SIGNAL = "a signal"
+    OBSERVATION = "the range of an observation"
+    FORBID = "what forbids a choice"
+    SCRIPT = "a script"
+    GOAL = "a goal"
+    REWARD = "a reward"
+    ENDING = "an ending"
+    RESET = "a reset"
+    REQUIRE = "a requirement on the start"
 
 
 class Scope(Protocol):
@@ -174,7 +174,7 @@ class Scope(Protocol):
 
 
 class NoNames(NamedTuple):
-    """The scope of a literal: nothing is in it."""
+    """The scope of a literal: it holds nothing."""
 
     context: Context = Context.FIXED
 
@@ -192,11 +192,11 @@ class NoNames(NamedTuple):
 
 
 Rewriting = Callable[[str], str]
-"""What to write instead of a piece of text, made of that piece: a good guess."""
+"""Makes the probable correction of a piece of text from that piece; the correction is never certain."""
 
 
 class Report(Protocol):
-    """Takes a finding; `start` and `end` are offsets in the text of the expression, `meant` is what to write between them."""
+    """Takes a finding. `start` and `end` are offsets in the text of the expression, `meant` the text to put there."""
 
     def __call__(
         self,
@@ -208,3 +208,138 @@ class Report(Protocol):
         notes: tuple[str, ...] = (),
         meant: Meant | Rewriting | None = None,
     ) -> None: ...
+
+
+# The typed tree: names, dimensions, shapes, intervals and stages are settled. Every node holds its type and its
+# place in the text, [start, end).
+
+
+class Constant(NamedTuple):
+    """SI values, one per component; `unit` as written, None for bare numbers and truth values."""
+
+    type: Type
+    start: int
+    end: int
+    values: tuple[float | bool, ...]
+    unit: Unit | None = None
+
+
+class Reference(NamedTuple):
+    """The value of a symbol."""
+
+    type: Type
+    start: int
+    end: int
+    symbol: Symbol
+
+
+class Pick(NamedTuple):
+    """Some components of a vector, by position."""
+
+    type: Type
+    start: int
+    end: int
+    value: Typed
+    indices: tuple[int, ...]
+
+
+class Operation(NamedTuple):
+    """An operator applied elementwise: `add`, `less`, `and` ... (the names of `scalar.Op`)."""
+
+    type: Type
+    start: int
+    end: int
+    operator: str
+    args: tuple[Typed, ...]
+
+
+class Vector(NamedTuple):
+    """Single values put together."""
+
+    type: Type
+    start: int
+    end: int
+    items: tuple[Typed, ...]
+
+
+class Invocation(NamedTuple):
+    """A function of the table; ranges and the like are flattened into `args`.
+
+    `occurrence` counts the stateful calls and draws of one text, in its order; None for others.
+    """
+
+    type: Type
+    start: int
+    end: int
+    function: str
+    subjects: tuple[Subject, ...]
+    args: tuple[Typed, ...]
+    occurrence: int | None = None
+
+
+Typed = Constant | Reference | Pick | Operation | Vector | Invocation
+
+
+class TypedRange(NamedTuple):
+    """A range with both ends; they agree in dimension, and in components where both are vectors."""
+
+    low: Typed
+    high: Typed
+    start: int
+    end: int
+
+
+class Redraw(NamedTuple):
+    """How often the draws of an expression are repeated; `period` None means in each step."""
+
+    period: Typed | None
+
+
+def children(node: Typed) -> tuple[Typed, ...]:
+    match node:
+        case Constant() | Reference():  # first: most nodes are one of these
+            return ()
+        case Pick(value=value):
+            return (value,)
+        case Operation(args=args) | Invocation(args=args):
+            return args
+        case Vector(items=items):
+            return items
+
+
+def bare(value: Typed) -> bool:
+    """Whether this is made of numbers without units alone."""
+    match value:
+        case Constant(unit=unit):
+            return unit is None and not value.type.boolean
+        case Operation(args=parts) | Vector(items=parts):
+            return not value.type.boolean and all(bare(part) for part in parts)
+        case Invocation(function="uniform" | "normal" | "choice", args=parts):
+            return all(bare(part) for part in parts)
+        case _:
+            return False
+
+
+def zero(value: Typed) -> bool:
+    """Whether this is a bare zero, which fits every dimension."""
+    return isinstance(value, Constant) and bare(value) and not any(value.values)
+
+
+MAX_SIZE = 10_000
+"""Operations of a checked expression: nested vector functions repeat their arguments and could grow to millions."""
+_WORLD_SIZE = 40  # operations of the largest world function, per component of its result
+_ROTATION_READS = 3  # every component of a turned vector reads all three of the argument
+
+
+def size(node: Typed) -> int:
+    """An upper bound of the number of operations over all components, cut off at twice `MAX_SIZE`."""
+    own = len(node.type.components) if node.type.components else 1
+    if isinstance(node, (Constant, Reference)):
+        return min(own, 2 * MAX_SIZE)
+    of_world = isinstance(node, Invocation) and bool(node.subjects)
+    repeated = _ROTATION_READS if of_world else 1
+    total = own * (_WORLD_SIZE if of_world else 1)
+    for child in children(node):
+        single = child.type.components is None and not isinstance(node, Vector)
+        total += size(child) * (own if single else 1) * repeated
+    return min(total, 2 * MAX_SIZE)

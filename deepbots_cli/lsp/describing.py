@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
-from deepbots_cli.expressions.examples import EXAMPLES
 from deepbots_cli.expressions.functions import Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Shape, Symbol, Type, shown
@@ -35,9 +34,8 @@ def of_kind(spec: Spec) -> str:
 
 
 def of_function(function: Function) -> str:
-    example = EXAMPLES.get(function.name)
     lines = ["```text", function.signature, "```", function.doc]
-    return "\n".join(lines + (["", f"For example `{example}`."] if example else []))
+    return "\n".join(lines + (["", f"For example `{function.example}`."] if function.example else []))
 
 
 def of_type(known: Type) -> str:

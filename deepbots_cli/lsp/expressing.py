@@ -14,10 +14,9 @@ from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorS
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
-from deepbots_cli.expressions.functions import ALLOWED, Family, Form, Param
-from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.dimensions import UNITS, Unit
+from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, Type
-from deepbots_cli.expressions.units import UNITS, Unit
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.describing import of_function, of_symbol
 from deepbots_cli.lsp.pointing import ignored

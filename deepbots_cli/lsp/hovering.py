@@ -10,8 +10,8 @@ from deepbots_cli.compiler.inventory import Named, definition, names
 from deepbots_cli.compiler.scopes import RobotScope
 from deepbots_cli.document import Scalar, descend
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lsp.asking import key_of, leaves, specs
 from deepbots_cli.lsp.describing import of_finding, of_function, of_key, of_kind, of_symbol, of_type
 from deepbots_cli.lsp.desk import View

@@ -11,10 +11,8 @@ from deepbots_cli.compiler.values import Reading, Text
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
-from deepbots_cli.expressions.functions import Form
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Typed, children
-from deepbots_cli.expressions.types import Kind, Type
+from deepbots_cli.expressions.functions import FUNCTIONS, Form
+from deepbots_cli.expressions.types import Kind, Type, Typed, children
 from deepbots_cli.lsp.desk import View
 
 _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.intervals import INF, absolute
 from deepbots_cli.expressions.scalar import State, walk
-from deepbots_cli.expressions.typed import Reference, Typed, children
+from deepbots_cli.expressions.types import Reference, Typed, children
 from deepbots_cli.probing.blame import blamed
 from deepbots_cli.probing.plan import IDLE
 from deepbots_cli.probing.probed import Probed

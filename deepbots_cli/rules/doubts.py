@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Source, Span
 from deepbots_cli.diagnostics.suppress import suppress
-from deepbots_cli.expressions.typed import Reference, Typed, children
+from deepbots_cli.expressions.types import Reference, Typed, children
 
 _CODES = frozenset({"DB304", "DB504", "DB505"})
 

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.scalar import Op, Scalar, World
-from deepbots_cli.expressions.typed import Constant, Operation, Typed, children
-from deepbots_cli.expressions.types import Stage
+from deepbots_cli.expressions.types import Constant, Operation, Stage, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.task import Task, Valued
 

@@ -15,8 +15,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.expressions.scalar import children as parts
-from deepbots_cli.expressions.typed import Constant, Invocation, Operation, Reference, Typed
-from deepbots_cli.expressions.types import Stage, Symbol, Type
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed
 from deepbots_cli.ir import Sensor
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.task import Task, TaskGoal, TaskRobot, Valued

@@ -9,8 +9,7 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removing
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.typed import Invocation, Reference, Typed, children
-from deepbots_cli.expressions.types import Kind
+from deepbots_cli.expressions.types import Invocation, Kind, Reference, Typed, children
 from deepbots_cli.task import Task, Valued
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)

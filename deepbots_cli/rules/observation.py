@@ -11,12 +11,11 @@ from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
 from deepbots_cli.document.layout import removing
 from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.functions import Family
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Invocation, Reference, Typed, children
+from deepbots_cli.expressions.types import Invocation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import between, span_of

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Fix, Label
-from deepbots_cli.expressions.guesses import negated
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State
+from deepbots_cli.expressions.unification import negated
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of
 from deepbots_cli.rules.reach import NEVER, Reach

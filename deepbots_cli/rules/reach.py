@@ -13,9 +13,9 @@ from functools import lru_cache
 from types import MappingProxyType
 
 from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.functions import FUNCTIONS, operation
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, TRUTH, Interval, exact, hull
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
-from deepbots_cli.expressions.table import FUNCTIONS
 from deepbots_cli.rules.meaning import Book
 
 NEVER, ALWAYS = iv.NEVER, iv.ALWAYS
@@ -56,7 +56,7 @@ class Reach:
             case State():
                 return self._state(node)
             case Draw(distribution, args):
-                return FUNCTIONS[distribution].interval([self.of(arg) for arg in args], 1)
+                return FUNCTIONS[distribution].interval(*(self.of(arg) for arg in args))
 
     def _name(self, node: Name) -> Interval:
         if node.name in self.given:
@@ -92,7 +92,7 @@ class Reach:
         function = FUNCTIONS.get(node.function)
         if function is None or function.boolean:
             return TRUTH
-        return function.interval((), 1)
+        return function.interval()
 
     def _travel(self, joint: str) -> Interval:
         """Between the stops of a joint."""
@@ -111,7 +111,7 @@ class Reach:
             case "rising":
                 return NEVER if args[0] == NEVER else TRUTH
             case function:
-                return FUNCTIONS[function].interval(args, 1)
+                return FUNCTIONS[function].interval(*args)
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         if op == "where":
@@ -125,8 +125,7 @@ class Reach:
         if op == "and" and self._is_contradictory(args):
             return NEVER
         values = [self.of(arg) for arg in args]
-        rule = iv.OPERATORS.get(op)
-        return rule(*values) if rule else FUNCTIONS[op].interval(values, 1)
+        return operation(op).interval(*values)
 
     def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
         """Whether one quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""

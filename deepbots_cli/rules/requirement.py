@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.expressions.functions import Family
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.scalar import World
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Invocation, Reference, Typed, children
-from deepbots_cli.expressions.types import Stage
+from deepbots_cli.expressions.types import Invocation, Reference, Stage, Typed, children
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.reach import ALWAYS
 from deepbots_cli.rules.start import AtStart

@@ -10,7 +10,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.intervals import INF, TRUTH, Interval, absolute
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
-from deepbots_cli.expressions.typed import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
 from deepbots_cli.rules.precedence import forestalled

@@ -8,8 +8,7 @@ from math import pi
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.dimensions import ANGLE
-from deepbots_cli.expressions.typed import Invocation, Operation, Reference, Typed, children
-from deepbots_cli.expressions.types import Stage
+from deepbots_cli.expressions.types import Invocation, Operation, Reference, Stage, Typed, children
 from deepbots_cli.rules.equality import judged
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.task import TaskRobot, Valued

@@ -8,9 +8,8 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.dimensions import ANGLE
-from deepbots_cli.expressions.functions import Family
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.typed import Invocation, Typed, children
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.types import Invocation, Typed, children
 from deepbots_cli.ir import Sensor
 from deepbots_cli.task import JointStart, Placement, Task, TaskRoute
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.intervals import EVERYTHING, OPERATORS, Interval, exact, hull
+from deepbots_cli.expressions.functions import FUNCTIONS, operation
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact, hull
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
-from deepbots_cli.expressions.table import FUNCTIONS
 from deepbots_cli.ir import CompiledScenario, NamedValues
 
 _ROUNDING = 1e-6
@@ -104,11 +104,10 @@ def _interval(node: Scalar, scenario: CompiledScenario) -> Interval:
             numbers = (pair for entry in scenario.parameters if entry.name == name for pair in entry.numbers)
             return next((_interval(value, scenario) for other, value in numbers if other == full), EVERYTHING)
         case Draw(distribution, args):
-            return FUNCTIONS[distribution].interval([_interval(arg, scenario) for arg in args], 1)
+            return FUNCTIONS[distribution].interval(*(_interval(arg, scenario) for arg in args))
         case Op("where", (_, *cases)):
             return hull([_interval(case, scenario) for case in cases])
         case Op(op, args):
-            values = [_interval(arg, scenario) for arg in args]
-            return OPERATORS[op](*values) if op in OPERATORS else FUNCTIONS[op].interval(values, 1)
+            return operation(op).interval(*(_interval(arg, scenario) for arg in args))
         case _:
             return EVERYTHING

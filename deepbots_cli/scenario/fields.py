@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.diagnostics.nearest import Meant
-from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.scenario.refusal import at, mismatch, problem
 
 Stage = Literal["fixed", "episode", "step"]

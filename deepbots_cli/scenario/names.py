@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.scenario.fields import JsonSchema, Leaf
 from deepbots_cli.scenario.refusal import problem
 

@@ -11,13 +11,12 @@ import pytest
 
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, LENGTH, NUMBER, SPEED, TIME
-from deepbots_cli.expressions.emit import python
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.parser import parse
+from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.scalar import Draw, Name, State, World
-from deepbots_cli.expressions.typed import Typed
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type, Typed
 
 
 def symbol(name, dimension=NUMBER, components=None, boolean=False, interval=EVERYTHING, stage=Stage.STEP, value=None, refused=None):

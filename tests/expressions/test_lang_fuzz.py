@@ -4,13 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.expressions.check import check_drawn, check_range
-from deepbots_cli.expressions.emit import python
-from deepbots_cli.expressions.expect import expect
+from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.lower import constant, lower
 from deepbots_cli.expressions.parser import parse
-from deepbots_cli.expressions.table import FUNCTIONS
+from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.types import Context
-from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.expressions.unification import expect
 
 NAMES = "x speed gas flag home stride cart cart.tip cart.legs cart.pole_angle ball broken radio nonsense"
 OTHERS = "0 1 2.5 1e308 1e-308 100_000 and or not when every each step true if"

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deepbots_cli.expressions.functions import FUNCTIONS, scalar_function
 from deepbots_cli.expressions.lower import constant, lower
 from deepbots_cli.expressions.scalar import Const, Draw, Op, State, World
 from deepbots_cli.expressions.types import Context
@@ -96,26 +97,22 @@ turns = st.floats(-3.1, 3.1)
 
 @given(turns, st.floats(-1.5, 1.5), turns)
 def test_roll_pitch_and_yaw_are_those_that_made_the_quaternion(roll, pitch, yaw):
-    from deepbots_cli.expressions import geometry
-
     q = quaternion(roll, pitch, yaw)
-    assert compute(geometry.roll("b"), q) == pytest.approx(roll, abs=1e-9)
-    assert compute(geometry.pitch("b"), q) == pytest.approx(pitch, abs=1e-9)
-    assert compute(geometry.yaw("b"), q) == pytest.approx(yaw, abs=1e-9)
-    assert compute(geometry.tilt("b"), q) == pytest.approx(math.acos(max(-1, min(1, math.cos(roll) * math.cos(pitch)))), abs=1e-7)
+    assert compute(FUNCTIONS["roll"].tree("b"), q) == pytest.approx(roll, abs=1e-9)
+    assert compute(FUNCTIONS["pitch"].tree("b"), q) == pytest.approx(pitch, abs=1e-9)
+    assert compute(FUNCTIONS["yaw"].tree("b"), q) == pytest.approx(yaw, abs=1e-9)
+    assert compute(FUNCTIONS["tilt"].tree("b"), q) == pytest.approx(math.acos(max(-1, min(1, math.cos(roll) * math.cos(pitch)))), abs=1e-7)
 
 
 def compute(scalar, q):
     """A tree over the orientation of body `b` alone, computed directly."""
-    from deepbots_cli.expressions.fold import OPERATORS
-
     match scalar:
         case Const(value=value):
             return value
         case World(component=axis):
             return q["xyzw".index(axis)]
         case Op(op=name, args=args):
-            return OPERATORS[name](*(compute(arg, q) for arg in args))
+            return scalar_function(name)(*(compute(arg, q) for arg in args))
     raise AssertionError(scalar)
 
 
@@ -143,9 +140,7 @@ def test_distances_are_in_space_or_in_the_plane(bench):
 
 @given(st.floats(-100, 100))
 def test_a_wrapped_angle_is_the_same_direction_within_half_a_turn(angle):
-    from deepbots_cli.expressions.fold import OPERATORS
-
-    wrapped = OPERATORS["wrap"](angle)
+    wrapped = scalar_function("wrap")(angle)
     assert -math.pi <= wrapped <= math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
     assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)

@@ -3,8 +3,8 @@
 import pytest
 
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.lexer import MAX_LENGTH
 from deepbots_cli.expressions.parser import MAX_NESTING
+from deepbots_cli.expressions.syntax import MAX_LENGTH
 from deepbots_cli.expressions.types import Context
 
 # One of each form that the shipped kinds of scenario use.

@@ -6,8 +6,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli.expressions.dimensions import ANGLE, FORCE, FREQUENCY, LENGTH, NUMBER, SPEED, TIME, TORQUE, Dimension
-from deepbots_cli.expressions.units import UNITS, multiple, suggest_unit
+from deepbots_cli.expressions.dimensions import (
+    ANGLE,
+    FORCE,
+    FREQUENCY,
+    LENGTH,
+    NUMBER,
+    SPEED,
+    TIME,
+    TORQUE,
+    UNITS,
+    Dimension,
+    multiple,
+    suggest_unit,
+)
 
 exponents = st.integers(-4, 4) | st.fractions(-2, 2, max_denominator=4)
 dimensions = st.builds(Dimension, exponents, exponents, exponents, exponents)

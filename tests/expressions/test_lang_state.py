@@ -4,12 +4,10 @@ import textwrap
 
 import pytest
 
-from deepbots_cli.expressions.emit import python
-from deepbots_cli.expressions.functions import Family
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.printer import advance_lines, python, reset_lines
 from deepbots_cli.expressions.scalar import Name, State, walk
-from deepbots_cli.expressions.state import RULES, advance_lines, reset_lines
-from deepbots_cli.expressions.table import FUNCTIONS
 
 DT = 0.5
 
@@ -85,4 +83,4 @@ def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
 
 
 def test_every_stateful_function_of_the_table_has_a_rule():
-    assert set(RULES) == {function.name for function in FUNCTIONS.values() if function.family is Family.STATEFUL}
+    assert all((function.memory is not None) == (function.family is Family.STATEFUL) for function in FUNCTIONS.values())

@@ -4,11 +4,11 @@ import pytest
 
 from deepbots_cli.expressions.check import check, check_drawn, check_range
 from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, NUMBER, SPEED, TIME, TORQUE
-from deepbots_cli.expressions.expect import ANY_SHAPE, expect, expect_range
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.table import FUNCTIONS
 from deepbots_cli.expressions.types import SPACE, Context, NoNames, Stage
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect, expect_range
 
 
 @pytest.mark.parametrize(

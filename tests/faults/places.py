@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import yaml
 
-from deepbots_cli.expressions.table import FUNCTIONS
-from deepbots_cli.expressions.units import UNITS
+from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.expressions.functions import FUNCTIONS
 
 Path = tuple[str, ...]
 

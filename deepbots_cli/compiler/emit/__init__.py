@@ -26,9 +26,8 @@ from deepbots_cli.compiler.emit.names import RUNTIME, class_name
 from deepbots_cli.compiler.emit.robot import RobotPrinter
 from deepbots_cli.compiler.emit.supervisor import supervisor
 from deepbots_cli.compiler.emit.wrap import wrapped
+from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.ir import CompiledScenario
-
-_MATH = ("atan2", "cos", "exp", "hypot", "inf", "log", "pi", "pow", "sin", "sqrt", "tan", "tau")
 
 
 def emit(scenario: CompiledScenario) -> str:
@@ -48,7 +47,7 @@ def emit(scenario: CompiledScenario) -> str:
 
 def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
     words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
-    used_math = [name for name in _MATH if name in words]
+    used_math = sorted(math_names() & words)
     runtime = [name for name in RUNTIME if name in words]
     lines = [
         f'"""{class_name(scenario.name)}, compiled by deepbots; scenario {digest(scenario)[:12]}.',

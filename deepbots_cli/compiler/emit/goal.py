@@ -10,7 +10,7 @@ from deepbots_cli.compiler.emit.observation import print_noise
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block, docstring, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.expressions.emit import operand
+from deepbots_cli.expressions.printer import operand
 from deepbots_cli.ir import MeasuredGoal
 
 

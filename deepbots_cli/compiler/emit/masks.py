@@ -5,7 +5,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.expressions.emit import operand
+from deepbots_cli.expressions.printer import operand
 from deepbots_cli.ir import Choices, Option
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.expressions.emit import operand
+from deepbots_cli.expressions.printer import operand
 from deepbots_cli.expressions.scalar import Const, Name
 from deepbots_cli.ir import CompiledScenario, Measured, MeasuredGoal, Noise, Observed, Pictured
 

@@ -7,9 +7,8 @@ from types import MappingProxyType
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
-from deepbots_cli.expressions.emit import python
+from deepbots_cli.expressions.printer import advance_lines, python, reset_lines
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World
-from deepbots_cli.expressions.state import advance_lines, reset_lines
 
 Resolve = Callable[[Name | World], str]
 

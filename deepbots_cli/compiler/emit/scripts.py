@@ -9,7 +9,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import action_variables, block, docstring, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.expressions.fold import op
+from deepbots_cli.expressions.lower import op
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
 from deepbots_cli.ir import Aim, Choices, Interval, Pick, Script
 

@@ -7,9 +7,8 @@ import re
 from collections.abc import Iterator
 
 from deepbots_cli.canonical import CanonicalError
-from deepbots_cli.expressions.emit import PYTHON
+from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
 from deepbots_cli.expressions.scalar import Draw, Name, Op, State, World
-from deepbots_cli.expressions.state import RULES
 from deepbots_cli.ir.records import members
 
 _DRAWS = frozenset({"uniform", "integer", "normal", "choice"})
@@ -40,9 +39,9 @@ def require_known_nodes(scenario: object) -> None:
     for node in nodes(scenario):
         _require_arguments(node)
         match node:
-            case Op(op=word) if word != "pow" and word not in PYTHON:
+            case Op(op=word) if word not in OPERATORS and not (word in FUNCTIONS and FUNCTIONS[word].python):
                 raise CanonicalError(f"{word[:40]!r} is no operation")
-            case State(function=word) if word not in RULES:
+            case State(function=word) if word not in FUNCTIONS or FUNCTIONS[word].memory is None:
                 raise CanonicalError(f"{word[:40]!r} is no stateful function")
             case Draw(distribution=word) if word not in _DRAWS:
                 raise CanonicalError(f"{word[:40]!r} is no distribution")

@@ -1,0 +1,170 @@
+"""Scalar trees to Python text.
+
+The text holds no more parentheses than it needs, and computes what the tree says: the order of sums is kept.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+from functools import cache
+from typing import NamedTuple
+
+from deepbots_cli.expressions.functions import FUNCTIONS, Function, operation, whole_exponent
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+
+Leaf = Callable[[Name | World | State | Draw], str]
+
+
+class Bind(IntEnum):
+    """How strongly Python binds, from loose to tight."""
+
+    TERNARY = 0
+    OR = 1
+    AND = 2
+    NOT = 3
+    COMPARISON = 4
+    SUM = 5
+    PRODUCT = 6
+    SIGN = 7
+    POWER = 8
+    ATOM = 9
+
+
+class Code(NamedTuple):
+    """A piece of Python and how strongly its outermost operator binds."""
+
+    text: str
+    bind: Bind = Bind.ATOM
+
+    def within(self, weakest: int) -> str:
+        """The text, in parentheses where it binds less than `weakest`."""
+        return self.text if self.bind >= weakest else f"({self.text})"
+
+    @property
+    def simple(self) -> bool:
+        """Whether it may be written twice: a name, an attribute, a number."""
+        return self.text.replace(".", "").replace("_", "").replace("-", "").isalnum()
+
+
+def python(scalar: Scalar, leaf: Leaf) -> str:
+    """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
+    return _code(scalar, leaf).text
+
+
+def operand(code: str) -> str:
+    """The code as one side of any operator: in parentheses unless it is a name, an attribute, an item or a number."""
+    return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
+
+
+def advance_lines(state: State, memory: str, result: str, args: list[str], timestep: str) -> list[str]:
+    """Statements of one timestep; `args` is the code of the state's arguments, `timestep` in seconds."""
+    return _statements(state, memory, result, args, timestep)[1]
+
+
+def reset_lines(state: State, memory: str, result: str, args: list[str]) -> list[str]:
+    """Statements at a reset, after the first readings: memory and result as they stand before the first timestep."""
+    return _statements(state, memory, result, args, "")[0]
+
+
+def _statements(state: State, memory: str, result: str, args: list[str], timestep: str) -> tuple[list[str], list[str]]:
+    function = FUNCTIONS[state.function]
+    assert function.memory is not None  # as every stateful function
+    given = dict(zip(function.arguments, args, strict=False))
+    values = {name: given.get(name, args[0]) for name in function.arguments}
+    values |= {f"({name})": operand(code) for name, code in values.items()}
+    values |= {"memory": memory, "result": result, "timestep": timestep}
+    return tuple(text.format_map(values).split("\n") for text in function.memory)  # type: ignore[return-value]
+
+
+def _code(scalar: Scalar, leaf: Leaf) -> Code:
+    match scalar:
+        case Const(value=value):
+            return _number(value)
+        case Op(op=name, args=args):
+            return _operation(operation(name), [_code(arg, leaf) for arg in args], args)
+        case Name() | World() | State() | Draw():
+            return Code(leaf(scalar))
+
+
+def _number(value: float | bool) -> Code:
+    negative = not isinstance(value, bool) and str(value).startswith("-")
+    return Code(repr(value), Bind.SIGN if negative else Bind.ATOM)
+
+
+def _operation(function: Function, args: list[Code], scalars: tuple[Scalar, ...]) -> Code:
+    if function.name == "pow" and isinstance(scalars[1], Const) and (whole := whole_exponent(scalars[1].value)) is not None:
+        return _power(args[0], whole)
+    names = function.arguments
+    if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
+        return _infix(_template(function.python), args)
+    if names[-1].startswith("*"):
+        rest = len(names) - 1
+        args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
+    text = function.short if function.short and all(arg.simple for arg in args) else function.python
+    return _printed(_template(text), dict(zip(names, args, strict=True)))
+
+
+def _power(base: Code, exponent: int) -> Code:
+    if exponent == 2 and base.simple:
+        text = base.within(Bind.SIGN)
+        return Code(f"{text} * {text}", Bind.PRODUCT)
+    return Code(f"{base.within(Bind.ATOM)} ** {exponent}", Bind.POWER)
+
+
+# The Python of a function, with the code of its arguments in place of their names
+
+_SIGNS: dict[type[ast.AST], tuple[str, Bind]] = {
+    ast.Add: ("+", Bind.SUM),
+    ast.Sub: ("-", Bind.SUM),
+    ast.Mult: ("*", Bind.PRODUCT),
+    ast.Div: ("/", Bind.PRODUCT),
+    ast.FloorDiv: ("//", Bind.PRODUCT),
+    ast.Mod: ("%", Bind.PRODUCT),
+    ast.And: ("and", Bind.AND),
+    ast.Or: ("or", Bind.OR),
+    ast.Lt: ("<", Bind.COMPARISON),
+    ast.LtE: ("<=", Bind.COMPARISON),
+    ast.Gt: (">", Bind.COMPARISON),
+    ast.GtE: (">=", Bind.COMPARISON),
+    ast.Eq: ("==", Bind.COMPARISON),
+    ast.NotEq: ("!=", Bind.COMPARISON),
+}
+
+
+@cache
+def _template(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
+
+
+def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
+    match node:
+        case ast.Name(id=name):
+            return args.get(name) or Code(name)
+        case ast.Constant(value=bool() | int() | float() as value):
+            return _number(value)
+        case ast.Call(func=ast.Name(id=name), args=parts):
+            return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
+        case ast.Starred(value=ast.Name(id=name)):
+            return args[f"*{name}"]
+        case ast.BinOp(left=left, right=right) | ast.Compare(left=left, ops=[_], comparators=[right]):
+            return _infix(node, [_printed(left, args), _printed(right, args)])
+        case ast.BoolOp(values=parts):
+            return _infix(node, [_printed(part, args) for part in parts])
+        case ast.UnaryOp(op=ast.USub(), operand=inner):
+            return Code(f"-{_printed(inner, args).within(Bind.SIGN)}", Bind.SIGN)
+        case ast.UnaryOp(op=ast.Not(), operand=inner):
+            return Code(f"not {_printed(inner, args).within(Bind.NOT)}", Bind.NOT)
+        case ast.IfExp(test=test, body=a, orelse=b):
+            condition = _printed(test, args).within(Bind.OR)
+            return Code(f"{_printed(a, args).within(Bind.OR)} if {condition} else {_printed(b, args).within(Bind.TERNARY)}", Bind.TERNARY)
+    raise ValueError(f"{ast.unparse(node)[:60]!r} cannot be printed")
+
+
+def _infix(node: ast.expr, codes: list[Code]) -> Code:
+    """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both sides do."""
+    sign, bind = _SIGNS[type(node.ops[0] if isinstance(node, ast.Compare) else node.op)]  # type: ignore[attr-defined]
+    left = codes[0].within(bind + 1 if bind is Bind.COMPARISON else bind)
+    return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)

@@ -1,0 +1,123 @@
+"""The table of functions: both forms of a function agree, and functions of other packages are as good as ours."""
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepbots_cli import arrays
+from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS, scalar_function
+from deepbots_cli.expressions.scalar import Name, Op
+
+LOGIC = ("and", "or", "not")
+ELEMENTWISE = [function for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.python]
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("function", ELEMENTWISE, ids=lambda function: function.name)
+@given(st.data())
+def test_floats_and_arrays_agree_to_the_last_place(function, data):
+    arguments = [name.removeprefix("*") for name in function.arguments]
+    names = [*arguments, *([f"{arguments[-1]}{n}" for n in range(data.draw(st.integers(1, 2)))] if function.params[-1].many else [])]
+    kinds = {name: st.booleans() if function.name in LOGIC or name == "condition" else st.floats(-50, 50) for name in names}
+    rows = [{name: data.draw(kind, label=name) for name, kind in kinds.items()} for _ in range(3)]
+    tree = Op(function.name, tuple(map(Name, names)))
+    found = arrays.evaluate(tree, {Name(name): np.array([row[name] for row in rows]) for name in names})
+    for row, value in zip(rows, found, strict=True):
+        try:
+            expected = scalar_function(function.name)(*row.values())
+        except (ArithmeticError, ValueError):
+            assert not math.isfinite(value)
+            continue
+        assert value == expected or abs(value - expected) <= math.ulp(expected)
+
+
+@pytest.mark.parametrize(("base", "exponent"), [(-3.7, 2.0), (1.1, 3.0), (2.3, -2.0), (0.7, 0.5), (-2.0, 0.0)])
+def test_a_folded_power_is_the_power_that_generated_code_computes(bench, base, exponent):
+    (code,) = bench.code_of(f"(x / m)^{exponent}")
+    assert bench.code_of(f"({base})^{exponent}") == [repr(eval(code, {**vars(math), "x": base}))]
+
+
+# Functions of other packages
+
+DOUBLE = 'FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2 * x", interval=twice)]'
+MODULE = f"""
+from deepbots_cli.expressions.functions import Family, Function, Param
+from deepbots_cli.expressions.intervals import Interval
+
+def twice(x):
+    return Interval(2 * x.low, 2 * x.high)
+
+{DOUBLE}
+"""
+
+
+def deepbots(folder, script, *arguments):
+    """Runs Python in the folder, in which a package with the entry point is installed."""
+    path = os.pathsep.join([str(folder), str(ROOT)])
+    done = subprocess.run(
+        [sys.executable, *(["-c", script] if script else ["-m", "deepbots_cli"]), *arguments],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        check=False,
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+def install(folder, module, target="more_functions:FUNCTIONS"):
+    (folder / "more_functions.py").write_text(module)
+    info = folder / "more-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: more\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[deepbots.functions]\nmore = {target}\n")
+    (folder / "twice.yaml").write_text(
+        f"deepbots: 1\nextends: {ROOT}/scenarios/cartpole.yaml\n"
+        "parameters: {near: double(0.25 m)}\nreward: {centred: 1 when double(abs(cart.pole_angle)) < double(near) * rad / m}\n"
+    )
+
+
+def test_a_function_of_another_package_is_known_everywhere(tmp_path):
+    install(tmp_path, MODULE)
+    lint = deepbots(tmp_path, "", "lint", "twice.yaml")
+    assert (lint.returncode, lint.stderr) == (0, ""), lint.stdout
+    compiled = deepbots(tmp_path, "", "compile", "twice.yaml").stdout
+    assert "1.0 if 2 * abs(cart_pole_angle) < 1.0 else 0.0" in compiled
+    explained = deepbots(tmp_path, "", "explain", "double").stdout
+    assert "double(x)" in explained
+    assert "Twice x." in explained
+    script = "from deepbots_cli.lsp.expressing import functions; from deepbots_cli.expressions.functions import Family; "
+    completed = deepbots(tmp_path, script + "print([choice[0] for choice in functions(frozenset(Family))])").stdout
+    assert "'double('" in completed
+    script = f"import sys; sys.path.insert(0, {str(ROOT / 'docs')!r}); import build_reference; print(build_reference._functions())"
+    assert "| `double(x)` | Twice x. | as given | `double(gas)` |" in deepbots(tmp_path, script).stdout
+
+
+@pytest.mark.parametrize(
+    ("module", "target", "reason"),
+    [
+        (MODULE, "no_such_module:FUNCTIONS", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("raise RuntimeError('broken\\nin two lines')", "more_functions:FUNCTIONS", "RuntimeError: broken in two lines"),
+        ("FUNCTIONS = ['double']", "more_functions:FUNCTIONS", "'double' is no Function"),
+        (MODULE.replace("2 * x", "x + x"), "more_functions:FUNCTIONS", "must hold each of x once"),
+        (MODULE.replace("2 * x", "open(x)"), "more_functions:FUNCTIONS", "holds open"),
+        (MODULE.replace("2 * x", "[x]"), "more_functions:FUNCTIONS", "may hold operators, numbers, calls"),
+        (MODULE.replace('"double", ', '"sin", '), "more_functions:FUNCTIONS", "the name 'sin' is taken"),
+    ],
+)
+def test_a_broken_function_of_another_package_is_one_warning(tmp_path, module, target, reason):
+    install(tmp_path, module, target)
+    lint = deepbots(tmp_path, "", "lint", "twice.yaml")
+    assert lint.returncode == 1
+    assert "unknown function `double`" in lint.stdout
+    assert lint.stderr.count("\n") == 1
+    assert reason in lint.stderr
+    assert deepbots(tmp_path, "", "lint", str(ROOT / "scenarios" / "cartpole.yaml")).stderr == ""
