@@ -30,7 +30,7 @@ from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 
 if TYPE_CHECKING:
-    from deepbots_cli.ir import CompiledScenario
+    from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
 
 
@@ -44,7 +44,7 @@ class Compiled:
     in Python may run; `fixed` are the parameters that no episode draws.
     """
 
-    ir: CompiledScenario
+    ir: Program
     code: str
     digest: str
     source: Path
@@ -154,13 +154,12 @@ def compile(
     """
     from deepbots_cli.canonical import digest
     from deepbots_cli.compiler.emit import emit
-    from deepbots_cli.compiler.lower import lower
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
-    if checked.task is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
+    if checked.program is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
         raise ScenarioError(findings)
-    ir = lower(checked.task)
+    ir = checked.program
     inputs = checked.inputs
     drawn = {entry.name for entry in ir.parameters}
     return Compiled(
@@ -177,7 +176,7 @@ def compile(
 
 
 def make(
-    source: str | Path | Checked | Compiled | CompiledScenario,
+    source: str | Path | Checked | Compiled | Program,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -212,7 +211,7 @@ class Builder:
     Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of characters.
     """
 
-    ir: CompiledScenario
+    ir: Program
     allow_code: bool
     fixed: tuple[str, ...]
 
@@ -227,7 +226,7 @@ class Builder:
 
 
 def build(
-    ir: CompiledScenario,
+    ir: Program,
     *,
     engine: str = "pybullet",
     render_mode: str | None = None,

@@ -35,18 +35,18 @@ _TASK = '''\
 from pathlib import Path
 
 from deepbots_cli import api, canonical, engines
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor, assemble
 from environment import {supervisor}
 
 HERE = Path(__file__).parent
 
 
-def scenario() -> CompiledScenario:
+def scenario() -> Program:
     return canonical.from_json((HERE / "scenario.json").read_text(encoding="utf-8"))
 
 
-def make(ir: CompiledScenario, *, render_mode: str | None = None) -> Supervisor:
+def make(ir: Program, *, render_mode: str | None = None) -> Supervisor:
     """The environment: a Gymnasium environment like any other."""
     return assemble({supervisor}, ir, lambda world: engines.create("pybullet", world), render_mode)
 

@@ -163,7 +163,7 @@ def shielded(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -
     """The findings of `find`; if it raises an exception, the last of them says so (see `failure`)."""
     try:
         yield from find()
-    except Exception as error:  # noqa: BLE001  # a fault of ours, which must not hide other findings
+    except Exception as error:  # a fault of ours, which must not hide other findings
         yield failure(what, source, error)
 
 
@@ -199,7 +199,7 @@ MOST_FINDINGS = 500
 """Of one scenario. Nobody reads more, and a file of a megabyte may be wrong in 30 000 places, which took half a minute to word."""
 
 
-class TooManyFindings(Exception):  # noqa: N818  # nothing failed: who asked for no more than some has them
+class TooManyFindings(Exception):  # nothing failed: who asked for no more than some has them
     """Leaves whatever was looking for findings; `one` was one too many."""
 
     def __init__(self, one: Finding) -> None:

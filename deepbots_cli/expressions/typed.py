@@ -5,6 +5,7 @@ Every node holds its type and its place in the text, `[start, end)`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from deepbots_cli.expressions.types import Subject, Symbol, Type
@@ -123,3 +124,10 @@ def children(node: Typed) -> tuple[Typed, ...]:
             return args
         case Vector(items=items):
             return items
+
+
+def walk(node: Typed) -> Iterator[Typed]:
+    """Every node, each before its children."""
+    yield node
+    for child in children(node):
+        yield from walk(child)

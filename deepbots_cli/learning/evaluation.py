@@ -12,7 +12,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli import interface
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import CompiledScenario, Solved
 from deepbots_cli.learning import algorithms, video, weights
 from deepbots_cli.learning.environments import BuildWorld, World, copies_over
 from deepbots_cli.learning.episodes import Episode, meets
@@ -21,6 +20,8 @@ from deepbots_cli.learning.rollout import ROWS, OnEpisode, rollout
 from deepbots_cli.learning.run import Compiled, ModelName, Run
 from deepbots_cli.learning.summary import Summary
 from deepbots_cli.learning.training import compiled_of, default_build
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Solved
 from deepbots_cli.runtime.streams import derive
 
 
@@ -104,7 +105,7 @@ def evaluate(
     count = ir.evaluation.episodes if episodes is None else episodes
     if case is not None:
         chosen = ir.case(case)
-        ir, count = chosen.scenario, chosen.episodes if episodes is None else episodes
+        ir, count = chosen.program, chosen.episodes if episodes is None else episodes
     root = known.record.seed if seed is None else seed
     if count < 1 or root < 0:
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
@@ -174,7 +175,7 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     return model
 
 
-def _fitting(run: Run, ir: CompiledScenario) -> CompiledScenario:
+def _fitting(run: Run, ir: Program) -> Program:
     if interface.digest(ir) != run.record.interface:
         lines = "\n  ".join(interface.differences(run.ir, ir))
         raise RunError(f"{run.path} was trained for another observation, action or messages than {ir.name} has:\n  {lines}")
@@ -183,7 +184,7 @@ def _fitting(run: Run, ir: CompiledScenario) -> CompiledScenario:
 
 def _summary(
     run: Run,
-    ir: CompiledScenario,
+    ir: Program,
     case: str | None,
     model: ModelName,
     seed: int,

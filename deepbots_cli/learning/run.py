@@ -19,31 +19,30 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Protocol
 
 import deepbots_cli
-from deepbots_cli import canonical, interface
+from deepbots_cli import api, canonical, interface
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.ir import CompiledScenario
-from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
+from deepbots_cli.learning.atomic import atomic, write_text
 from deepbots_cli.learning.record import Record
-from deepbots_cli.robots.soundness import is_sound, is_sound_shape
+from deepbots_cli.program import Program
 
 ModelName = Literal["best", "last"]
 
 _SCENARIO = "scenario.ir.json"
+_RESOLVED = "resolved.yaml"
 _INPUTS = "inputs"  # as `resolved.yaml` calls it
-_SCENARIO_LIMIT = 64_000_000
-_MEMBERS = ("run.json", _SCENARIO, "monitor.csv", "tensorboard", "models", "models/best.npz", "models/last.npz", "checkpoint.npz")
+_MEMBERS = ("run.json", _RESOLVED, "monitor.csv", "tensorboard", "models", "models/best.npz", "models/last.npz", "checkpoint.npz")
 
 
 class Compiled(Protocol):
     """What compiling a scenario gives: the task, and all that it was made from."""
 
     @property
-    def ir(self) -> CompiledScenario: ...
+    def ir(self) -> Program: ...
     @property
     def code(self) -> str: ...
     @property
@@ -64,7 +63,7 @@ class Run:
 
     path: Path
     record: Record
-    ir: CompiledScenario
+    ir: Program
 
     @property
     def checkpoint(self) -> Path:
@@ -111,7 +110,7 @@ class Run:
             copy.parent.mkdir(parents=True, exist_ok=True)
             with atomic(copy) as stream:
                 stream.write(content)
-        write_text(path / "resolved.yaml", compiled.resolved)
+        write_text(path / _RESOLVED, compiled.resolved)
         write_text(path / _SCENARIO, canonical.to_json(compiled.ir))
         write_text(path / "environment.py", compiled.code)
         record.write(path)
@@ -137,52 +136,16 @@ class Run:
         if odd:
             raise RunError(f"{path / odd} is neither a file nor a directory, which no run of ours holds")
         try:
-            ir = canonical.from_json(read_bytes(path / _SCENARIO, _SCENARIO_LIMIT).decode())
-        except (DeepbotsError, ValueError) as error:
-            raise RunError(f"{path / _SCENARIO} cannot be used: {' '.join(str(error).split())[:200]}") from error
+            ir = api.compile(path / _RESOLVED, allow_code=True).ir
+        except DeepbotsError as error:
+            raise RunError(f"{path / _RESOLVED} cannot be used: {' '.join(str(error).split())[:200]}") from error
         if canonical.digest(ir) != record.digest or interface.digest(ir) != record.interface:
-            raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
-        if not _sensible(ir):
-            raise RunError(f"{path / _SCENARIO} holds figures or bodies that no scenario of ours does")
-        return Run(path, record, _with_own_files(path, record, ir))
-
-
-def _with_own_files(path: Path, record: Record, ir: CompiledScenario) -> CompiledScenario:
-    """The scenario with the copies of its meshes and pictures in the run, which may have moved; the engine compares their digests."""
-    copies = {(digest, PurePosixPath(name).suffix): path / _INPUTS / inside(name) for name, digest in record.inputs.items()}
-
-    def own(file: canonical.Filed) -> canonical.Filed:
-        copy = copies.get((file.digest, Path(file.path).suffix))
-        return replace(file, path=str(copy.resolve())) if copy is not None and copy.is_file() else file
-
-    return canonical.with_files(ir, own)
+            raise RunError(f"{path / _RESOLVED} is not what was trained: its digest differs from the one in run.json")
+        return Run(path, record, ir)
 
 
 def _is_plain(path: Path) -> bool:
     return path.is_file() or path.is_dir() or not path.exists()
-
-
-def _sensible(ir: CompiledScenario) -> bool:
-    """Whether the scenario, its cases and its stages are such as compiling leaves them."""
-    others = [case.scenario for case in ir.cases] + [stage.scenario for stage in ir.curriculum]
-    nested = any(other.cases or other.curriculum for other in others)
-    episodes = [case.episodes for case in ir.cases] + [stage.until.episodes for stage in ir.curriculum if stage.until]
-    return (
-        not nested
-        and all(1 <= count <= 1_000_000 for count in episodes)
-        and all(stage.until for stage in ir.curriculum[:-1])
-        and all(interface.digest(other) == interface.digest(ir) for other in others)
-        and all(map(_is_sound, [ir, *others]))
-    )
-
-
-def _is_sound(ir: CompiledScenario) -> bool:
-    """Whether the figures that learning itself computes with, and the bodies, are such as compiling leaves them."""
-    windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
-    forms = [(thing.shape, thing.mass) for thing in ir.world.objects]
-    forms += [(variant.shape, variant.mass) for thing in ir.world.objects for variant in thing.variants]
-    bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(shape, mass) for shape, mass in forms]
-    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows) and all(bodies)
 
 
 def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int) -> Path:

@@ -19,7 +19,6 @@ from stable_baselines3.common.logger import configure
 import deepbots_cli
 from deepbots_cli import interface
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Rank, Watch, diverged
 from deepbots_cli.learning.curriculum import Curriculum, StageEnd
@@ -32,6 +31,8 @@ from deepbots_cli.learning.progress import Reporter, reporter
 from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
 from deepbots_cli.learning.run import Compiled, Run, input_digests, new_directory
 from deepbots_cli.learning.trials import AT_ONCE, Trials
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Training
 from deepbots_cli.runtime.streams import derive
 
 _KEPT = (
@@ -231,7 +232,7 @@ def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
     return partial(build, engine=engine, allow_code=allow_code)
 
 
-def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
+def _training_of(ir: Program, total_timesteps: int | None) -> Training:
     if find_spec("tensorboard") is None:  # Stable-Baselines3 would only notice with the run half made
         raise MissingExtraError("train", "training")
     if ir.training is None:
@@ -246,10 +247,10 @@ def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
     return training
 
 
-def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> None:
+def _rehearse(ir: Program, training: Training, build: BuildWorld) -> None:
     """Fail before there is a run directory, if a world cannot be built or the algorithm refuses its settings."""
     for stage in ir.curriculum:
-        build(stage.scenario).close()
+        build(stage.program).close()
     with closing(build(ir)) as world:
         copies = copies_over([world] * training.environments, [0] * training.environments)
         algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(ir))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import sys
 import traceback
@@ -15,6 +16,7 @@ from io import FileIO
 from typing import Any
 
 from deepbots_cli.probing.limits import OUT_OF_MEMORY, Limits
+from deepbots_cli.program import Program
 
 _MIB = 2**20
 
@@ -24,20 +26,19 @@ def main(limits: Limits) -> None:
     out = FileIO(os.dup(sys.stdout.fileno()), "wb")
     _hush()
     _keep(limits)
-    request = json.loads(sys.stdin.buffer.read())
+    program, allow_code = pickle.loads(sys.stdin.buffer.read())  # from the process that started this one
     try:
-        _measure(request, out, limits.step)
+        _measure(program, out, limits.step, allow_code=allow_code)
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
-    except Exception as error:  # noqa: BLE001  # a fault of ours, which the parent tells
+    except Exception as error:  # a fault of ours, which the parent tells
         from deepbots_cli.diagnostics.finding import described
 
         out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 
 
-def _measure(request: dict[str, Any], out: FileIO, most: float) -> None:
+def _measure(program: Program, out: FileIO, most: float, *, allow_code: bool) -> None:
     """Every line gives another `most` seconds of CPU time."""
-    from deepbots_cli.canonical import from_json
     from deepbots_cli.probing.rolls import Rolls
 
     def say(told: dict[str, Any]) -> None:
@@ -49,7 +50,7 @@ def _measure(request: dict[str, Any], out: FileIO, most: float) -> None:
         out.write(b"~%d\n" % number)
 
     _in_time(most)
-    Rolls(from_json(request["scenario"]), say, step, allow_code=request["allow_code"]).run()
+    Rolls(program, say, step, allow_code=allow_code).run()
     say({"done": True})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -12,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import deepbots_cli
-from deepbots_cli.canonical import to_json
 from deepbots_cli.errors import MissingExtraError
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.probing.limits import OUT_OF_MEMORY, Limits
 from deepbots_cli.probing.report import Halt, Report
+from deepbots_cli.program import Program
 
 _NEEDED = ("gymnasium", "msgspec", "numpy", "pybullet")
 _FAULTS = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT"}
@@ -32,18 +32,18 @@ def require_simulator() -> None:
         raise MissingExtraError("sim", "lint --deep")
 
 
-def measured(ir: CompiledScenario, limits: Limits, *, allow_code: bool = False) -> Report:
+def measured(ir: Program, limits: Limits, *, allow_code: bool = False) -> Report:
     """Simulate a scenario in a process of its own; whatever becomes of that, there is a report.
 
     Raises:
         RuntimeError: The process failed by a fault of deepbots itself, and DEEPBOTS_DEBUG is 1; holds its traceback.
     """
-    request = json.dumps({"scenario": to_json(ir), "allow_code": allow_code})
+    request = pickle.dumps((ir, allow_code))
     # -P, since modules in the working directory may be anyone's
     command = [sys.executable, "-P", "-m", "deepbots_cli.probing.child", *limits.told()]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment()) as process:
         try:
-            out, _ = process.communicate(request.encode(), limits.wall)
+            out, _ = process.communicate(request, limits.wall)
             late = False
         except subprocess.TimeoutExpired:
             process.kill()

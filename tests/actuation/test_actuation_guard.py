@@ -14,17 +14,19 @@ from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError
 from deepbots_cli.compiler.emit import emit
 from deepbots_cli.expressions.scalar import Const, State, World
-from deepbots_cli.ir import CompiledScenario, Response, Variation
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.robots import Response
 
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 
 
 @cache
-def compiled(name: str) -> CompiledScenario:
+def compiled(name: str) -> Program:
     return api.compile(SCENARIOS / f"{name}.yaml").ir
 
 
-def with_actuator(name: str, index: int, **changes: Any) -> CompiledScenario:
+def with_actuator(name: str, index: int, **changes: Any) -> Program:
     scenario = compiled(name)
     (robot,) = scenario.robots
     actuators = list(robot.actuators)
@@ -62,17 +64,17 @@ def test_figures_that_no_compiler_wrote_are_refused(name: str, index: int, chang
 @pytest.mark.parametrize(
     "variation",
     [
-        Variation("actuator_strength", ("drone", "nothing"), (Const(1.0),) * 4),
-        Variation("actuator_strength", ("nobody", "rotors"), (Const(1.0),) * 4),
-        Variation("actuator_strength", ("drone", "rotors"), (Const(1.0),)),
-        Variation("actuator_stiffness", ("drone", "rotors"), (Const(1.0),) * 4),
-        Variation("actuator_max_torque", ("drone", "rotors"), (Const(1.0),) * 4),
-        Variation("actuator_delay", ("drone", "rotors"), (Const(1.0),) * 2),
-        Variation("actuator_wings", ("drone", "rotors"), (Const(1.0),)),
+        RandomizedParameter("actuator_strength", ("drone", "nothing"), (Const(1.0),) * 4),
+        RandomizedParameter("actuator_strength", ("nobody", "rotors"), (Const(1.0),) * 4),
+        RandomizedParameter("actuator_strength", ("drone", "rotors"), (Const(1.0),)),
+        RandomizedParameter("actuator_stiffness", ("drone", "rotors"), (Const(1.0),) * 4),
+        RandomizedParameter("actuator_max_torque", ("drone", "rotors"), (Const(1.0),) * 4),
+        RandomizedParameter("actuator_delay", ("drone", "rotors"), (Const(1.0),) * 2),
+        RandomizedParameter("actuator_wings", ("drone", "rotors"), (Const(1.0),)),
     ],
     ids=str,
 )
-def test_what_no_actuator_has_cannot_vary(variation: Variation) -> None:
+def test_what_no_actuator_has_cannot_vary(variation: RandomizedParameter) -> None:
     scenario = compiled("drone")
     with pytest.raises(CanonicalError):
         emit(replace(scenario, reset=replace(scenario.reset, variations=(variation,))))

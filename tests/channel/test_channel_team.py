@@ -18,7 +18,7 @@ from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError, from_json, to_json
 from deepbots_cli.compiler.emit import emit
 from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
-from deepbots_cli.ir import Copies
+from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.runtime.team import Team
 
 TEAM = Path(__file__).parent / "team.yaml"
@@ -231,14 +231,14 @@ def test_a_team_can_be_filmed(base: str) -> None:
 @pytest.mark.parametrize(
     "copies",
     [
-        Copies("cart", 0, (0.0, 1.0, 0.0)),
-        Copies("cart", 10**6, (0.0, 1.0, 0.0)),
-        Copies("x", 2, (0.0, 1.0, 0.0)),
-        Copies("cart", 2, (1e300, 0.0, 0.0)),
+        RobotCopies("cart", 0, (0.0, 1.0, 0.0)),
+        RobotCopies("cart", 10**6, (0.0, 1.0, 0.0)),
+        RobotCopies("x", 2, (0.0, 1.0, 0.0)),
+        RobotCopies("cart", 2, (1e300, 0.0, 0.0)),
     ],
     ids=str,
 )
-def test_odd_copies_in_a_forged_scenario_are_refused(copies: Copies) -> None:
+def test_odd_copies_in_a_forged_scenario_are_refused(copies: RobotCopies) -> None:
     ir = api.compile(TEAM).ir
     forged = from_json(to_json(replace(ir, agent=replace(ir.agent, each=copies))))
     with pytest.raises(CanonicalError):

@@ -17,7 +17,8 @@ from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError, digest, from_json, to_json
 from deepbots_cli.compiler.emit import emit
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, State, World
-from deepbots_cli.ir import CompiledScenario, Term
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
 
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 WORDS = st.text(max_size=8)
@@ -38,7 +39,7 @@ TREES = st.recursive(
 
 
 @cache
-def compiled(name: str) -> CompiledScenario:
+def compiled(name: str) -> Program:
     return api.compile(name if "/" not in name else SCENARIOS / name.removeprefix("data/")).ir
 
 
@@ -54,14 +55,14 @@ def test_a_scenario_comes_back_as_it_was(name: str) -> None:
 @settings(max_examples=100, deadline=None)
 @given(tree=TREES)
 def test_any_expression_comes_back_as_it_was(tree: Any) -> None:
-    scenario = replace(compiled("cartpole"), reward=(Term("alive", tree),))
+    scenario = replace(compiled("cartpole"), reward=(Expression("alive", tree),))
     again = from_json(to_json(scenario))
     assert again == scenario
     assert digest(again) == digest(scenario)
 
 
 def test_minus_zero_and_infinity_survive() -> None:
-    scenario = replace(compiled("cartpole"), reward=tuple(Term("a", Const(value)) for value in (-0.0, float("inf"), float("-inf"))))
+    scenario = replace(compiled("cartpole"), reward=tuple(Expression("a", Const(value)) for value in (-0.0, float("inf"), float("-inf"))))
     assert [repr(term.value.value) for term in from_json(to_json(scenario)).reward] == ["-0.0", "inf", "-inf"]  # type: ignore[union-attr]
 
 
@@ -92,7 +93,7 @@ def test_altered_json_is_a_scenario_or_refused(changes: list[tuple[tuple[Any, ..
         except (KeyError, IndexError, TypeError):
             continue  # an earlier change took it away
     with suppress(CanonicalError):
-        assert isinstance(from_json(json.dumps(data)), CompiledScenario)
+        assert isinstance(from_json(json.dumps(data)), Program)
 
 
 @settings(max_examples=100, deadline=None)
@@ -111,7 +112,7 @@ def test_hostile_json_is_refused(text: str) -> None:
 @pytest.mark.parametrize("name", ['x"', "a\nimport os", '"""', "os.system", "A", "", "naïve", "a b", "1a", "a;b"])
 def test_a_name_that_is_no_identifier_is_never_printed(name: str) -> None:
     with pytest.raises(CanonicalError):
-        emit(replace(compiled("cartpole"), reward=(Term(name, Const(1.0)),)))
+        emit(replace(compiled("cartpole"), reward=(Expression(name, Const(1.0)),)))
 
 
 @pytest.mark.parametrize("text", ['"""\nimport os\n"""', "'''", "\\", "\\u0022", "a\r\nb", "{x}", "\x00", 'Ends with a quote"'])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.ir import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import SIGHT, View
+from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.robots.rotation import quaternion
 

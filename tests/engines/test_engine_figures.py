@@ -12,8 +12,8 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import STILL, View
+from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.robots.rotation import quaternion
 

@@ -11,7 +11,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import HERE
-from deepbots_cli.ir import RobotBody, WorldModel
+from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
 from deepbots_cli.robots.rotation import quaternion
 

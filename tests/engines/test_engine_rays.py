@@ -9,7 +9,7 @@ from math import asin, cos, pi, radians, sin, sqrt
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.robots.rotation import quaternion
 

@@ -13,8 +13,8 @@ from deepbots_cli import frames
 from deepbots_cli.engines.lump import joined
 from deepbots_cli.engines.motion import CartPole, RigidBody
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
 from deepbots_cli.robots.rotation import quaternion
 

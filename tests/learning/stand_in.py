@@ -17,24 +17,13 @@ import numpy as np
 
 from deepbots_cli import canonical
 from deepbots_cli.expressions.scalar import Const, Name
-from deepbots_cli.ir import (
-    Choices,
-    CompiledScenario,
-    Ending,
-    Evaluation,
-    Field,
-    Interval,
-    MessageLayout,
-    Observed,
-    Option,
-    Reset,
-    Robot,
-    Solved,
-    Term,
-    Training,
-    Truncation,
-    WorldModel,
-)
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Reset
+from deepbots_cli.program.robots import MessageField, MessageLayout, Robot
+from deepbots_cli.program.task import ActionRange, Choices, Ending, ObservedNumber, Option, Truncation
+from deepbots_cli.program.training import Evaluation, Solved, Training
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import WorldModel
 
 FALL = math.radians(15)
 TRACK = 0.39
@@ -48,9 +37,9 @@ def scenario(
     speed_range: float = 0.8,
     name: str = "Stand In",
     max_steps: int = 200,
-) -> CompiledScenario:
+) -> Program:
     """The task; `speed_range` is the range of the observed speed in m/s."""
-    fields = (Field("pole_angle", "rad"),)
+    fields = (MessageField("pole_angle", "rad"),)
     robot = Robot(
         name="cart",
         sensors=(),
@@ -58,15 +47,15 @@ def scenario(
         receive=(),
         emit=(),
         apply=(),
-        to_robot=MessageLayout("cart", "to_robot", (Field("drive", ""),), 1),
+        to_robot=MessageLayout("cart", "to_robot", (MessageField("drive", ""),), 1),
         from_robot=MessageLayout("cart", "from_robot", fields, 2),
     )
     drive = (
-        Interval("drive", (), -1.0, 1.0, "")
+        ActionRange("drive", (), -1.0, 1.0, "")
         if continuous
         else Choices("drive", ("drive",), (Option("forward", (1.0,)), Option("backward", (-1.0,))))
     )
-    return CompiledScenario(
+    return Program(
         name=name,
         summary="Keep a pole upright.",
         language=1,
@@ -78,12 +67,12 @@ def scenario(
         action=(drive,),
         signals=(),
         observation=(
-            Observed("x", None, Name("x"), -0.4, 0.4, "m"),
-            Observed("speed", None, Name("speed"), -speed_range, speed_range, "m/s"),
-            Observed("cart.pole_angle", None, Name("cart.pole_angle"), -0.35, 0.35, "rad"),
-            Observed("tip_speed", None, Name("tip_speed"), -2.0, 2.0, "m/s"),
+            ObservedNumber("x", None, Name("x"), -0.4, 0.4, "m"),
+            ObservedNumber("speed", None, Name("speed"), -speed_range, speed_range, "m/s"),
+            ObservedNumber("cart.pole_angle", None, Name("cart.pole_angle"), -0.35, 0.35, "rad"),
+            ObservedNumber("tip_speed", None, Name("tip_speed"), -2.0, 2.0, "m/s"),
         ),
-        reward=(Term("alive", Const(1.0)), Term("centre", Const(0.0))),
+        reward=(Expression("alive", Const(1.0)), Expression("centre", Const(0.0))),
         endings=(Ending("fallen", "failure", Const(False)), Ending("off_track", "failure", Const(False))),
         truncation=Truncation(max_steps=max_steps),
         reset=Reset(),
@@ -97,7 +86,7 @@ def scenario(
 class CompiledStandIn:
     """What compiling would have given."""
 
-    ir: CompiledScenario
+    ir: Program
     code: str = "# generated\n"
     inputs: Mapping[str, bytes] = field(default_factory=lambda: {"stand_in.yaml": b"deepbots: 1\n", "../robots/cart.urdf": b"<robot/>\n"})
     resolved: str = "deepbots: 1\n"
@@ -116,7 +105,7 @@ def compiled(**settings: Any) -> CompiledStandIn:
 class CartPole(gym.Env[Any, Any]):
     """The cart follows its speed command within a tick; the pole is a uniform rod of 1 m on a moving hinge."""
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         self.ir = ir
         self.render_mode = render_mode
         self.observation_space = gym.spaces.Box(-1, 1, (4,), np.float32)
@@ -161,7 +150,7 @@ class CartPole(gym.Env[Any, Any]):
         self.closed += 1
 
 
-def build(ir: CompiledScenario, *, render_mode: str | None = None) -> CartPole:
+def build(ir: Program, *, render_mode: str | None = None) -> CartPole:
     return CartPole(ir, render_mode)
 
 

@@ -15,10 +15,11 @@ import pytest
 import stand_in
 
 from deepbots_cli.errors import MissingExtraError, UsageError, installing
-from deepbots_cli.ir import ActionNoise, CompiledScenario, Hindsight, Hyperparameter, Policy, Schedule, Training
 from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, resume, train, weights
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
 
 SMALL = Policy((8,))
 
@@ -78,7 +79,7 @@ def test_noise_fades_while_the_training_goes_on(tmp_path: Path, algorithm: str, 
 class Reach(stand_in.CartPole):
     """A point on a line that has to get to another; its reward follows from the two."""
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         super().__init__(ir, render_mode)
         one = gym.spaces.Box(-1, 1, (1,), np.float32)
         self.observation_space = gym.spaces.Dict({"observation": one, "achieved_goal": one, "desired_goal": one})
@@ -133,7 +134,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
     assert result.steps >= 1_600
 
 
-def copies_of(ir: CompiledScenario, world: Any = Reach) -> Any:
+def copies_of(ir: Program, world: Any = Reach) -> Any:
     from deepbots_cli.learning.environments import Copies
 
     return Copies([world(ir), world(ir)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
@@ -240,7 +241,7 @@ class Seeing(stand_in.CartPole):
 
     SIZE = 36
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         super().__init__(ir, render_mode)
         picture = gym.spaces.Box(0, 255, (self.SIZE, self.SIZE, 3), np.uint8)
         self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "cart_camera": picture})

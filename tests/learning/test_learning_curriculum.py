@@ -13,13 +13,14 @@ import stand_in
 
 from deepbots_cli import canonical
 from deepbots_cli.errors import EngineError, RunError, UsageError
-from deepbots_cli.ir import CompiledScenario, Criterion, Hyperparameter, Solved, Stage, Training
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.report import evaluation_text, to_json, training_text
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import CurriculumStage, Program
+from deepbots_cli.program.training import Criterion, Hyperparameter, Solved, Training
 
 PPO = Training("PPO", 1_500, 3, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
@@ -29,7 +30,7 @@ def staged(*untils: Criterion | None, lengths: tuple[int, ...] = (5, 8, 11, 14),
     """A scenario with a stage for each criterion; an episode of the stages `a`, `b`, ... has so many steps."""
     base = stand_in.compiled(training=PPO, **settings)
     stages = tuple(
-        Stage(name, until, replace(base.ir, truncation=replace(base.ir.truncation, max_steps=length)))
+        CurriculumStage(name, until, replace(base.ir, truncation=replace(base.ir.truncation, max_steps=length)))
         for name, until, length in zip("abcd", untils, lengths, strict=False)
     )
     return stand_in.altered(base, curriculum=stages)
@@ -123,7 +124,7 @@ def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp
 
 
 def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: Path) -> None:
-    def build(ir: CompiledScenario, *, render_mode: str | None = None) -> Any:
+    def build(ir: Program, *, render_mode: str | None = None) -> Any:
         if ir.truncation.max_steps == 11:
             raise EngineError("no such world")
         return stand_in.build(ir)

@@ -13,12 +13,13 @@ import stand_in
 
 from deepbots_cli import canonical
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import Case, Solved
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import judge
 from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
 from deepbots_cli.learning.summary import Summary
+from deepbots_cli.program import EvaluationCase
+from deepbots_cli.program.training import Solved
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
@@ -162,7 +163,7 @@ def with_case(**changes: object) -> stand_in.CompiledStandIn:
     """The stand-in with a case `short`, of three episodes of seven steps."""
     base = stand_in.compiled()
     short = replace(base.ir, truncation=replace(base.ir.truncation, max_steps=7), **changes)  # type: ignore[arg-type]
-    return stand_in.altered(base, cases=(Case("short", 3, short), Case("same", 20, base.ir)))
+    return stand_in.altered(base, cases=(EvaluationCase("short", 3, short), EvaluationCase("same", 20, base.ir)))
 
 
 def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
@@ -183,7 +184,7 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
     run = train(with_case(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
     for forged in (
         with_case(observation=stand_in.scenario(speed_range=2.0).observation),
-        with_case(cases=(Case("a", 1, stand_in.scenario()),)),
+        with_case(cases=(EvaluationCase("a", 1, stand_in.scenario()),)),
     ):
         record = json.loads((run / "run.json").read_text())
         (run / "run.json").write_text(json.dumps(record | {"digest": forged.digest}))

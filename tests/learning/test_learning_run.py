@@ -17,9 +17,11 @@ from hypothesis import strategies as st
 from deepbots_cli import api, canonical, interface
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import CompiledScenario, Evaluation, ObjectBody, RobotBody, Solved, Variant, WorldModel
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run, inside, new_directory
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Evaluation, Solved
+from deepbots_cli.program.world import ObjectBody, RobotBody, Variant, WorldModel
 from deepbots_cli.robots.model import Geometry, Inertial, Joint, Link, RobotModel, Sphere
 
 
@@ -237,7 +239,7 @@ def refusal(path: Path) -> str:
     return ""
 
 
-def forge(path: Path, scenario: CompiledScenario) -> None:
+def forge(path: Path, scenario: Program) -> None:
     """Another scenario in the run, with digests that fit."""
     (path / "scenario.ir.json").write_text(canonical.to_json(scenario))
     edit(path, digest=canonical.digest(scenario), interface=interface.digest(scenario))

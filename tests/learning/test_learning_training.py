@@ -23,12 +23,13 @@ from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
 from deepbots_cli.expressions.scalar import Const
-from deepbots_cli.ir import Ending, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
 from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.progress import Lines, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.training import Hyperparameter, Policy, Schedule, Solved, Training
 
 
 def short(tmp_path: Path, **settings: Any) -> TrainingResult:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from deepbots_cli.compiler.emit.guard import check_printable
 
 from deepbots_cli import api
 from deepbots_cli.canonical import from_json, to_json
-from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.view import overview
 

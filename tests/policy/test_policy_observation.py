@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from deepbots_cli.compiler.emit.guard import check_printable
 
 from deepbots_cli.canonical import CanonicalError, from_json, to_json
-from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.runtime import Supervisor
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from deepbots_cli.compiler.lower import lower
 
 from deepbots_cli import api
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.probing import probe

@@ -13,10 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from deepbots_cli.compiler.lower import lower
 
 from deepbots_cli import api
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.probing import Limits, Probe, probe

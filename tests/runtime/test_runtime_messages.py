@@ -11,14 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.errors import MessageError
-from deepbots_cli.ir import Field, MessageFormat, MessageLayout
+from deepbots_cli.program.robots import MessageField, MessageFormat, MessageLayout
 from deepbots_cli.runtime.messages import MALFORMED, Codec, codec, explain
 
 FORMATS: tuple[MessageFormat, ...] = tuple(name for name in get_args(MessageFormat) if name != "none")
 LAYOUT = MessageLayout(
-    "cart", "from_robot", (Field("angle", "rad"), Field("gyro", "rad/s", ("x", "y", "z")), Field("touch", "", dtype="bool")), 0xFFFFFFFE
+    "cart",
+    "from_robot",
+    (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", dtype="bool")),
+    0xFFFFFFFE,
 )
-FLOATS_ONLY = MessageLayout("cart", "from_robot", (Field("angle", "rad"), Field("gyro", "rad/s", ("x", "y", "z"))), 7)
+FLOATS_ONLY = MessageLayout("cart", "from_robot", (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z"))), 7)
 EMPTY = MessageLayout("cart", "to_robot", (), 12345)
 OTHER = MessageLayout("drone", "from_robot", LAYOUT.fields, 0xFFFFFFFD)
 VALUES = (0.125, -0.0, 1e308, 5e-324, True)
@@ -93,7 +96,7 @@ def test_a_short_message_is_told_by_its_first_missing_field(format: MessageForma
 
 @every_format
 def test_a_message_with_values_too_many_is_refused(format: MessageFormat) -> None:
-    longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, Field("more", "m")), LAYOUT.stamp)
+    longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, MessageField("more", "m")), LAYOUT.stamp)
     message = codec(longer, format).encode(*VALUES, 1.0)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert "values too many" in str(explain(LAYOUT, format, message, 1))

@@ -9,12 +9,12 @@ from functools import cache
 from typing import Any
 
 import pytest
+from tests.emit.test_emit_hostile import DATA, MARK, OTHERS, TEXTS, canonical, code_of, places, replaced, words
 
 from deepbots_cli import api
 from deepbots_cli.canonical import CanonicalError, from_json
 from deepbots_cli.compiler.emit import emit
 from deepbots_cli.errors import DeepbotsError
-from tests.emit.test_emit_hostile import DATA, MARK, OTHERS, TEXTS, canonical, code_of, places, replaced, words
 
 SOURCE = str(DATA / "sensed.yaml")
 Place = tuple[Any, ...]

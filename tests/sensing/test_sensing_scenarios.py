@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deepbots_cli.compiler.lower import lower
 
 from deepbots_cli import api
 from deepbots_cli.compiler import check
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.document import loads
 from deepbots_cli.runtime import Supervisor
 

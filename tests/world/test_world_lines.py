@@ -6,7 +6,7 @@ from contextlib import closing
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.ir import Line
+from deepbots_cli.program.world import Line
 from deepbots_cli.runtime.lines import Follower, Paint
 
 SQUARE = Line("square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1)

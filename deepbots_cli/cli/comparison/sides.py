@@ -11,8 +11,8 @@ from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.document import Mapping, Node, descend, one_line, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
 
 _MOST_TEXT = 4_000_000
 
@@ -22,7 +22,7 @@ class Side:
     """`root` is the text, after includes and settings; None where it is lost. `run` is the run that it comes from, if any."""
 
     name: str
-    ir: CompiledScenario
+    ir: Program
     root: Node | None
     run: Run | None = None
     findings: Sequence[Finding] = ()

@@ -11,7 +11,6 @@ supervisor.py  the supervisor class, whose methods are printed by
   scripts.py     hand-written policies
 workspace.py   what these share: names and readers
 reads.py       which engine readers are bound, and how each number is taken from them
-guard/         what may be printed at all
 printer.py     statements and the memory of stateful functions; names.py identifiers; text.py, wrap.py layout
 
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
@@ -21,23 +20,17 @@ match `[a-z_][a-z0-9_]*` and quoted strings.
 from __future__ import annotations
 
 from deepbots_cli.canonical import digest
-from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.compiler.emit.names import RUNTIME, class_name
 from deepbots_cli.compiler.emit.robot import RobotPrinter
 from deepbots_cli.compiler.emit.supervisor import supervisor
 from deepbots_cli.compiler.emit.wrap import wrapped
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.program import Program
 
 _MATH = ("atan2", "cos", "exp", "hypot", "inf", "log", "pi", "pow", "sin", "sqrt", "tan", "tau")
 
 
-def emit(scenario: CompiledScenario) -> str:
-    """The module that runs `scenario`: one controller class per robot and the supervisor class.
-
-    Raises:
-        CanonicalError: A name is no identifier of the language; such a scenario never came from the compiler.
-    """
-    check_printable(scenario)
+def emit(scenario: Program) -> str:
+    """The module that runs `scenario`: one controller class per robot and the supervisor class."""
     classes: list[str] = []
     for robot in scenario.robots:
         classes += ["", "", *RobotPrinter(scenario, robot).text()]
@@ -46,7 +39,7 @@ def emit(scenario: CompiledScenario) -> str:
     return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
 
 
-def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
+def _head(scenario: Program, body: list[str]) -> list[str]:
     words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
     used_math = [name for name in _MATH if name in words]
     runtime = [name for name in RUNTIME if name in words]

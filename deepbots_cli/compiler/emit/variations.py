@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
-from deepbots_cli.ir import Variation
+from deepbots_cli.program.resets import RandomizedParameter
 
 Code = Callable[[Sequence[str], Sequence[str]], str]
 
@@ -69,6 +69,6 @@ SETTERS: Mapping[str, Setter] = {
 """A link is named by body and link, the root link of an object by an empty link; a fault of a sensor by robot, sensor and fault."""
 
 
-def setting(variation: Variation, values: Sequence[str]) -> str:
+def setting(variation: RandomizedParameter, values: Sequence[str]) -> str:
     """The statement that sets the figure to `values`, which are code."""
     return SETTERS[variation.what].code(variation.of, values)

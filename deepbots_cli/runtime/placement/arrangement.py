@@ -13,8 +13,8 @@ from math import inf
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Patch, Spot
 from deepbots_cli.frames import Triple
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.program import Program
 from deepbots_cli.robots.rotation import quaternion
 from deepbots_cli.runtime.placement.floor import EVERYWHERE, TOUCHING, Area, Floor, Surface, anywhere, cut, on_grid
 from deepbots_cli.runtime.placement.forms import Forms
@@ -35,7 +35,7 @@ class NoPlaceError(Exception):
 class Arrangement:
     """The places of one episode. `present` counts the copies of each group that take part."""
 
-    def __init__(self, scenario: CompiledScenario, engine: Engine) -> None:
+    def __init__(self, scenario: Program, engine: Engine) -> None:
         world, placed = scenario.world, _placed(scenario)
         self._engine = engine
         self._height = height(world.terrain)
@@ -217,10 +217,10 @@ class Arrangement:
         self._poses[body] = ((x, y, z), rpy, *((velocity, angular_velocity) if moving else ()))
 
 
-def _placed(scenario: CompiledScenario) -> set[str]:
+def _placed(scenario: Program) -> set[str]:
     """What some layout places."""
     reset = scenario.reset
-    return {place.body for places in (reset.places, *(layout.places for layout in reset.layouts)) for place in places}
+    return {place.body for places in (reset.placements, *(layout.placements for layout in reset.layouts)) for place in places}
 
 
 def _complaint(lacking: Counter[str], attempts: int) -> str:

@@ -7,7 +7,7 @@ from math import inf
 from deepbots_cli import footprint
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.frames import Triple
-from deepbots_cli.ir import ObjectBody, Variant, WorldModel
+from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
 

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 
 from deepbots_cli.footprint import Patch, Spot
 from deepbots_cli.frames import Quaternion, Triple, roll_pitch_yaw
-from deepbots_cli.ir import CompiledScenario, ObjectBody
 from deepbots_cli.port import Engine, Part, PoseReader
+from deepbots_cli.program import Program
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.placement.forms import Forms
 from deepbots_cli.runtime.ways.chart import Area, Chart
@@ -24,7 +25,7 @@ class Ways:
     What goes is a disc as wide as the narrower side of its body: it turns as it must.
     """
 
-    def __init__(self, scenario: CompiledScenario, engine: Engine, bodies: Arrangement | None = None) -> None:
+    def __init__(self, scenario: Program, engine: Engine, bodies: Arrangement | None = None) -> None:
         """`bodies` knows which copies take part, where there are any."""
         world = scenario.world
         self._engine = engine
