@@ -11,10 +11,6 @@ from typing import Any
 from deepbots_cli.expressions.scalar import Scalar
 
 
-def is_record_class(kind: object) -> bool:
-    return isinstance(kind, type) and (is_dataclass(kind) or (issubclass(kind, tuple) and hasattr(kind, "_fields")))
-
-
 def members(part: object) -> dict[str, Any] | None:
     """The members of a record by their names, in their order; None for what is no record."""
     if isinstance(part, Scalar):

@@ -62,7 +62,7 @@ def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) ->
     assert checked.namespace is not None
     scenario = lower(checked.task)
     source = checked.document.source
-    report = measured(scenario, limits, allow_code=checked.document.allow_code)
+    report = measured(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
         return Probe([fault("the simulation", source, report.fault)])
     probed = Probed(checked, checked.task, checked.namespace, scenario, planned(scenario), report)
