@@ -84,6 +84,7 @@ def load(
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     drafts: Drafts = NO_DRAFTS,
+    project: Path | None = None,
 ) -> Checked:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
@@ -93,12 +94,14 @@ def load(
         allow_paths: Folders outside the project that the scenario may read from.
         allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
         drafts: What to read in the place of files, by their absolute paths.
+        project: The folder that the scenario may read from; by default the nearest one above that looks like a project.
 
     Raises:
         UsageError: There is no such file.
     """
     path, name = locate(source)
-    return check(replace(read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts), allow_code=allow_code))
+    document = read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
+    return check(replace(document, allow_code=allow_code))
 
 
 def lint(

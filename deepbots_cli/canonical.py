@@ -1,7 +1,8 @@
 """A program as canonical JSON, and its digest.
 
 Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose key `is` holds the
-class name. Texts and places in files are left out: of an expression stand its name and its scalar trees.
+class name. Texts and places in files are left out: of an expression stand its name and its scalar trees. It is written and never read
+back: what is loaded is a scenario, which is compiled.
 """
 
 from __future__ import annotations

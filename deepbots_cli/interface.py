@@ -1,13 +1,12 @@
 """What a policy and a world have agreed on: observation, action, messages.
 
 A policy is only as good as the meaning of the numbers that it was trained on. Each agreed item has a name and a text;
-the digest of them all tells whether a run still fits a scenario, and the texts tell where it does not.
+a run records them all: they tell whether, and where, a scenario no longer fits its policy.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
+from collections.abc import Mapping
 
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import MessageField, MessageLayout
@@ -34,14 +33,13 @@ def interface(ir: Program) -> dict[str, str]:
     return items
 
 
-def digest(ir: Program) -> str:
-    """SHA-256 of the agreed items and their order."""
-    return hashlib.sha256(json.dumps(list(interface(ir).items())).encode()).hexdigest()
-
-
 def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
     """One line for each item that the two, called by `words`, do not share; empty when a policy of one fits the other."""
-    old, new = interface(one), interface(other)
+    return compare(interface(one), interface(other), words=words)
+
+
+def compare(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+    """The same for two sets of agreed items."""
     here, there = words
     names = [*old, *(name for name in new if name not in old)]
     lines = [

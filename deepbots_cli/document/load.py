@@ -69,11 +69,13 @@ def load(
     display: str | None = None,
     allow_paths: Iterable[str | Path] = (),
     drafts: Drafts = NO_DRAFTS,
+    project: Path | None = None,
 ) -> Document:
     """Read the scenario at `path`, with the assignments `sets` (`path=value`) made.
 
     Problems in the files are findings of the document; `display` is the name they are reported under. What stands
-    in `drafts` is read in the place of the file of that absolute path.
+    in `drafts` is read in the place of the file of that absolute path. `project` is the folder that the scenario may read
+    from; by default it is found by its markers.
 
     Raises:
         UsageError: If there is no such file, or it cannot be read.
@@ -91,7 +93,7 @@ def load(
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UsageError(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
-    reader = _Reader(_roots(file.parent, sets, allow_paths), drafts)
+    reader = _Reader(_roots(file.parent, sets, allow_paths, project), drafts)
     source, readable = files.decode(data, name, reader.findings)
     reader.files[file] = source
     return reader.document(source, Path.cwd(), sets, file.parent, (file,), readable=readable)
@@ -112,9 +114,9 @@ def loads(
     return reader.document(source, base, sets, base, (), readable=readable)
 
 
-def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path]) -> tuple[Path, ...]:
+def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path], project: Path | None = None) -> tuple[Path, ...]:
     # A path typed on the command line is the user's own, and relative to where they stand.
-    own = [roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
+    own = [project.resolve() if project else roots.project_root(folder), *([roots.project_root(Path.cwd())] if sets else [])]
     return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
 
 

@@ -17,7 +17,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 
 import deepbots_cli
-from deepbots_cli import interface
+from deepbots_cli import api, interface
+from deepbots_cli.api import Compiled
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Rank, Watch, diverged
@@ -29,7 +30,7 @@ from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.interruption import listening
 from deepbots_cli.learning.progress import Reporter, reporter
 from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
-from deepbots_cli.learning.run import Compiled, Run, input_digests, new_directory
+from deepbots_cli.learning.run import Run, input_digests, new_directory, read_record
 from deepbots_cli.learning.trials import AT_ONCE, Trials
 from deepbots_cli.program import Program
 from deepbots_cli.program.training import Training
@@ -131,7 +132,7 @@ def train(
         scenario=compiled.ir.name,
         source=str(compiled.source),
         digest=compiled.digest,
-        interface=interface.digest(compiled.ir),
+        interface=interface.interface(compiled.ir),
         inputs=input_digests(compiled.inputs),
         engine=engine,
         seed=seed,
@@ -181,7 +182,8 @@ def resume(
         RunError: No run, or one that is damaged; else as for `train`.
         UsageError: The run has already reached its goal, or another training is at work in it.
     """
-    path = Run.open(run).path  # a folder that is no run is told so, whoever is at work in it
+    path = Path(run)
+    read_record(path)  # a folder that is no run is told so, whoever is at work in it
     with sole_trainer(path):
         # Only now: a training that has just ended in there has changed the record.
         known = Run.open(path)
@@ -218,18 +220,12 @@ def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | Non
 
 def compiled_of(scenario: Compiled | str | Path) -> Compiled:
     """The scenario as it is, or compiled if a path or the name of a shipped one is given."""
-    if not isinstance(scenario, (str, Path)):
-        return scenario
-    from deepbots_cli.api import compile  # as for `default_build`
-
-    return compile(scenario)
+    return api.compile(scenario) if isinstance(scenario, (str, Path)) else scenario
 
 
 def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
     """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
-    from deepbots_cli.api import build  # brings the compiler, which a caller with a world of its own does not need
-
-    return partial(build, engine=engine, allow_code=allow_code)
+    return partial(api.build, engine=engine, allow_code=allow_code)
 
 
 def _training_of(ir: Program, total_timesteps: int | None) -> Training:

@@ -60,7 +60,7 @@ def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) ->
     assert checked.program is not None  # it has no errors
     assert checked.namespace is not None
     source = checked.document.source
-    report = measured(checked.program, limits, allow_code=checked.document.allow_code)
+    report = measured(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
         return Probe([fault("the simulation", source, report.fault)])
     probed = Probed(checked, checked.program, checked.namespace, planned(checked.program), report)

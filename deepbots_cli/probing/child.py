@@ -1,4 +1,4 @@
-"""The process in which a scenario is simulated: reads a compiled scenario from stdin, writes what it measures to stdout.
+"""The process in which a scenario is simulated: compiles it from a folder of copies, writes what it measures to stdout.
 
 It limits itself before it reads anything, so that a scenario that would hang, fill the memory or crash the engine takes
 down this process and no other. Where the system knows no such limits (Windows) the parent's clock is left.
@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import signal
 import sys
 import traceback
 from io import FileIO
+from pathlib import Path
 from typing import Any
 
 from deepbots_cli.probing.limits import OUT_OF_MEMORY, Limits
-from deepbots_cli.program import Program
 
 _MIB = 2**20
 
@@ -26,19 +25,21 @@ def main(limits: Limits) -> None:
     out = FileIO(os.dup(sys.stdout.fileno()), "wb")
     _hush()
     _keep(limits)
-    program, allow_code = pickle.loads(sys.stdin.buffer.read())  # from the process that started this one
+    request = json.loads(sys.stdin.buffer.read())
     try:
-        _measure(program, out, limits.step, allow_code=allow_code)
+        _measure(request, out, limits.step)
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
-    except Exception as error:  # a fault of ours, which the parent tells
+    except Exception as error:  # noqa: BLE001  # a fault of ours, which the parent tells
         from deepbots_cli.diagnostics.finding import described
 
         out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 
 
-def _measure(program: Program, out: FileIO, most: float, *, allow_code: bool) -> None:
+def _measure(request: dict[str, Any], out: FileIO, most: float) -> None:
     """Every line gives another `most` seconds of CPU time."""
+    from deepbots_cli import api
+    from deepbots_cli.compiler.inputs import RESOLVED
     from deepbots_cli.probing.rolls import Rolls
 
     def say(told: dict[str, Any]) -> None:
@@ -50,7 +51,9 @@ def _measure(program: Program, out: FileIO, most: float, *, allow_code: bool) ->
         out.write(b"~%d\n" % number)
 
     _in_time(most)
-    Rolls(program, say, step, allow_code=allow_code).run()
+    folder = Path(request["folder"])
+    compiled = api.compile(api.load(folder / RESOLVED, allow_code=request["allow_code"], project=folder))
+    Rolls(compiled.ir, say, step, allow_code=request["allow_code"]).run()
     say({"done": True})
 
 

@@ -9,7 +9,6 @@ parts.py       elements to links and joints
 mesh.py        where mesh files are and whether they may be read
 mesh_format.py what a mesh must hold so that an engine survives it
 checks.py      one tree of links, plausible inertia
-soundness.py   the same for a robot that came as data
 writer.py      write: the normalised URDF that an engine loads
 inertia.py     closed forms; second moments
 rotation.py    3 by 3 matrices as tuples

@@ -140,7 +140,7 @@ def _settings(scenario: Program, section: Literal["cases", "curriculum"]) -> dic
     base = items(scenario)
     found: dict[str, object] = {}
     for entry in getattr(scenario, section):
-        made = items(entry.scenario)
+        made = items(entry.program)
         different = {
             path: (item.value if (item := made.get(path)) else None) for path in {**base, **made} if base.get(path) != made.get(path)
         }

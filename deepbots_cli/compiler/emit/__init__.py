@@ -14,10 +14,14 @@ reads.py       which engine readers are bound, and how each number is taken from
 printer.py     statements and the memory of stateful functions; names.py identifiers; text.py, wrap.py layout
 
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
-match `[a-z_][a-z0-9_]*` and quoted strings.
+match `[a-z_][a-z0-9_]*` and quoted strings. The scenario comes from the compiler, which has checked it.
 """
 
 from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
 
 from deepbots_cli.canonical import digest
 from deepbots_cli.compiler.emit.names import RUNTIME, class_name
@@ -26,17 +30,34 @@ from deepbots_cli.compiler.emit.supervisor import supervisor
 from deepbots_cli.compiler.emit.wrap import wrapped
 from deepbots_cli.program import Program
 
+_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 _MATH = ("atan2", "cos", "exp", "hypot", "inf", "log", "pi", "pow", "sin", "sqrt", "tan", "tau")
 
 
 def emit(scenario: Program) -> str:
-    """The module that runs `scenario`: one controller class per robot and the supervisor class."""
+    """The module that runs `scenario`: one controller class per robot and the supervisor class.
+
+    Raises:
+        ValueError: A name is no identifier of the language, which is a fault of the compiler.
+    """
+    for name in _names(scenario):
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"{name[:40]!r} cannot be a name in the code")
     classes: list[str] = []
     for robot in scenario.robots:
         classes += ["", "", *RobotPrinter(scenario, robot).text()]
     classes += ["", "", *supervisor(scenario)]
     body = [line for long in _trim_blank_lines(classes) for line in wrapped(long)]
     return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
+
+
+def _names(scenario: Program) -> Iterator[str]:
+    """What the scenario defines and the code is made with."""
+    robots = scenario.robots
+    parts: list[tuple[Any, ...]] = [part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)]
+    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action]
+    yield from (robot.name for robot in robots)
+    yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.scripts) for entry in entries)
 
 
 def _head(scenario: Program, body: list[str]) -> list[str]:
