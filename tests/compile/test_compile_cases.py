@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from deepbots_cli import canonical
 from deepbots_cli.errors import UsageError
 
 SOLVED = "solved: {mean_return"
@@ -34,11 +33,6 @@ def test_the_scenario_itself_does_not_change_by_its_cases(workshop, cartpole) ->
     cased = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}")))
     assert replace(cased.ir, cases=()) == plain.ir
     assert cased.digest != plain.digest
-
-
-def test_cases_survive_the_way_through_a_file(workshop, cartpole) -> None:
-    ir = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).ir
-    assert canonical.from_json(canonical.to_json(ir)) == ir
 
 
 def test_a_parameter_that_only_a_case_uses_is_used(workshop, cartpole) -> None:
