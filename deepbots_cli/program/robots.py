@@ -241,22 +241,18 @@ class MessageField:
 
 @dataclass(frozen=True)
 class MessageLayout:
-    """The fields of a message in order."""
+    """The fields of a message in order, and a hash (CRC-32) over everything that both ends must agree on."""
 
     robot: str
     direction: Direction
     fields: tuple[MessageField, ...]
+    layout_hash: int
 
-    @cached_property
-    def layout_hash(self) -> int:
-        """A CRC-32 over everything that both ends must agree on."""
-        parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in self.fields)
-        words = [f"v{LAYOUT_VERSION}", self.robot, self.direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)]
-        return zlib.crc32("|".join(words).encode())
-
-
-Order = Literal["sent", "arrival", "newest"]
-OnLoss = Literal["hold", "zero", "skip"]
+    @staticmethod
+    def of(robot: str, direction: Direction, fields: tuple[MessageField, ...]) -> MessageLayout:
+        parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in fields)
+        words = [f"v{LAYOUT_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)]
+        return MessageLayout(robot, direction, fields, zlib.crc32("|".join(words).encode()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,9 +384,9 @@ class Robot:
 
     @cached_property
     def to_robot(self) -> MessageLayout:
-        return MessageLayout(self.name, "to_robot", (*self.variables, *map(MessageField.of, self.receive)))
+        return MessageLayout.of(self.name, "to_robot", (*self.variables, *map(MessageField.of, self.receive)))
 
     @cached_property
     def from_robot(self) -> MessageLayout:
         ages = (MessageField(field, "s") for _, field in self.ages)
-        return MessageLayout(self.name, "from_robot", (*map(MessageField.of, self.emit), *ages))
+        return MessageLayout.of(self.name, "from_robot", (*map(MessageField.of, self.emit), *ages))

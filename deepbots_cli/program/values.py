@@ -42,7 +42,7 @@ class Foreign:
         return f"{self.module}:{self.function}"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Expression:
     """A named expression: its text and place in the file, its typed tree, and its scalar trees, which are made when first asked for.
 
@@ -61,6 +61,9 @@ class Expression:
     redraw: Redraw | None = None
     foreign: Foreign | None = None
     noise: Noise | None = None
+
+    def __repr__(self) -> str:
+        return f"Expression({self.owner!r}, {self.text!r})"
 
     @property
     def components(self) -> Components:

@@ -39,21 +39,21 @@ def of_training(scenario: str, training: Training) -> str:
 
 def of_evaluation(scenario: str, training: Training, evaluation: HeldOut) -> str:
     ir = compiled(evaluation.scenario) if evaluation.scenario else compiled(scenario, training.sets)
-    chosen = ir if evaluation.case is None else ir.case(evaluation.case).scenario
+    chosen = ir if evaluation.case is None else ir.case(evaluation.case).program
     return digest(_with(chosen, scripts=(), training=None, curriculum=()))
 
 
 def of_baseline(scenario: str, baseline: Baseline) -> str:
     ir = compiled(scenario)
-    chosen = ir if baseline.case is None else ir.case(baseline.case).scenario
+    chosen = ir if baseline.case is None else ir.case(baseline.case).program
     scripts = ir.scripts if "--script" in baseline.options else ()
     return digest(_with(chosen, scripts=scripts, training=None, curriculum=(), cases=(), evaluation=Evaluation()))
 
 
 def _with(ir: Program, **changes: Any) -> Program:
     """The scenario with other fields, in its cases and stages too."""
-    cases = tuple(replace(case, scenario=_with(case.scenario, **changes)) for case in ir.cases)
-    curriculum = tuple(replace(stage, scenario=_with(stage.scenario, **changes)) for stage in ir.curriculum)
+    cases = tuple(replace(case, program=_with(case.program, **changes)) for case in ir.cases)
+    curriculum = tuple(replace(stage, program=_with(stage.program, **changes)) for stage in ir.curriculum)
     return replace(ir, **{"cases": cases, "curriculum": curriculum, **changes})
 
 

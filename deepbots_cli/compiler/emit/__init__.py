@@ -54,7 +54,9 @@ def emit(scenario: Program) -> str:
 def _names(scenario: Program) -> Iterator[str]:
     """What the scenario defines and the code is made with."""
     robots = scenario.robots
-    parts: list[tuple[Any, ...]] = [part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)]
+    parts: list[tuple[Any, ...]] = [
+        part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
+    ]
     own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action]
     yield from (robot.name for robot in robots)
     yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.scripts) for entry in entries)
