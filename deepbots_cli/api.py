@@ -30,7 +30,7 @@ from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 
 if TYPE_CHECKING:
-    from deepbots_cli.ir import CompiledScenario
+    from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
 
 
@@ -44,7 +44,7 @@ class Compiled:
     in Python may run; `fixed` are the parameters that no episode draws.
     """
 
-    ir: CompiledScenario
+    ir: Program
     code: str
     digest: str
     source: Path
@@ -84,6 +84,7 @@ def load(
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     drafts: Drafts = NO_DRAFTS,
+    project: Path | None = None,
 ) -> Checked:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
@@ -93,12 +94,14 @@ def load(
         allow_paths: Folders outside the project that the scenario may read from.
         allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
         drafts: What to read in the place of files, by their absolute paths.
+        project: The folder that the scenario may read from; by default the nearest one above that looks like a project.
 
     Raises:
         UsageError: There is no such file.
     """
     path, name = locate(source)
-    return check(replace(read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts), allow_code=allow_code))
+    document = read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
+    return check(replace(document, allow_code=allow_code))
 
 
 def lint(
@@ -154,13 +157,12 @@ def compile(
     """
     from deepbots_cli.canonical import digest
     from deepbots_cli.compiler.emit import emit
-    from deepbots_cli.compiler.lower import lower
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
-    if checked.task is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
+    if checked.program is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
         raise ScenarioError(findings)
-    ir = lower(checked.task)
+    ir = checked.program
     inputs = checked.inputs
     drawn = {entry.name for entry in ir.parameters}
     return Compiled(
@@ -177,7 +179,7 @@ def compile(
 
 
 def make(
-    source: str | Path | Checked | Compiled | CompiledScenario,
+    source: str | Path | Checked | Compiled | Program,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -212,7 +214,7 @@ class Builder:
     Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of characters.
     """
 
-    ir: CompiledScenario
+    ir: Program
     allow_code: bool
     fixed: tuple[str, ...]
 
@@ -227,7 +229,7 @@ class Builder:
 
 
 def build(
-    ir: CompiledScenario,
+    ir: Program,
     *,
     engine: str = "pybullet",
     render_mode: str | None = None,

@@ -7,8 +7,7 @@
     │   └── RunError            a run directory cannot be used: none, damaged, of another shape, of another version
     ├── MessageError            a message between robot and supervisor is malformed, short or foreign
     ├── EvaluationError         an expression has no value in the present state of the world
-    ├── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
-    └── CanonicalError          a text is no compiled scenario of this version (in `canonical`)
+    └── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
 
 Anything outside this tree that reaches the user is a fault of ours.
 """

@@ -1,23 +1,24 @@
 """What a policy and a world have agreed on: observation, action, messages.
 
 A policy is only as good as the meaning of the numbers that it was trained on. Each agreed item has a name and a text;
-the digest of them all tells whether a run still fits a scenario, and the texts tell where it does not.
+a run records them all: they tell whether, and where, a scenario no longer fits its policy.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
+from collections.abc import Mapping
 
-from deepbots_cli.ir import Choices, CompiledScenario, Field, Interval, MessageLayout, Observed
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import MessageField, MessageLayout
+from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber
 
 
-def interface(ir: CompiledScenario) -> dict[str, str]:
+def interface(ir: Program) -> dict[str, str]:
     """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
     items: dict[str, str] = {}
-    for observed in ir.observation:
+    for observed in ir.numbers:
         items[f"observation.{observed.full_name}"] = _observed(observed)
-    for pictured in ir.pictures:
+    for pictured in ir.images:
         items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
     if ir.goal is not None:
         for component, low, high in zip(ir.goal.components or ("",), ir.goal.low, ir.goal.high, strict=True):
@@ -32,14 +33,13 @@ def interface(ir: CompiledScenario) -> dict[str, str]:
     return items
 
 
-def digest(ir: CompiledScenario) -> str:
-    """SHA-256 of the agreed items and their order."""
-    return hashlib.sha256(json.dumps(list(interface(ir).items())).encode()).hexdigest()
-
-
-def differences(one: CompiledScenario, other: CompiledScenario, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
     """One line for each item that the two, called by `words`, do not share; empty when a policy of one fits the other."""
-    old, new = interface(one), interface(other)
+    return compare(interface(one), interface(other), words=words)
+
+
+def compare(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+    """The same for two sets of agreed items."""
     here, there = words
     names = [*old, *(name for name in new if name not in old)]
     lines = [
@@ -52,7 +52,7 @@ def differences(one: CompiledScenario, other: CompiledScenario, *, words: tuple[
     return lines
 
 
-def other_conditions(run: CompiledScenario, scenario: CompiledScenario) -> list[str]:
+def other_conditions(run: Program, scenario: Program) -> list[str]:
     """One line for each circumstance that a policy bears, but was not trained under: how often and how late it acts."""
     circumstances = (
         ("timing", run.timing, scenario.timing),
@@ -66,14 +66,14 @@ def _range(low: float, high: float, unit: str) -> str:
     return f"{low:g} .. {high:g} {unit}".rstrip()
 
 
-def _observed(observed: Observed) -> str:
+def _observed(observed: ObservedNumber) -> str:
     text = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
     text += "" if observed.clip or observed.truth else ", not clipped"
     return f"{text}, {observed.history} in a row" if observed.history > 1 else text
 
 
-def _action(part: Choices | Interval) -> str:
-    if isinstance(part, Interval):
+def _action(part: Choices | ActionRange) -> str:
+    if isinstance(part, ActionRange):
         size = f" for {', '.join(part.components)}" if part.components else ""
         return _range(part.low, part.high, part.unit) + size
     options = (f"{option.name} ({', '.join(f'{value:g}' for value in option.values)})" for option in part.options)
@@ -85,7 +85,7 @@ def _message(layout: MessageLayout) -> dict[str, str]:
     return {f"{prefix}.{field.name}": " ".join(filter(None, (field.dtype, _inside(field), field.unit))) for field in layout.fields}
 
 
-def _inside(field: Field) -> str:
+def _inside(field: MessageField) -> str:
     """The components of a vector, the sides of a picture."""
     listed = field.components or tuple(map(str, field.shape))
     return f"[{', '.join(listed)}]" if listed else ""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from deepbots_cli.ir import WorldModel
+    from deepbots_cli.program.world import WorldModel
 
     Image = NDArray[np.uint8]
 

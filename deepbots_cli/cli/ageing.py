@@ -7,13 +7,15 @@ from collections.abc import Iterable, Sequence
 
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
-from deepbots_cli.ir import Choices, CompiledScenario, Faults, Observed, Robot, Route
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import NoiseModel, Robot, Route
+from deepbots_cli.program.task import Choices
 
 Ages = dict[str, float]
 """The age of each named value in ticks; infinite where it varies."""
 
 
-def timing(scenario: CompiledScenario) -> list[Row]:
+def timing(scenario: Program) -> list[Row]:
     """For step n of the agent, counted from 0: from which physics step the action acts, after which one each observation is measured.
 
     Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest of the values that it is
@@ -25,30 +27,32 @@ def timing(scenario: CompiledScenario) -> list[Row]:
     rows: list[Row] = []
     for part in scenario.action:
         named = set(part.variables) if isinstance(part, Choices) else {part.name}
-        routes = [robot.to_route for robot in scenario.robots if named & {entry.name for entry in robot.receive}]
+        routes = [robot.to_route for robot in scenario.robots if named & {entry.name for entry in robot.received}]
         ticks = _whole(_slowest(scenario, routes))
         acts = "varies" if ticks is None else f"{substeps * repeat}n + {substeps * ticks + 1}"
         age = None if ticks is None else ticks * timestep
         rows.append({"what": "action", "name": part.name, "moment": "acts from", "physics_step": acts, "age_s": age})
     senders: dict[str, frozenset[str]] = {
-        f"{robot.name}.{entry.name}": frozenset({robot.name}) for robot in scenario.robots for entry in robot.emit
+        f"{robot.name}.{entry.name}": frozenset({robot.name}) for robot in scenario.robots for entry in robot.emitted
     }
     ages = {f"{robot.name}.{name}": age for robot in scenario.robots for name, age in _sent(scenario, robot).items()}
     for signal in scenario.signals:  # in order of evaluation, so what a signal reads is known
-        ages[signal.name] = _oldest(signal.values, ages)
-        senders[signal.name] = _senders(signal.values, senders)
-    for observed in scenario.seen:
-        ticks = _whole(_age(observed.value, ages))
+        ages[signal.name] = _oldest(signal.scalars, ages)
+        senders[signal.name] = _senders(signal.scalars, senders)
+    observed = [(entry.full_name, entry.scalar) for entry in scenario.numbers]
+    observed += [(entry.name, entry.value.scalar) for entry in scenario.images]
+    for name, scalar in observed:
+        ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)
         behind = f" + {after}" if after > 0 else f" - {-after}" if after else ""
         rows.append(
             {
                 "what": "observation",
-                "name": observed.full_name if isinstance(observed, Observed) else observed.name,
+                "name": name,
                 "moment": "measured after",
                 "physics_step": "varies" if ticks is None else f"{substeps * repeat}n{behind}",
                 "age_s": None if ticks is None else ticks * timestep,
-                "by": ", ".join(sorted(_senders((observed.value,), senders))) or "supervisor",
+                "by": ", ".join(sorted(_senders((scalar,), senders))) or "supervisor",
             }
         )
     return rows
@@ -58,7 +62,7 @@ def _whole(ticks: float) -> int | None:
     return None if math.isinf(ticks) else int(ticks)
 
 
-def _sent(scenario: CompiledScenario, robot: Robot) -> Ages:
+def _sent(scenario: Program, robot: Robot) -> Ages:
     """The ages of what a robot sends, when it arrives."""
     varied = {
         entry.of[1]
@@ -68,27 +72,27 @@ def _sent(scenario: CompiledScenario, robot: Robot) -> Ages:
     sensed = {
         sensor.name: math.inf if sensor.name in varied or faults.period > 1 else float(_ticks(faults.latency, scenario))
         for sensor in robot.sensors
-        for faults in (sensor.faults or Faults(),)
+        for faults in (sensor.faults or NoiseModel(),)
     }
     route = _slowest(scenario, [robot.from_route])
-    return {entry.name: route + _oldest(entry.values, sensed) for entry in robot.emit}
+    return {entry.name: route + _oldest(entry.scalars, sensed) for entry in robot.emitted}
 
 
-def _slowest(scenario: CompiledScenario, routes: Iterable[Route]) -> float:
+def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
     """Ticks that the slowest route takes, 0 without one; infinite where that varies."""
     if scenario.format == "none":
         return 0
     late = 1 if scenario.timing == "paper" else 0
     ticks = [0.0]
     for route in routes:
-        latency = route.latency.value
-        if not isinstance(latency, Const) or route.loss != Route().loss or route.range is not None:
+        latency = route.latency.scalar if route.latency else Const(0.0)
+        if not isinstance(latency, Const) or route.loses or route.range is not None:
             return math.inf
         ticks.append(late + _ticks(latency.value, scenario))
     return max(ticks)
 
 
-def _ticks(delay: float, scenario: CompiledScenario) -> int:
+def _ticks(delay: float, scenario: Program) -> int:
     """Ticks until what takes `delay` s is there."""
     return math.ceil(delay / scenario.world.timestep - 1e-9)
 

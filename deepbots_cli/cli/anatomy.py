@@ -16,27 +16,14 @@ from deepbots_cli.compiler.joints import carries
 from deepbots_cli.document import Mapping, Node, descend, one_line
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.frames import roll_pitch_yaw
-from deepbots_cli.ir import (
-    ActionNoise,
-    Actuator,
-    Cartesian,
-    Choices,
-    CompiledScenario,
-    Field,
-    Hindsight,
-    Interval,
-    Measured,
-    MessageFormat,
-    MessageLayout,
-    Pictured,
-    Schedule,
-    Thrust,
-    Variation,
-    viewed,
-)
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.record import number, solved
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageFormat, MessageLayout, Thrust
+from deepbots_cli.program.task import ActionRange, Choices, ImageObservation, viewed
+from deepbots_cli.program.training import ActionNoise, Hindsight, Schedule
 from deepbots_cli.robots.model import Joint
 
 if TYPE_CHECKING:
@@ -49,7 +36,7 @@ _DIGITS = 6  # of a pose; um and udeg
 _FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
 
 
-def sections(scenario: CompiledScenario, root: Node, run: Run | None = None) -> Sections:
+def sections(scenario: Program, root: Node, run: Run | None = None) -> Sections:
     """All tables of a compiled scenario, whose text is the tree `root`, and of the run that it comes from; empty ones are left out."""
     tables: dict[str, Row | list[Row]] = {
         "run": {} if run is None else _run(run),
@@ -115,7 +102,7 @@ def wording(root: Node, *path: str | int) -> str:
     return one_line(node)
 
 
-def _scenario(scenario: CompiledScenario) -> Row:
+def _scenario(scenario: Program) -> Row:
     world = scenario.world
     return {
         "name": scenario.name,
@@ -136,30 +123,30 @@ def _scenario(scenario: CompiledScenario) -> Row:
     }
 
 
-def _view(scenario: CompiledScenario) -> str:
-    numbers = len(viewed(scenario.observation, scenario.agent.stack))
-    parts = [f"Box({numbers})"] if numbers or not scenario.pictures else []
-    parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.pictures]
+def _view(scenario: Program) -> str:
+    numbers = len(viewed(scenario.numbers, scenario.agent.stack))
+    parts = [f"Box({numbers})"] if numbers or not scenario.images else []
+    parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.images]
     if scenario.goal is not None:
         parts.append(f"two goals of {len(scenario.goal.low)}")
     return ", ".join(parts)
 
 
-def _sides(entry: Pictured, scenario: CompiledScenario) -> str:
+def _sides(entry: ImageObservation, scenario: Program) -> str:
     rows, columns, channels = entry.shape
     return f"{rows} x {columns} x {channels * len(entry.ages(scenario.agent.stack))}"
 
 
-def _space(scenario: CompiledScenario) -> str:
+def _space(scenario: Program) -> str:
     sizes = [len(part.options) for part in scenario.action if isinstance(part, Choices)]
-    width = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, Interval))
+    width = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, ActionRange))
     spaces = [f"Box({width})"] if width else []
     if sizes:
         spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
     return " and ".join(spaces)
 
 
-def _solved(scenario: CompiledScenario) -> str:
+def _solved(scenario: Program) -> str:
     solved = scenario.solved
     if solved is None:
         return ""
@@ -168,7 +155,7 @@ def _solved(scenario: CompiledScenario) -> str:
     return f"{' and '.join(wanted)} over {solved.episodes} episodes"
 
 
-def _robots(scenario: CompiledScenario) -> list[Row]:
+def _robots(scenario: Program) -> list[Row]:
     return [
         {
             "robot": robot.name,
@@ -201,7 +188,7 @@ def _joint(robot: str, joint: Joint) -> Row:
     }
 
 
-def _object(scenario: CompiledScenario, index: int) -> Row:
+def _object(scenario: Program, index: int) -> Row:
     body = scenario.world.objects[index]
     drawn = {entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")}
     return {
@@ -214,7 +201,7 @@ def _object(scenario: CompiledScenario, index: int) -> Row:
     }
 
 
-def _drawn(scenario: CompiledScenario) -> list[Row]:
+def _drawn(scenario: Program) -> list[Row]:
     """What every episode draws anew, in SI units; elsewhere in the tables stands its nominal value."""
     return [
         {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
@@ -222,25 +209,27 @@ def _drawn(scenario: CompiledScenario) -> list[Row]:
     ]
 
 
-def _draws(entry: Variation) -> str:
+def _draws(entry: RandomizedParameter) -> str:
     """The expressions that are drawn; one, where all components or parts have the same."""
     if entry.what == "colour":
-        return f"one of {(len(entry.values) - 1) // 3} colours"
-    return ", ".join(dict.fromkeys(formula(value, digits=5) for value in entry.values))
+        return f"one of {(len(entry.scalars) - 1) // 3} colours"
+    return ", ".join(dict.fromkeys(formula(value, digits=5) for value in entry.scalars))
 
 
-def _parameters(scenario: CompiledScenario, root: Node) -> list[Row]:
+def _parameters(scenario: Program, root: Node) -> list[Row]:
     node = descend(root, ("parameters",))[0]
     often: dict[str, str] = {}
     for entry in scenario.parameters:
-        changing = any(often.get(leaf.name, "in every episode") != "in every episode" for value in entry.values for leaf in names_in(value))
-        period = entry.redraw.period if entry.redraw else None
+        changing = any(
+            often.get(leaf.name, "in every episode") != "in every episode" for value in entry.scalars for leaf in names_in(value)
+        )
+        period = entry.period
         often[entry.name] = "repeatedly" if period else "in every step" if entry.redraw or changing else "in every episode"
     names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
     return [{"parameter": name, "is": wording(root, "parameters", name), "set": often.get(name, "once")} for name in names]
 
 
-def _sensors(scenario: CompiledScenario, root: Node) -> list[Row]:
+def _sensors(scenario: Program, root: Node) -> list[Row]:
     return [
         {
             "robot": robot.name,
@@ -255,7 +244,7 @@ def _sensors(scenario: CompiledScenario, root: Node) -> list[Row]:
     ]
 
 
-def _actuators(scenario: CompiledScenario) -> list[Row]:
+def _actuators(scenario: Program) -> list[Row]:
     return [row for robot in scenario.robots for actuator in robot.actuators for row in _parts_of(robot.name, actuator)]
 
 
@@ -277,7 +266,7 @@ def _parts_of(robot: str, actuator: Actuator) -> list[Row]:
     ]
 
 
-def end_links(scenario: CompiledScenario) -> list[tuple[str, str]]:
+def end_links(scenario: Program) -> list[tuple[str, str]]:
     """Robots and their links whose pose at the start is of interest: those that `cartesian` actuators or position sensors name.
 
     Of a robot without any, the last links that a joint carries which the reset sets.
@@ -289,7 +278,7 @@ def end_links(scenario: CompiledScenario) -> list[tuple[str, str]]:
         named = [actuator.link for actuator in robot.actuators if isinstance(actuator, Cartesian)]
         named += [link for sensor in robot.sensors if sensor.kind == "position" for link in sensor.subjects if link != model.root]
         if not named:
-            placed = [model.joint(start.joint) for start in scenario.reset.joints if start.robot == robot.name]
+            placed = [model.joint(joint) for start in scenario.reset.joint_starts if start.robot == robot.name for joint in start.joints]
             parents = {joint.parent for joint in model.joints}
             leaves = [link.name for link in model.links if link.name not in parents]
             named = [leaf for leaf in leaves if any(carries(model, joint, leaf) for joint in placed)]
@@ -315,20 +304,20 @@ def _rounded(value: float) -> float:
     return 180.0 if rounded == -180.0 else rounded
 
 
-def _layouts(scenario: CompiledScenario) -> list[MessageLayout]:
+def _layouts(scenario: Program) -> list[MessageLayout]:
     if scenario.format == "none":
         return []
     return [layout for robot in scenario.robots for layout in (robot.to_robot, robot.from_robot)]
 
 
-def _messages(scenario: CompiledScenario) -> list[Row]:
+def _messages(scenario: Program) -> list[Row]:
     return [
         {
             "robot": layout.robot,
             "direction": layout.direction.replace("_", " "),
             "format": scenario.format,
             "values": sum(max(1, len(field.components)) for field in layout.fields),
-            "stamp": f"{layout.stamp:08x}",
+            "stamp": f"{layout.layout_hash:08x}",
             "bytes": message_size(layout, scenario.format) or "varies",
         }
         for layout in _layouts(scenario)
@@ -342,7 +331,7 @@ def message_size(layout: MessageLayout, format: MessageFormat) -> int | None:
         return 4 + sum(sizes)
     if format == "msgpack":
         head = 1 if len(sizes) < 15 else 3
-        stamp = next(size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.stamp < end)
+        stamp = next(size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.layout_hash < end)
         return head + stamp + sum(size + _msgpack_head(size) for size in sizes)
     return None
 
@@ -352,12 +341,12 @@ def _msgpack_head(size: int) -> int:
     return 0 if size == 1 else 1 if size == 8 else 2 if size < 2**8 else 3 if size < 2**16 else 5
 
 
-def _size(field: Field) -> int:
+def _size(field: MessageField) -> int:
     """Bytes of one value."""
     return {"bool": 1, "float64": 8}.get(field.dtype) or math.prod(field.shape)
 
 
-def _fields(scenario: CompiledScenario) -> list[Row]:
+def _fields(scenario: Program) -> list[Row]:
     return [
         {
             "robot": layout.robot,
@@ -378,8 +367,8 @@ def _route(root: Node, direction: str) -> list[Row]:
     return [{"direction": direction.replace("_", " "), **row}] if any(row.values()) else []
 
 
-def _action(part: Choices | Interval) -> Row:
-    if isinstance(part, Interval):
+def _action(part: Choices | ActionRange) -> Row:
+    if isinstance(part, ActionRange):
         return {"action": part.name, "kind": "range", "of": list(part.components), "low": part.low, "high": part.high, "unit": part.unit}
     options = (
         f"{option.name} ({', '.join(f'{name} = {value:g}' for name, value in zip(part.variables, option.values, strict=True))})"
@@ -393,9 +382,9 @@ def _goal(root: Node) -> Row:
     return {key: text for key, text in texts.items() if text}
 
 
-def _signals(scenario: CompiledScenario, root: Node) -> list[Row]:
-    observed = {entry.full_name.partition(".")[0] for entry in scenario.observation}
-    has_noise = any(isinstance(entry, Measured) for entry in scenario.signals)
+def _signals(scenario: Program, root: Node) -> list[Row]:
+    observed = {entry.full_name.partition(".")[0] for entry in scenario.numbers}
+    has_noise = any(entry.noise for entry in scenario.signals)
     return [
         {
             "signal": entry.name,
@@ -410,9 +399,9 @@ def _signals(scenario: CompiledScenario, root: Node) -> list[Row]:
     ]
 
 
-def _observation(scenario: CompiledScenario) -> list[Row]:
+def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.observation[index], ago) for index, ago in viewed(scenario.observation, scenario.agent.stack)]
+    seen = [(scenario.numbers[index], ago) for index, ago in viewed(scenario.numbers, scenario.agent.stack)]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = [
         {
@@ -427,19 +416,19 @@ def _observation(scenario: CompiledScenario) -> list[Row]:
         for index, (entry, ago) in enumerate(seen)
     ]
     pictures: list[Row] = [
-        {"index": None, "name": entry.key, "seen_as": f"{_sides(entry, scenario)} of 0 .. 255"} for entry in scenario.pictures
+        {"index": None, "name": entry.key, "seen_as": f"{_sides(entry, scenario)} of 0 .. 255"} for entry in scenario.images
     ]
     return rows + pictures
 
 
-def _endings(scenario: CompiledScenario, root: Node) -> list[Row]:
+def _endings(scenario: Program, root: Node) -> list[Row]:
     return [
         {"ending": ending.name, "outcome": ending.outcome, "when": wording(root, "termination", ending.outcome, ending.name)}
         for ending in scenario.endings
     ]
 
 
-def _reset(scenario: CompiledScenario, root: Node) -> list[Row]:
+def _reset(scenario: Program, root: Node) -> list[Row]:
     rows: list[Row] = []
     for section in ("place", "set"):
         node, _, reached = descend(root, ("reset", section))
@@ -450,14 +439,14 @@ def _reset(scenario: CompiledScenario, root: Node) -> list[Row]:
     return rows
 
 
-def _curriculum(scenario: CompiledScenario, root: Node) -> list[Row]:
+def _curriculum(scenario: Program, root: Node) -> list[Row]:
     return [
         {"stage": stage.name, "set": wording(root, "curriculum", index, "set"), "until": wording(root, "curriculum", index, "until")}
         for index, stage in enumerate(scenario.curriculum)
     ]
 
 
-def _scripts(scenario: CompiledScenario, root: Node) -> list[Row]:
+def _scripts(scenario: Program, root: Node) -> list[Row]:
     return [
         {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
         for script in scenario.scripts
@@ -465,7 +454,7 @@ def _scripts(scenario: CompiledScenario, root: Node) -> list[Row]:
     ]
 
 
-def _training(scenario: CompiledScenario, run: Run | None) -> Row:
+def _training(scenario: Program, run: Run | None) -> Row:
     training = scenario.training
     if training is None:
         return {}
@@ -476,7 +465,7 @@ def _training(scenario: CompiledScenario, run: Run | None) -> Row:
     }
 
 
-def _hyperparameters(scenario: CompiledScenario, root: Node, run: Run | None) -> list[Row]:
+def _hyperparameters(scenario: Program, root: Node, run: Run | None) -> list[Row]:
     """What a training takes, and where each value is from."""
     training = scenario.training
     if training is None:

@@ -57,7 +57,7 @@ def _told(run: Callable[[], object]) -> int:
             return _fault(error)
         terminal.complain(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
         return WRONG
-    except Exception as error:  # noqa: BLE001  # the last handler: what arrives here is a fault of ours
+    except Exception as error:  # the last handler: what arrives here is a fault of ours  # noqa: BLE001
         return _fault(error)
     return 0
 

@@ -114,7 +114,7 @@ def _look_at(look: Look, name: str) -> list[Finding]:
         return look.findings(name)
     except (DeepbotsError, OSError):
         raise
-    except Exception as error:  # noqa: BLE001  # a fault of ours
+    except Exception as error:  # a fault of ours  # noqa: BLE001
         return [failure("the compiler", Source(look.called(name), ""), error)]
 
 

@@ -128,7 +128,7 @@ class Mender:
     def _look(self, name: str, drafts: Drafts) -> Seen:
         checked = api.load(name, allow_paths=self._allow_paths, allow_code=self._allow_code, drafts=drafts)
         document = checked.document
-        return Seen(api.review(checked, preview=self._preview), document.files, document.root, checked.task is not None)
+        return Seen(api.review(checked, preview=self._preview), document.files, document.root, checked.program is not None)
 
     def _mend(self, name: str, *, patient: bool) -> None:
         """Rounds until one changes nothing. With `patient`, an error that has a fix itself may come out of a fix."""

@@ -11,7 +11,7 @@ import typer
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from deepbots_cli.ir import CompiledScenario
+    from deepbots_cli.program import Program
 
 
 MOST_SEED = 2**63 - 1
@@ -57,7 +57,7 @@ def _whole(text: str) -> int | None:
     return int(number) if number.is_integer() and number < 1e15 else None
 
 
-def chosen(ir: CompiledScenario, case: str | None, stage: str | None) -> CompiledScenario:
+def chosen(ir: Program, case: str | None, stage: str | None) -> Program:
     """The scenario under the settings of a case or of a stage; itself without either.
 
     Raises:
@@ -65,7 +65,7 @@ def chosen(ir: CompiledScenario, case: str | None, stage: str | None) -> Compile
     """
     if case is not None and stage is not None:
         raise UsageError("--case and --stage exclude each other")
-    return ir.case(case).scenario if case is not None else ir.stage(stage).scenario if stage is not None else ir
+    return ir.case(case).program if case is not None else ir.stage(stage).program if stage is not None else ir
 
 
 def fraction(text: str) -> float:

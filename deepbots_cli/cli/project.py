@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 import deepbots_cli
-from deepbots_cli import canonical
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli.copying import Files
 from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
 from deepbots_cli.errors import UsageError, cloned
-from deepbots_cli.robots.writer import write as to_urdf
 
 _README = """\
 # {name}
@@ -24,39 +23,39 @@ Written out by deepbots {version}, from scenario {digest}.
     python train.py    # training, then evaluation
 
 - environment.py: a class for each robot, and the supervisor. **Edit this**: sensors, messages, reward, endings.
-- scenario.json: the compiled scenario: world, robots, spaces, training. The classes are joined to it by name.
+- {resolved}: the scenario: world, robots, spaces, training. The classes are joined to it by name. Its files are in {inputs}/.
 - task.py: brings the two together.
-- robots/: the robots as the physics engine gets them, to read; the figures that count are in scenario.json.
 """
 
 _TASK = '''\
-"""Brings environment.py and scenario.json together."""
+"""Brings environment.py and {resolved} together."""
 
+from dataclasses import replace
 from pathlib import Path
 
-from deepbots_cli import api, canonical, engines
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli import api, engines
+from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor, assemble
 from environment import {supervisor}
 
 HERE = Path(__file__).parent
 
 
-def scenario() -> CompiledScenario:
-    return canonical.from_json((HERE / "scenario.json").read_text(encoding="utf-8"))
+def scenario() -> Program:
+    return compiled().ir
 
 
-def make(ir: CompiledScenario, *, render_mode: str | None = None) -> Supervisor:
+def make(ir: Program, *, render_mode: str | None = None) -> Supervisor:
     """The environment: a Gymnasium environment like any other."""
     return assemble({supervisor}, ir, lambda world: engines.create("pybullet", world), render_mode)
 
 
 def compiled() -> api.Compiled:
     """What a training records: the scenario, and the code as it is now."""
-    ir = scenario()
+    made = api.compile(HERE / "{resolved}"{options})
     code = (HERE / "environment.py").read_text(encoding="utf-8")
-    inputs = {{name: (HERE / name).read_bytes() for name in ("scenario.json", "environment.py", "task.py")}}
-    return api.Compiled(ir, code, canonical.digest(ir), HERE / "scenario.json", inputs, "", ())
+    own = {{name: (HERE / name).read_bytes() for name in ("environment.py", "task.py")}}
+    return replace(made, code=code, inputs={{**made.inputs, **own}})
 '''
 
 _RUN = '''\
@@ -94,17 +93,21 @@ def files(compiled: Compiled) -> Files:
     """The files of the project, README first."""
     ir = compiled.ir
     name = class_name(ir.name)
+    words = {"resolved": RESOLVED, "inputs": FOLDER, "supervisor": f"{name}Supervisor"}
+    words["options"] = ", allow_code=True" if compiled.allow_code else ""
     texts = {
-        "README.md": _README.format(name=ir.name, summary=ir.summary, version=deepbots_cli.__version__, digest=compiled.digest[:12]),
+        "README.md": _README.format(
+            name=ir.name, summary=ir.summary, version=deepbots_cli.__version__, digest=compiled.digest[:12], **words
+        ),
         "environment.py": compiled.code,
-        "scenario.json": canonical.to_json(ir) + "\n",
-        "task.py": _TASK.format(supervisor=f"{name}Supervisor"),
+        RESOLVED: compiled.resolved,
+        "task.py": _TASK.format(**words),
         "run.py": _RUN,
         "train.py": _TRAIN,
         "requirements.txt": _requirements(),
     }
-    texts |= {f"robots/{robot.name}.urdf": to_urdf(robot.model) for robot in ir.world.robots}
-    return {PurePosixPath(path): text.encode() for path, text in texts.items()}
+    copies = {PurePosixPath(FOLDER, path): content for path, content in compiled.inputs.items()}
+    return {PurePosixPath(path): text.encode() for path, text in texts.items()} | copies
 
 
 def _requirements() -> str:

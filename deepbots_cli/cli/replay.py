@@ -8,8 +8,9 @@ from itertools import cycle
 from typing import Any
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.ir import Choices, CompiledScenario, Interval
 from deepbots_cli.learning.episodes import Episode, Tally
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime import Supervisor
 
 Policy = Callable[[], Any]
@@ -28,7 +29,7 @@ def zero(environment: Supervisor) -> Policy:
     return lambda: action
 
 
-def repeated(scenario: CompiledScenario, text: str) -> Policy:
+def repeated(scenario: Program, text: str) -> Policy:
     """The actions of `text`, over and over: separated by commas, the parts of one action by colons; copies of a robot all take the same.
 
     A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
@@ -63,7 +64,7 @@ def episodes(environment: Supervisor, policy: Policy, *, count: int, seed: int, 
             return
 
 
-def _action(scenario: CompiledScenario, text: str) -> Any:
+def _action(scenario: Program, text: str) -> Any:
     import numpy as np
 
     parts = [width for part in scenario.action for width in _slots(part)]
@@ -71,7 +72,7 @@ def _action(scenario: CompiledScenario, text: str) -> Any:
     if len(words) != len(parts):
         raise UsageError(f"the action '{text}' has {len(words)} parts, the scenario's has {len(parts)}; separate them by colons")
     values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
-    ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, Interval)]
+    ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
     if not choices:
         return np.array(ranges, np.float32)
@@ -79,7 +80,7 @@ def _action(scenario: CompiledScenario, text: str) -> Any:
     return {"choices": chosen, "ranges": np.array(ranges, np.float32)} if ranges else chosen
 
 
-def _of_all(scenario: CompiledScenario, action: Any) -> Any:
+def _of_all(scenario: Program, action: Any) -> Any:
     """The action of one robot as that of all its copies, where there are any."""
     import numpy as np
 
@@ -91,12 +92,12 @@ def _of_all(scenario: CompiledScenario, action: Any) -> Any:
     return np.array([action] * copies.count)
 
 
-def _slots(part: Choices | Interval) -> Sequence[Choices | Interval]:
+def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
     """The part once for each number of the action that it takes."""
-    return [part] * (max(1, len(part.components)) if isinstance(part, Interval) else 1)
+    return [part] * (max(1, len(part.components)) if isinstance(part, ActionRange) else 1)
 
 
-def _value(part: Choices | Interval, word: str) -> float:
+def _value(part: Choices | ActionRange, word: str) -> float:
     if isinstance(part, Choices):
         names = [option.name for option in part.options]
         if word in names:

@@ -6,7 +6,6 @@ import json
 from contextlib import closing
 from pathlib import Path
 
-from deepbots_cli import ir
 from deepbots_cli.cli.anatomy import Sections
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.diagnostics import Finding, Findings
@@ -16,6 +15,7 @@ from deepbots_cli.document import files, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import add
+from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, Pose, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile, read
@@ -141,7 +141,7 @@ def photograph(model: RobotModel) -> bytes:
     from deepbots_cli.runtime.view import around
 
     pose = Pose((0.0, 0.0, resting(model)))
-    world = ir.WorldModel(0.01, 1, robots=(ir.RobotBody("robot", model, fixed_base=True, pose=pose),))
+    world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
     low, high = bounds(model)
     view = around([(add(low, pose.xyz), add(high, pose.xyz))])
     with closing(engines.create("pybullet", world)) as engine:

@@ -1,8 +1,7 @@
-"""The compiler: a document to a checked task, the task to the compiled scenario, that to Python.
+"""The compiler: a document to a checked program, that to Python.
 
-    check     nodes ─▶ spec (schema) ─▶ names ─▶ typed expressions ─▶ Task      this module
-    lower     Task ─▶ CompiledScenario                                          lower.py
-    emit      CompiledScenario ─▶ Python                                        emit/
+    check     nodes ─▶ spec (schema) ─▶ names ─▶ typed expressions ─▶ Program   this module
+    emit      Program ─▶ Python                                                 emit/
 
 namespace.py    one flat namespace, each name typed when first asked for
 scopes.py       what an expression may see from its place
@@ -17,7 +16,7 @@ controllers.py  messages of a robot; actuators.py what it drives, drives.py limi
 sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
 actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get; scripts.py policies by hand
 copies.py       several of one robot under one policy
-channels.py     what messages meet on their way, draws that are repeated; stamps.py the age of readings, by rewriting.py
+channels.py     what messages meet on their way, draws that are repeated; ages.py of readings
 scoring.py      signals, reward, endings; foreign.py those in Python; training.py how the policy is trained
 cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
 resets.py       how an episode begins: layouts.py, groups.py; places.py where a body stands, room.py whether it can;
@@ -34,8 +33,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.actions import Actions
+from deepbots_cli.compiler.ages import with_reading_ages
 from deepbots_cli.compiler.channels import is_repeated_as_a_whole, route
 from deepbots_cli.compiler.controllers import Controller
 from deepbots_cli.compiler.copies import copies
@@ -46,7 +45,7 @@ from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.lost import lost_names
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.observations import Observations
-from deepbots_cli.compiler.resets import beginnings
+from deepbots_cli.compiler.resets import arrangement
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
@@ -64,11 +63,14 @@ from deepbots_cli.document.nodes import descend
 from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.expressions.types import Context, Stage, Symbol
-from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Agent
+from deepbots_cli.program.training import Evaluation
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import ARENA_WALLS, MAX_SETTLING_STEPS
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
 from deepbots_cli.scenario.walk import visit
-from deepbots_cli.task import Task, Valued
 
 __all__ = ["Checked", "check"]
 
@@ -77,7 +79,7 @@ _SPELLING = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """A document that was checked; `task` is None where findings at error level left nothing to compile.
+    """A document that was checked; `program` is None where findings at error level left nothing to compile.
 
     `variants` are the same for the scenario under the settings of each case and stage.
     """
@@ -85,7 +87,7 @@ class Checked:
     document: Document
     findings: Findings
     spec: Scenario | None = None
-    task: Task | None = None
+    program: Program | None = None
     robots: Mapping[str, RobotScene] | None = None
     namespace: Namespace | None = None
     variants: tuple[Checked, ...] = ()
@@ -116,12 +118,12 @@ def check(document: Document) -> Checked:
 
 def _with_cases(document: Document) -> Checked:
     checked = _check(document)
-    if checked.task is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
+    if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked
     from deepbots_cli.compiler.cases import with_cases  # brings the back end, which most linting does without
 
-    variants, task = with_cases(document, checked.spec, checked.task, checked.findings, _check)
-    return replace(checked, task=None if checked.findings.errors else task, variants=variants)
+    variants, program = with_cases(document, checked.spec, checked.program, checked.findings, _check)
+    return replace(checked, program=None if checked.findings.errors else program, variants=variants)
 
 
 def _check(document: Document) -> Checked:
@@ -132,9 +134,9 @@ def _check(document: Document) -> Checked:
     if spec is None:
         return Checked(document, findings)
     pass_ = _Pass(document, document.root, spec, findings)
-    task = pass_.run()
+    program = pass_.run()
     robots = {name: robot for name, robot in pass_.namespace.robots.items() if robot is not None}
-    return Checked(document, _joined(findings), spec, None if findings.errors else task, robots, pass_.namespace)
+    return Checked(document, _joined(findings), spec, None if findings.errors else program, robots, pass_.namespace)
 
 
 def _joined(findings: Findings) -> Findings:
@@ -177,7 +179,7 @@ def _start(finding: Finding) -> int:
 
 
 class _Pass:
-    """One scenario on its way from spec to task."""
+    """One scenario on its way from spec to program."""
 
     def __init__(self, document: Document, root: Tree, spec: Scenario, findings: Findings) -> None:
         self.document = document
@@ -185,9 +187,9 @@ class _Pass:
         kinds = {path: kind for path, kind, _ in visit(spec)}
         self.values = Values(root, findings, kinds, lost_names(root, spec.pruned, (found.span for found in findings.errors)))
         self.namespace = Namespace(self.values, document)
-        self.parameters: dict[str, Valued] = {}
+        self.parameters: dict[str, Expression] = {}
 
-    def run(self) -> Task:
+    def run(self) -> Program:
         spec, namespace = self.spec, self.namespace
         self._define_parameters()
         for name in spec.robots:
@@ -204,7 +206,7 @@ class _Pass:
             if namespace.origin(name) is Origin.WALL:
                 namespace.walls[name] = pieces(name, wall)
         if spec.world.arena is not None:
-            namespace.walls["arena"] = ir.ARENA_WALLS
+            namespace.walls["arena"] = ARENA_WALLS
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         self.lines = lines(spec, namespace)
@@ -217,24 +219,28 @@ class _Pass:
         signals = Signals(spec, namespace)
         return self._assemble(actions, goals, controllers, signals, scenes)
 
-    def _assemble(self, actions: Actions, goals: Goals, controllers: list[Controller], signals: Signals, scenes: list[RobotScene]) -> Task:
+    def _assemble(
+        self, actions: Actions, goals: Goals, controllers: list[Controller], signals: Signals, scenes: list[RobotScene]
+    ) -> Program:
         """Ask for everything once; names are typed as they are needed, whatever their order in the file."""
         spec, namespace, values = self.spec, self.namespace, self.values
         for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
             namespace.settle(name)
         world = WorldBuilder(spec, namespace).build(scenes, self.lines)
-        begins, walls = beginnings(spec, namespace, world)
+        arranged, walls = arrangement(spec, namespace, world)
         world = replace(world, objects=(*world.objects, *walls))
         limits = truncation(spec, namespace)
         action, rewards = actions.parts(), reward_terms(spec, namespace)
-        agent = ir.Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
+        agent = Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
-        return Task(
+        routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
+        robots = tuple(controller.finish(world.timestep, action, routes) for controller in controllers)
+        program = Program(
             spec.name,
             spec.summary,
             spec.deepbots,
             world,
-            tuple(controller.finish(world.timestep) for controller in controllers),
+            robots,
             spec.messages.format,
             spec.messages.timing,
             drawn,
@@ -244,24 +250,23 @@ class _Pass:
             rewards,
             signals.endings(),
             limits,
-            begins,
-            joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
-            self._settle(world.timestep),
+            replace(
+                arranged,
+                joint_starts=joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
+                settle=self._settle(world.timestep),
+                variations=(*namespace.variations, *namespace.colours),
+                groups=tuple(namespace.groups.values()),
+            ),
             solved(spec, values),
             training(spec, values, action, agent, limits, world.timestep),
             Evaluation(spec.evaluation.episodes),
-            frozenset(spec.augment),
-            tuple(namespace.variations),
-            tuple(namespace.colours),
             agent,
-            route(spec, "to_robot", namespace),
-            route(spec, "from_robot", namespace),
-            groups=tuple(namespace.groups.values()),
-            forbidden=actions.forbidden(),
+            augmented=frozenset(spec.augment),
             disturbances=disturbances(spec, namespace),
             goal=goals.goal(rewards),
             scripts=scripts(spec, namespace, action),
         )
+        return with_reading_ages(replace(program, action=actions.with_conditions(action)))
 
     def _define_parameters(self) -> None:
         for name, given in self.spec.parameters.items():
@@ -279,7 +284,7 @@ class _Pass:
         fixed = self.values.fixed(typed, text, f"`{name}`") if typed.type.stage is Stage.FIXED else None
         if typed.type.stage is Stage.FIXED and fixed is None:
             return Symbol(name, None)
-        self.parameters[name] = Valued(name, text.span, text.text, typed, f"parameters.{name}", checked.redraw)
+        self.parameters[name] = Expression(name, text.span, text.text, typed, f"parameters.{name}", redraw=checked.redraw)
         return Symbol(name, typed.type, fixed)
 
     def _is_drawn(self, name: str) -> bool:
@@ -298,7 +303,7 @@ class _Pass:
             headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
             self.values.findings.add("DB308", self.values.span(path), headline, help="the world moves on in whole timesteps")
         steps = settle / tick * self.spec.world.substeps
-        if steps > MOST_SETTLING_STEPS:
-            headline = f"a settling time of {settle:g} s, which is more than {MOST_SETTLING_STEPS:_} physics steps in every reset"
+        if steps > MAX_SETTLING_STEPS:
+            headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
             self.values.findings.add("DB105", self.values.span(path), headline, help="a few seconds are usual")
         return settle

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.actuators import driven_parts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
@@ -14,9 +14,10 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Components, Context, Stage, Symbol, Type
 from deepbots_cli.expressions.unification import expect
+from deepbots_cli.program.task import ActionPart, ActionRange, Choices, Option, action_names
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction
-from deepbots_cli.task import Forbidden, Valued
 
 
 class Actions:
@@ -26,7 +27,7 @@ class Actions:
         self._spec = spec
         self._namespace = namespace
         self._values = namespace.values
-        self._parts: dict[str, ir.Choices | ir.Interval | None] = {}
+        self._parts: dict[str, Choices | ActionRange | None] = {}
         for name, part in spec.action.items():
             if isinstance(part, DiscreteAction):
                 self._define_choices(name, part)
@@ -34,13 +35,22 @@ class Actions:
                 self._define_interval(name, part)
         namespace.built_in["previous_action"] = self._own_action
 
-    def parts(self) -> tuple[ir.Choices | ir.Interval, ...]:
+    def parts(self) -> tuple[Choices | ActionRange, ...]:
         for name in self._namespace.named(Origin.ACTION):
             self._namespace.settle(name)
         return tuple(part for part in self._parts.values() if part is not None)
 
-    def forbidden(self) -> tuple[Forbidden, ...]:
-        """When options may not be chosen; a condition may use what the policy may see, and no more."""
+    def with_conditions(self, action: tuple[ActionPart, ...]) -> tuple[ActionPart, ...]:
+        """The action with the conditions that forbid options, which may use only values that the policy may see."""
+        conditions = {(part, option): condition for part, option, condition in self._forbidden()}
+        return tuple(
+            replace(part, options=tuple(replace(option, forbidden=conditions.get((part.name, option.name))) for option in part.options))
+            if isinstance(part, Choices)
+            else part
+            for part in action
+        )
+
+    def _forbidden(self) -> list[tuple[str, str, Expression]]:
         scope = SupervisorScope(self._namespace, Context.FORBID)
         found = []
         choices = [(name, part) for name, part in self._spec.action.items() if isinstance(part, DiscreteAction)]
@@ -53,14 +63,14 @@ class Actions:
                 typed = self._values.expression(text, scope, boolean=True)
                 typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
                 if typed is not None and option in part.choices:
-                    found.append(Forbidden(name, option, Valued(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
-            always = {entry.option for entry in found if entry.action == name and constant(entry.condition.typed) == (True,)}
+                    found.append((name, option, Expression(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
+            always = {option for part, option, condition in found if part == name and constant(condition.typed) == (True,)}
             if always == set(part.choices):
                 span = self._values.key_span(("action", name, "forbid"))
                 self._values.findings.add(
                     "DB105", span, f"every option of `{name}` is always forbidden", help="leave one that may be chosen"
                 )
-        return tuple(found)
+        return found
 
     def _own_action(self, context: Context) -> Symbol:
         """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
@@ -74,8 +84,8 @@ class Actions:
             return Symbol(name, None, refused=None if has_some else "the agent does nothing in this scenario")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
-        components = ir.own_action(parts)
-        if all(isinstance(part, ir.Choices) for part in parts):
+        components = action_names(parts)
+        if all(isinstance(part, Choices) for part in parts):
             return Symbol(name, Type(NUMBER, components, boolean=True, stage=Stage.STEP))
         return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), stage=Stage.STEP))
 
@@ -89,7 +99,7 @@ class Actions:
             column = [row[index] for row in figures.values()]
             symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP))
             self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
-        self._parts[name] = ir.Choices(name, variables, tuple(ir.Option(option, row) for option, row in figures.items()))
+        self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in figures.items()))
 
     def _figures(self, place: Path, given: object, variables: tuple[str, ...], named: bool) -> tuple[float, ...]:
         """What one option makes of each of the variables; 0 after a finding."""
@@ -124,7 +134,7 @@ class Actions:
         if ends is None or components is None:
             return Symbol(name, None)
         low, high = ends.low[0], ends.high[0]
-        self._parts[name] = ir.Interval(name, components, low, high, str(ends.dimension))
+        self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
         return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), stage=Stage.STEP))
 
     def _group(self, reference: str, place: Path) -> Components | None:

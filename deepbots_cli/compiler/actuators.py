@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.drives import Figures
 from deepbots_cli.compiler.joints import carries, effort_of, joint_dimension, joint_interval
 from deepbots_cli.compiler.matching import expand, joints_of, links_of, unmatched
@@ -14,10 +13,15 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.types import SPACE, Components
+from deepbots_cli.program.robots import Actuator, Cartesian, Motor, MotorKind, Thrust
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.actuators import Actuator, Cartesian, Gripper, Motor, PositionMotor, Thrust, VelocityMotor
+from deepbots_cli.scenario.actuators import Actuator as ActuatorSpec
+from deepbots_cli.scenario.actuators import Cartesian as CartesianSpec
+from deepbots_cli.scenario.actuators import Gripper, PositionMotor, VelocityMotor
+from deepbots_cli.scenario.actuators import Motor as MotorSpec
+from deepbots_cli.scenario.actuators import Thrust as ThrustSpec
 
-_KINDS: dict[str, ir.MotorKind] = {
+_KINDS: dict[str, MotorKind] = {
     "velocity_motor": "velocity_motor",
     "position_motor": "position_motor",
     "torque_motor": "torque_motor",
@@ -27,18 +31,18 @@ _KINDS: dict[str, ir.MotorKind] = {
 class Driven(NamedTuple):
     """An actuator, and what its command is: of a dimension, with components or (None) a single number."""
 
-    actuator: ir.Actuator
+    actuator: Actuator
     dimension: Dimension
     components: Components | None
     opening: tuple[float, float] | None = None
     """Of a gripper: the position of its joints at a command of 0, and at 1."""
 
 
-def driven_parts(scene: RobotScene, spec: Actuator) -> Components | None:
+def driven_parts(scene: RobotScene, spec: ActuatorSpec) -> Components | None:
     """The components of a command to the actuator, without findings; None where there are none."""
-    if isinstance(spec, Cartesian):
+    if isinstance(spec, CartesianSpec):
         return SPACE
-    if isinstance(spec, Thrust):
+    if isinstance(spec, ThrustSpec):
         found, _ = expand(scene.link_names, spec.links or spec.link or (), scene.groups)
     else:
         patterns = getattr(spec, "joints", None) or getattr(spec, "joint", None) or ()
@@ -60,11 +64,11 @@ class Actuators:
         figures = Figures(self._scene.name, name, self._namespace)
         varied = len(self._namespace.variations)
         match spec:
-            case Motor():
+            case MotorSpec():
                 driven = self._motor(name, spec, figures)
-            case Thrust():
+            case ThrustSpec():
                 driven = self._thrust(name, spec, figures)
-            case Cartesian():
+            case CartesianSpec():
                 driven = self._cartesian(name, spec, figures)
             case Gripper():
                 driven = self._gripper(name, spec, figures)
@@ -74,7 +78,7 @@ class Actuators:
             del self._namespace.variations[varied:]
         return driven
 
-    def _motor(self, name: str, spec: Motor, figures: Figures) -> Driven | None:
+    def _motor(self, name: str, spec: MotorSpec, figures: Figures) -> Driven | None:
         joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
         if not joints:
             return None
@@ -93,11 +97,11 @@ class Actuators:
                 headline, help = "a damping without a stiffness", "give `stiffness` too, or leave both to the servo of the engine"
                 self._values.findings.add("DB102", self._values.key_span((*figures.place, "damping")), headline, help=help)
         kind, response = _KINDS[spec.type], figures.response(spec, names)
-        motor = ir.Motor(name, kind, names, max_torque, max_velocity, stiffness, damping, max_acceleration, response)
+        motor = Motor(name, kind, names, max_torque, max_velocity, stiffness, damping, max_acceleration, response)
         dimension = {"velocity_motor": rate, "position_motor": position, "torque_motor": effort}[kind]
         return Driven(motor, dimension, names if len(names) > 1 or spec.joints is not None else None)
 
-    def _cartesian(self, name: str, spec: Cartesian, figures: Figures) -> Driven | None:
+    def _cartesian(self, name: str, spec: CartesianSpec, figures: Figures) -> Driven | None:
         joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
         if spec.link not in self._scene.link_names:
             self._values.unknown(self._values.span((*figures.place, "link")), "link", spec.link, self._scene.link_names)
@@ -114,7 +118,7 @@ class Actuators:
         names = tuple(joint.name for joint in joints)
         limits = figures.max_torque(spec.max_torque, joints), figures.max_velocity(spec.max_velocity, joints)
         attitude = None if rpy is None else (rpy[0], rpy[1], rpy[2])
-        return Driven(ir.Cartesian(name, spec.link, names, attitude, *limits, figures.response(spec, names)), LENGTH, SPACE)
+        return Driven(Cartesian(name, spec.link, names, attitude, *limits, figures.response(spec, names)), LENGTH, SPACE)
 
     def _gripper(self, name: str, spec: Gripper, figures: Figures) -> Driven | None:
         """A servo whose command is how far it is open."""
@@ -125,7 +129,7 @@ class Actuators:
         closed, open_ = (figures.number(key, getattr(spec, key), position) for key in ("closed", "open"))
         names = tuple(joint.name for joint in joints)
         limits = figures.max_torque(spec.max_torque, joints), figures.max_velocity(None, joints)
-        motor = ir.Motor(name, "position_motor", names, *limits, response=figures.response(spec, names))
+        motor = Motor(name, "position_motor", names, *limits, response=figures.response(spec, names))
         if closed is None or open_ is None:
             return None
         for key, figure in (("closed", closed), ("open", open_)):
@@ -143,7 +147,7 @@ class Actuators:
                 confines.report("a position of", exact(position), f"keep to the limits of `{joint.name}`")
                 return
 
-    def _thrust(self, name: str, spec: Thrust, figures: Figures) -> Driven | None:
+    def _thrust(self, name: str, spec: ThrustSpec, figures: Figures) -> Driven | None:
         links = links_of(self._values, self._scene.link_names, self._scene.groups, spec, figures.place)
         text = self._values.text((*figures.place, "range"), spec.range)
         ends = self._values.ends(text, "the range of a thrust", figures.scope, dimension=FORCE)
@@ -152,10 +156,10 @@ class Actuators:
         spin = self._spin(spec, links, figures)
         if not links or ends is None or spin is None:
             return None
-        thrust = ir.Thrust(name, links, ends.low[0], ends.high[0], drag or 0.0, spin, response)
+        thrust = Thrust(name, links, ends.low[0], ends.high[0], drag or 0.0, spin, response)
         return Driven(thrust, FORCE, links if len(links) > 1 or spec.links is not None else None)
 
-    def _spin(self, spec: Thrust, links: tuple[str, ...], figures: Figures) -> tuple[float, ...] | None:
+    def _spin(self, spec: ThrustSpec, links: tuple[str, ...], figures: Figures) -> tuple[float, ...] | None:
         """The sense of each link, from one figure for all or from patterns; None after a finding."""
         if not isinstance(spec.spin, dict):
             found = figures.number("spin", spec.spin, NUMBER)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.mounts import mount
 from deepbots_cli.compiler.sensors import SensorKind
 from deepbots_cli.compiler.values import Values
@@ -14,6 +13,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.types import Components, NoNames
 from deepbots_cli.expressions.unification import ANY_SHAPE
+from deepbots_cli.program.robots import CalibrationTable, RayConfig
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.scenario.sensors import Fan, RaySensor, Reflectance
 
@@ -22,7 +22,7 @@ from deepbots_cli.scenario.sensors import Fan, RaySensor, Reflectance
 class ReadBeams:
     """What was read: the rays, their names (none for a single figure), and the readings that they give."""
 
-    beams: ir.Beams
+    beams: RayConfig
     components: Components
     dimension: Dimension
     interval: Interval
@@ -42,14 +42,14 @@ class BeamReader:
             spot = self.values.number((*self.path, "spot"), spec.spot, LENGTH)
             if rays is None or spot is None:
                 return None
-            return ReadBeams(ir.Beams(tuple(rays.values()), 0.0, spot=spot), _named(rays), kind.dimension, kind.interval)
+            return ReadBeams(RayConfig(tuple(rays.values()), 0.0, spot=spot), _named(rays), kind.dimension, kind.interval)
         if not isinstance(spec, RaySensor):
             return None
         table = self._lookup(spec) if spec.lookup is not None else None
         if rays is None or (spec.lookup is not None and table is None):
             return None
         components = _named(rays) if spec.measure == "each" else ()
-        beams = ir.Beams(tuple(rays.values()), 0.0, spec.measure)
+        beams = RayConfig(tuple(rays.values()), 0.0, spec.measure)
         if table is not None:
             lookup, dimension = table
             reach = Interval(min(lookup.value), max(lookup.value))
@@ -88,7 +88,7 @@ class BeamReader:
 
     # Lookup tables
 
-    def _lookup(self, spec: RaySensor) -> tuple[ir.Lookup, Dimension] | None:
+    def _lookup(self, spec: RaySensor) -> tuple[CalibrationTable, Dimension] | None:
         assert spec.lookup is not None
         distance = self._column("distance", spec.lookup.distance, LENGTH)
         value = self._column("value", spec.lookup.value, None)
@@ -97,7 +97,7 @@ class BeamReader:
             return None
         columns = {"value": value[0], **({"noise": noise[0]} if spec.lookup.noise is not None else {})}
         sound = self._is_table(distance[0], columns)
-        return (ir.Lookup(distance[0], value[0], noise[0]), value[1]) if sound else None
+        return (CalibrationTable(distance[0], value[0], noise[0]), value[1]) if sound else None
 
     def _column(self, key: str, given: object, dimension: Dimension | None) -> tuple[tuple[float, ...], Dimension] | None:
         path = (*self.path, "lookup", key)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.files import mesh
 from deepbots_cli.compiler.namespace import Namespace
@@ -14,13 +13,14 @@ from deepbots_cli.compiler.variations import figure
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, MASS, NUMBER
 from deepbots_cli.expressions.types import SPACE, Context
+from deepbots_cli.program.world import Colour, ObjectBody, Variant
 from deepbots_cli.robots.inertia import volume
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from deepbots_cli.scenario import objects as spec
 from deepbots_cli.scenario.plain import COLOURS
 
 _WATER = 1000.0  # kg/m^3, the default density of objects
-_GREY: ir.Colour = (*COLOURS["grey"], 1.0)
+_GREY: Colour = (*COLOURS["grey"], 1.0)
 _OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
@@ -33,7 +33,7 @@ class Bodies:
         self._scope = ParameterScope(namespace, Context.FIXED)
         self._drawn = ParameterScope(namespace, Context.FIELD)
 
-    def bodies(self, name: str, thing: spec.Placed) -> list[ir.ObjectBody]:
+    def bodies(self, name: str, thing: spec.Placed) -> list[ObjectBody]:
         """The object, or every copy of a group; none after a finding about its shape."""
         path: Path = ("objects", name)
         group = self._namespace.groups.get(name)
@@ -49,9 +49,9 @@ class Bodies:
         bodies = [self._body(copy, thing, shape, path) for copy in (group.copies if group else (name,))]
         return [replace(body, pooled=True) for body in bodies] if group else bodies
 
-    def _body(self, name: str, thing: spec.Placed, shape: Shape, path: Path, variants: tuple[ir.Variant, ...] = ()) -> ir.ObjectBody:
+    def _body(self, name: str, thing: spec.Placed, shape: Shape, path: Path, variants: tuple[Variant, ...] = ()) -> ObjectBody:
         made_of, of = thing if isinstance(thing, spec.Material) else spec.Material(), (name, "")
-        return ir.ObjectBody(
+        return ObjectBody(
             name,
             shape,
             mass=variants[0].mass if variants else self._mass((*path, "mass"), made_of, shape, of),
@@ -66,7 +66,7 @@ class Bodies:
             variants=variants,
         )
 
-    def _variant(self, kind: str, given: spec.Shaped, thing: spec.VariedObject, path: Path) -> ir.Variant | None:
+    def _variant(self, kind: str, given: spec.Shaped, thing: spec.VariedObject, path: Path) -> Variant | None:
         """A form that a body may take: what it does not say of itself, the object says for all; its figures are fixed."""
         for key in _OF_ALL:
             if getattr(given, key) is not None:
@@ -82,7 +82,7 @@ class Bodies:
         )
         weight = self._values.figure(mass_at, mass, MASS, self._drawn)
         grip = self._values.figure(friction_at, friction, NUMBER, self._drawn)
-        return ir.Variant(
+        return Variant(
             kind,
             shape,
             mass=self._usual_mass(shape, path, still=bool(fixed) or thing.solid is False) if mass is None else weight or 0.0,

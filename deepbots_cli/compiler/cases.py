@@ -10,16 +10,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from deepbots_cli import interface, ir
-from deepbots_cli.compiler.lower import lower
+from deepbots_cli import interface
 from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.load import place
 from deepbots_cli.document.nodes import follow, measure, without
+from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
+from deepbots_cli.program.training import Criterion
 from deepbots_cli.scenario.plain import read_until
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import Task, TaskCase, TaskStage
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler import Checked
@@ -36,42 +36,44 @@ Check = Callable[[Document], "Checked"]
 Word = Literal["case", "stage"]
 
 
-def with_cases(document: Document, spec: Scenario, task: Task, findings: Findings, check: Check) -> tuple[tuple[Checked, ...], Task]:
+def with_cases(
+    document: Document, spec: Scenario, program: Program, findings: Findings, check: Check
+) -> tuple[tuple[Checked, ...], Program]:
     """Check every case and stage of a scenario that is sound itself: what came of each, and the task with those that are sound too."""
     if document.root is None:
-        return (), task
-    maker = _Maker(document, document.root, task, findings, check)
+        return (), program
+    maker = _Maker(document, document.root, program, findings, check)
     count, size = len(spec.evaluation.cases) + len(spec.curriculum), measure(document.root)[0]
     if count > MOST or count * size > MOST_VALUES:
         many = f"more than {MOST} cases and stages" if count > MOST else f"{count} cases and stages of a scenario with {size:_} values"
         maker.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
-        return (), task
+        return (), program
     maker.check_order(spec)
     cases = [
-        (name, case.episodes or spec.evaluation.episodes, maker.task("case", name, ("evaluation", "cases", name)))
+        (name, case.episodes or spec.evaluation.episodes, maker.program("case", name, ("evaluation", "cases", name)))
         for name, case in spec.evaluation.cases.items()
     ]
-    stages = [(stage, maker.task("stage", stage.name, ("curriculum", index))) for index, stage in enumerate(spec.curriculum)]
+    stages = [(stage, maker.program("stage", stage.name, ("curriculum", index))) for index, stage in enumerate(spec.curriculum)]
     return tuple(maker.checked), replace(
-        task,
-        cases=tuple(TaskCase(name, episodes, made) for name, episodes, made in cases if made is not None),
-        curriculum=tuple(TaskStage(stage.name, _criterion(stage.until), made) for stage, made in stages if made is not None),
+        program,
+        cases=tuple(EvaluationCase(name, episodes, made) for name, episodes, made in cases if made is not None),
+        curriculum=tuple(CurriculumStage(stage.name, _criterion(stage.until), made) for stage, made in stages if made is not None),
     )
 
 
-def _criterion(text: str | None) -> ir.Criterion | None:
+def _criterion(text: str | None) -> Criterion | None:
     found = read_until(text)
-    return ir.Criterion(*found) if found else None  # type: ignore[arg-type]  # the pattern allows the metrics only
+    return Criterion(*found) if found else None  # type: ignore[arg-type]  # the pattern allows the metrics only
 
 
 class _Maker:
     """Checks the scenario under one group of settings after the other."""
 
-    def __init__(self, document: Document, root: Mapping, task: Task, findings: Findings, check: Check) -> None:
+    def __init__(self, document: Document, root: Mapping, program: Program, findings: Findings, check: Check) -> None:
         self.checked: list[Checked] = []
         self._document = document
         self._root = root
-        self._base = lower(task)
+        self._base = program
         self._known = {found.sort_key for found in findings}
         self._findings = findings
         self._check = check
@@ -102,7 +104,7 @@ class _Maker:
                 help = "take it out; `solved` says when the training may end"
                 self.report("DB407", (*path, "until"), "nothing follows the last stage", help)
 
-    def task(self, word: Word, name: str, path: Path) -> Task | None:
+    def program(self, word: Word, name: str, path: Path) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
         settings = descend(self._root, (*path, "set"))
         entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], Mapping) else ()
@@ -122,7 +124,7 @@ class _Maker:
                 inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
                 also = found.also if inside else (*found.also, Label(here, f"in this {word}"))
                 self._findings.append(replace(found, also=also))
-        return checked.task if checked.task is not None and self._is_bearable(checked.task, word, name, here) else None
+        return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
 
     def _place(self, word: Word, path: Path) -> Span:
         node, key, _ = descend(self._root, path if word == "case" else (*path, "name"))
@@ -139,11 +141,11 @@ class _Maker:
         self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
         return True
 
-    def _is_bearable(self, task: Task, word: Word, name: str, here: Span) -> bool:
+    def _is_bearable(self, program: Program, word: Word, name: str, here: Span) -> bool:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
-        lines = interface.differences(self._base, lower(task), words=("elsewhere", "here"))
-        if word == "stage" and task.world.timestep != self._base.world.timestep:
-            lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {task.world.timestep:g} s")
+        lines = interface.differences(self._base, program, words=("elsewhere", "here"))
+        if word == "stage" and program.world.timestep != self._base.world.timestep:
+            lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
         if lines:
             headline = f"in the {word} `{name}` the policy would see, do or send something else"
             help = f"a {word} may change the world; write what spaces and messages are made of as figures that it does not set"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.values import Text, Values
@@ -11,9 +10,10 @@ from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Context, Invocation, Redraw, Stage, Typed, children
 from deepbots_cli.expressions.unification import expect
-from deepbots_cli.scenario.robot import Route
+from deepbots_cli.program.robots import Direction, Route
+from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.robot import Route as RouteSpec
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import TaskRoute, Valued
 
 _FIGURES: tuple[tuple[str, Dimension, Stage], ...] = (
     ("latency", TIME, Stage.STEP),
@@ -22,17 +22,17 @@ _FIGURES: tuple[tuple[str, Dimension, Stage], ...] = (
 )
 
 
-def route(spec: Scenario, direction: ir.Direction, namespace: Namespace) -> TaskRoute:
+def route(spec: Scenario, direction: Direction, namespace: Namespace) -> Route:
     """What `messages.to_robot` or `messages.from_robot` says."""
-    given: Route = getattr(spec.messages, direction)
+    given: RouteSpec = getattr(spec.messages, direction)
     place: Path = ("messages", direction)
     values = namespace.values
     if spec.messages.format == "none" and given.given:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot at once"
         values.findings.add("DB407", values.key_span(place), f"`{direction}` without messages", help=help)
-        return TaskRoute()
+        return Route()
     scope = ParameterScope(namespace, Context.FIELD)
-    found: dict[str, Valued] = {}
+    found: dict[str, Expression] = {}
     for name, dimension, stage in _FIGURES:
         if name in given.given and getattr(given, name) is not None:
             figure = _figure(values.text((*place, name), getattr(given, name)), name, scope, dimension, stage, values)
@@ -40,10 +40,10 @@ def route(spec: Scenario, direction: ir.Direction, namespace: Namespace) -> Task
     burst = values.number((*place, "burst"), given.burst, NUMBER, scope) if given.burst is not None else None
     if burst is not None and "loss" in found:
         _check_burst(burst, found["loss"], (*place, "burst"), values)
-    return TaskRoute(found.get("latency"), found.get("loss"), found.get("range"), burst, given.order, given.on_loss)
+    return Route(found.get("latency"), found.get("loss"), burst, found.get("range"), given.order, given.on_loss)
 
 
-def _figure(text: Text, name: str, scope: ParameterScope, dimension: Dimension, stage: Stage, values: Values) -> Valued | None:
+def _figure(text: Text, name: str, scope: ParameterScope, dimension: Dimension, stage: Stage, values: Values) -> Expression | None:
     what = f"`{name}`"
     if stage is not Stage.STEP:
         typed, redraw = values.quantity(text, what, scope, dimension, stage=stage), None
@@ -53,10 +53,10 @@ def _figure(text: Text, name: str, scope: ParameterScope, dimension: Dimension, 
         return None
     if typed.type.stage is Stage.FIXED and values.fixed(typed, text, what) is None:
         return None
-    return Valued(name, text.span, text.text, typed, name, redraw)
+    return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
 
-def _check_burst(burst: float, loss: Valued, place: Path, values: Values) -> None:
+def _check_burst(burst: float, loss: Expression, place: Path, values: Values) -> None:
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
     most = loss.typed.type.interval.high
     if burst / (burst + 1.0) < min(most, 1.0) < 1.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,8 +15,10 @@ from deepbots_cli.compiler.sensing import Sensing
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.types import Context, Stage, Symbol
-from deepbots_cli.task import Command, TaskRobot, Valued
+from deepbots_cli.expressions.types import Context, Reference, Stage, Symbol, walk
+from deepbots_cli.program.robots import Command, MessageField, Robot, Route
+from deepbots_cli.program.task import ActionPart, ActionRange
+from deepbots_cli.program.values import Expression
 
 
 @dataclass(eq=False)
@@ -31,8 +34,8 @@ class Controller:
         self.sensing = Sensing(self.scene, self.namespace)
         self.poses = poses(self.scene, self.namespace)
         self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
-        self.fields: dict[str, Valued] = {}
-        self.received: dict[str, Valued] = {}
+        self.fields: dict[str, Expression] = {}
+        self.received: dict[str, Expression] = {}
         self._check_names()
         self._define_fields()
 
@@ -80,7 +83,7 @@ class Controller:
         typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
         if typed is None:
             return Symbol(full, None)
-        self.fields[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.emit.{name}")
+        self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.scene.name}.emit.{name}")
         return Symbol(full, typed.type._replace(stage=Stage.STEP))
 
     # What it receives and does
@@ -95,12 +98,12 @@ class Controller:
             typed = self.values.expression(text, SupervisorScope(self.namespace, Context.RECEIVE))
             symbols[name] = Symbol(name, None)
             if typed is not None:
-                self.received[name] = Valued(name, text.span, text.text, typed, f"{self.scene.name}.receive.{name}")
+                self.received[name] = Expression(name, text.span, text.text, typed, f"{self.scene.name}.receive.{name}")
                 symbols[name] = Symbol(name, typed.type._replace(stage=Stage.STEP))
         return symbols
 
-    def finish(self, tick: float) -> TaskRobot:
-        """Type everything that is left; the world's timestep is `tick` s."""
+    def finish(self, tick: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
+        """Type everything that is left; the world's timestep is `tick` s, `routes` are those to and from robots."""
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.scene.name, {**self.own, **received})
         actuators = Actuators(self.scene, self.namespace)
@@ -114,13 +117,17 @@ class Controller:
             command = self._command(name, given, place, driven.get(name), scope)
             if command:
                 commands.append(command)
-        return TaskRobot(
-            self.scene.name,
+        name, (to_robot, from_robot) = self.scene.name, routes
+        return Robot(
+            name,
             self.sensing.finished(tick),
             tuple(found.actuator for found in driven.values()),
             tuple(self.received.values()),
             tuple(self.fields.values()),
             tuple(commands),
+            tuple(_used_variables(action, commands, self.received)),
+            to_robot.of(name, "to_robot"),
+            from_robot.of(name, "from_robot"),
         )
 
     def _command(self, name: str, given: object, place: Path, driven: Driven | None, scope: RobotScope) -> Command | None:
@@ -131,4 +138,15 @@ class Controller:
         typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP)
         if typed is None:
             return None
-        return Command(driven.actuator, Valued(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}"), driven.opening)
+        return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}"), driven.opening)
+
+
+def _used_variables(action: Sequence[ActionPart], commands: Iterable[Command], received: Container[str]) -> Iterator[MessageField]:
+    """The action variables that commands use, in the order of the action; `received` names of the robot hide them."""
+    used = {node.symbol.name for command in commands for node in walk(command.target.typed) if isinstance(node, Reference)}
+    for part in action:
+        if isinstance(part, ActionRange):
+            fields = [MessageField(part.name, part.unit, part.components)]
+        else:
+            fields = [MessageField(variable, "1") for variable in part.variables]
+        yield from (field for field in fields if field.name in used and field.name not in received)

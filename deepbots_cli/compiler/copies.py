@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
 from deepbots_cli.expressions.types import SPACE, Context
+from deepbots_cli.program.task import RobotCopies
+from deepbots_cli.program.world import MAX_BODIES
 from deepbots_cli.scenario.scenario import Scenario
 
 _NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
@@ -19,7 +20,7 @@ _TOGETHER: tuple[tuple[Path, str], ...] = (
 )
 
 
-def copies(spec: Scenario, namespace: Namespace) -> ir.Copies | None:
+def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
     """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
@@ -45,11 +46,11 @@ def copies(spec: Scenario, namespace: Namespace) -> ir.Copies | None:
     spacing = values.numbers((*path, "spacing"), robot_spec.spacing, LENGTH, SPACE, scope)
     if count is None or spacing is None:
         return None
-    if not 1 <= count <= ir.MOST_BODIES:
-        values.findings.add("DB105", values.span((*path, "count")), f"{count:g} copies", help=f"give 1 to {ir.MOST_BODIES}")
+    if not 1 <= count <= MAX_BODIES:
+        values.findings.add("DB105", values.span((*path, "count")), f"{count:g} copies", help=f"give 1 to {MAX_BODIES}")
         return None
     x, y, z = spacing
-    return ir.Copies(name, int(count), (x, y, z))
+    return RobotCopies(name, int(count), (x, y, z))
 
 
 def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:

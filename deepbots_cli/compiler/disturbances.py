@@ -7,14 +7,15 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import FORCE, TIME, TORQUE, Dimension
 from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Stage
-from deepbots_cli.scenario.reset import Disturbance
+from deepbots_cli.program.resets import Disturbance
+from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.reset import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import Push, Valued
 
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 
-def disturbances(spec: Scenario, namespace: Namespace) -> tuple[Push, ...]:
+def disturbances(spec: Scenario, namespace: Namespace) -> tuple[Disturbance, ...]:
     """The entries of `disturbances`, in the order of the file."""
     found = [_Reader(name, given, spec, namespace).push() for name, given in spec.disturbances.items()]
     return tuple(push for push in found if push is not None)
@@ -23,7 +24,7 @@ def disturbances(spec: Scenario, namespace: Namespace) -> tuple[Push, ...]:
 class _Reader:
     """Reads one disturbance."""
 
-    def __init__(self, name: str, given: Disturbance, spec: Scenario, namespace: Namespace) -> None:
+    def __init__(self, name: str, given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> None:
         self._name = name
         self._given = given
         self._spec = spec
@@ -31,7 +32,7 @@ class _Reader:
         self._values = namespace.values
         self._place: Path = ("disturbances", name)
 
-    def push(self) -> Push | None:
+    def push(self) -> Disturbance | None:
         given = self._given
         pushed = self._pushed()
         force, torque = self._value("force", FORCE, SPACE), self._value("torque", TORQUE, SPACE)
@@ -41,7 +42,7 @@ class _Reader:
         wanted = [(given.force, force), (given.torque, torque), (given.at, first), (given.every, every), (given.lasts, lasts)]
         if pushed is None or lasts is None or any(value is None for text, value in wanted if text is not None):
             return None
-        return Push(self._name, *pushed, force, torque, first, every, lasts)
+        return Disturbance(self._name, *pushed, force, torque, first, every, lasts)
 
     def _pushed(self) -> tuple[str, str | None] | None:
         """Body and link that are pushed; None after a finding."""
@@ -74,16 +75,16 @@ class _Reader:
         scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
         return [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]
 
-    def _value(self, key: str, dimension: Dimension, components: Components | None = None) -> Valued | None:
+    def _value(self, key: str, dimension: Dimension, components: Components | None = None) -> Expression | None:
         given = getattr(self._given, key)
         if given is None:
             return None
         place: Path = (*self._place, key)
         text, scope = self._values.text(place, given), ParameterScope(self._namespace, Context.FIELD)
         typed = self._values.quantity(text, f"`{key}`", scope, dimension, components, Stage.STEP)
-        return Valued(key, text.span, text.text, typed, f"disturbances.{self._name}.{key}") if typed else None
+        return Expression(key, text.span, text.text, typed, f"disturbances.{self._name}.{key}") if typed else None
 
-    def _check_overlap(self, every: Valued, lasts: Valued) -> None:
+    def _check_overlap(self, every: Expression, lasts: Expression) -> None:
         """DB105 where a push may begin while the one before still acts."""
         longest, soonest = lasts.typed.type.interval.high, every.typed.type.interval.low
         if longest > soonest * (1 + 1e-9):

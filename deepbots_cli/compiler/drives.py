@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.joints import effort_of, joint_dimension
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
@@ -14,6 +13,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, exact
 from deepbots_cli.expressions.types import Context
+from deepbots_cli.program.robots import Response
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.actuators import Actuator
 
@@ -30,11 +30,11 @@ class Figures:
         self._values = namespace.values
         self.scope = ParameterScope(namespace, Context.FIELD)
 
-    def response(self, spec: Actuator, parts: tuple[str, ...]) -> ir.Response:
+    def response(self, spec: Actuator, parts: tuple[str, ...]) -> Response:
         """Strength is drawn for each of the parts, delay and lag for all of them together."""
         strength = self.each("strength", spec.strength, NUMBER, parts)
         delay, lag = (self._single(key, getattr(spec, key), TIME) for key in ("delay", "lag"))
-        return ir.Response(1.0 if strength is None else strength, delay or 0.0, lag or 0.0)
+        return Response(1.0 if strength is None else strength, delay or 0.0, lag or 0.0)
 
     def max_torque(self, given: object, joints: tuple[Joint, ...]) -> Limits:
         """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
@@ -44,7 +44,7 @@ class Figures:
             return own
         drawn = self._namespace.variations[known:]
         self._compare("max_torque", drawn[0].value.typed.type.interval.high if drawn else found, effort, own)
-        self._namespace.variations[known:] = [replace(varied, most=own) for varied in drawn]
+        self._namespace.variations[known:] = [replace(varied, max=own) for varied in drawn]
         return _tighter(own, found)
 
     def max_velocity(self, given: object, joints: tuple[Joint, ...]) -> Limits:

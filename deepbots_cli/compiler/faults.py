@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.compiler.values import Values
@@ -14,6 +13,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Context, Type
+from deepbots_cli.program.robots import MIN_RESOLUTION, NoiseModel
 from deepbots_cli.scenario.sensors import Sensor
 
 MOST_TICKS = 100_000
@@ -30,7 +30,7 @@ class FaultReader:
     sensor: str
     path: Path
 
-    def read(self, spec: Sensor, known: Type) -> tuple[ir.Faults | None, Interval]:
+    def read(self, spec: Sensor, known: Type) -> tuple[NoiseModel | None, Interval]:
         """Its faults, period apart, and the interval of its readings; None where there are none."""
         drawn = len(self.namespace.variations)
         if known.boolean or known.picture:
@@ -41,7 +41,7 @@ class FaultReader:
         drift, _ = self._figures(spec, "drift", known, known.dimension / TIME)
         quantise = self._steps(spec, known)
         low, high = self._range(spec, known)
-        faults = ir.Faults(1, self._latency(spec), noise, relative_noise, bias, relative_bias, drift, low, high, quantise)
+        faults = NoiseModel(1, self._latency(spec), noise, relative_noise, bias, relative_bias, drift, low, high, quantise)
         wanders = noise or relative_noise or bias or relative_bias or drift
         reach = EVERYTHING if wanders else known.interval
         if low:
@@ -51,17 +51,17 @@ class FaultReader:
             reach = Interval(reach.low - half, reach.high + half)
         return self._unless_none(faults, drawn), reach
 
-    def _unless_none(self, faults: ir.Faults, drawn: int) -> ir.Faults | None:
+    def _unless_none(self, faults: NoiseModel, drawn: int) -> NoiseModel | None:
         """None for a perfect sensor, of which no figure has been drawn since there were `drawn` of them."""
-        return None if faults == ir.Faults() and len(self.namespace.variations) == drawn else faults
+        return None if faults == NoiseModel() and len(self.namespace.variations) == drawn else faults
 
-    def _of_no_numbers(self, spec: Sensor, known: Type) -> ir.Faults:
+    def _of_no_numbers(self, spec: Sensor, known: Type) -> NoiseModel:
         tells, keys = ("takes pictures", _OF_NUMBERS[:-1]) if known.picture else ("tells true or false", _OF_NUMBERS)
         for key in keys:
             if key in spec.given:
                 headline = f"`{key}` of a sensor that {tells}"
                 self.namespace.values.findings.add("DB403", self.namespace.values.key_span((*self.path, key)), headline, help="take it out")
-        return ir.Faults(latency=self._latency(spec))
+        return NoiseModel(latency=self._latency(spec))
 
     def _latency(self, spec: Sensor) -> float:
         if "latency" not in spec.given:
@@ -88,10 +88,10 @@ class FaultReader:
         if "quantise" not in spec.given:
             return ()
         given = self.namespace.values.numbers((*self.path, "quantise"), spec.quantise, known.dimension, known.components, self._fixed)
-        if given and any(0.0 < step < ir.FINEST for step in given):
+        if given and any(0.0 < step < MIN_RESOLUTION for step in given):
             values, headline = self.namespace.values, f"a step of {min(given):g} between two readings"
             values.findings.add(
-                "DB105", values.span((*self.path, "quantise")), headline, help=f"give at least {ir.FINEST:g}, or take it out"
+                "DB105", values.span((*self.path, "quantise")), headline, help=f"give at least {MIN_RESOLUTION:g}, or take it out"
             )
         return given if given and all(given) else ()
 
@@ -115,7 +115,7 @@ class FaultReader:
         return ParameterScope(self.namespace, Context.FIXED)
 
 
-def period(faults: ir.Faults | None, values: Values, path: Path, given: object, tick: float) -> ir.Faults | None:
+def period(faults: NoiseModel | None, values: Values, path: Path, given: object, tick: float) -> NoiseModel | None:
     """The faults with the period that stands at `path`, in ticks; DB308 for one that is no whole number of them."""
     seconds = None if given is None else values.number((*path, "period"), given, TIME)
     if seconds is None or values.is_lost("world.timestep"):
@@ -126,4 +126,4 @@ def period(faults: ir.Faults | None, values: Values, path: Path, given: object, 
         values.findings.add("DB308", values.span((*path, "period")), headline, help="a sensor is read in whole timesteps")
     elif ticks > MOST_TICKS:
         values.findings.add("DB105", values.span((*path, "period")), f"a period of {ticks:_} timesteps", help="give a shorter one")
-    return replace(faults or ir.Faults(), period=ticks) if ticks > 1 else faults
+    return replace(faults or NoiseModel(), period=ticks) if ticks > 1 else faults

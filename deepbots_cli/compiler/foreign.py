@@ -5,16 +5,15 @@ Their modules are imported when an environment is made, and never to compile or 
 
 from __future__ import annotations
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import TRUTH, Interval
 from deepbots_cli.expressions.types import Constant, Stage, Type
+from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.scenario.task import PythonTerm
-from deepbots_cli.task import Valued
 
 
-def foreign(name: str, given: PythonTerm, path: Path, namespace: Namespace, *, boolean: bool) -> Valued:
+def foreign(name: str, given: PythonTerm, path: Path, namespace: Namespace, *, boolean: bool) -> Expression:
     """The term at `path`, of which nothing is known but whether it is a truth value."""
     values = namespace.values
     text = values.text((*path, "python"), given.python)
@@ -27,4 +26,4 @@ def foreign(name: str, given: PythonTerm, path: Path, namespace: Namespace, *, b
     module, _, function = given.python.partition(":")
     kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), stage=Stage.STEP)
     nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
-    return Valued(name, text.span, text.text, nothing, ".".join(map(str, path)), foreign=ir.Foreign(module, function))
+    return Expression(name, text.span, text.text, nothing, ".".join(map(str, path)), foreign=Foreign(module, function))

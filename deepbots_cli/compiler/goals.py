@@ -15,8 +15,9 @@ from deepbots_cli.compiler.variations import noise
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Context, Invocation, Reference, Stage, Symbol, Type, Typed, children
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect
+from deepbots_cli.program.task import Goal
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import TaskGoal, Valued
 
 _RECOMPUTED = ("achieved", "desired", "goal_reached")
 
@@ -28,13 +29,13 @@ class Goals:
         self._spec = spec
         self._namespace = namespace
         self._values = namespace.values
-        self._valued: dict[str, Valued] = {}
+        self._valued: dict[str, Expression] = {}
         if spec.goal is not None:
             namespace.built_in["goal_reached"] = self._reached
             namespace.define("achieved", Origin.GOAL, ("goal", "achieved"), self._achieved)
             namespace.define("desired", Origin.GOAL, ("goal", "desired"), self._desired)
 
-    def goal(self, rewards: Iterable[Valued]) -> TaskGoal | None:
+    def goal(self, rewards: Iterable[Expression]) -> Goal | None:
         """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
         spec, values = self._spec.goal, self._values
         if spec is None:
@@ -54,7 +55,7 @@ class Goals:
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or least is None:
             return None
-        return TaskGoal(achieved, desired, ends.low, ends.high, float(least[0]))
+        return Goal(achieved, desired, ends.low, ends.high, float(least[0]))
 
     def _check_repeat(self) -> None:
         if self._spec.agent.repeat > 1:
@@ -91,7 +92,7 @@ class Goals:
         if self._spec.goal is not None and name == "achieved" and "noise" in self._spec.goal.given:
             scope = ParameterScope(self._namespace, Context.FIELD)
             added = noise(self._values, ("goal", "noise"), self._spec.goal.noise, typed, scope)
-        self._valued[name] = Valued(name, text.span, text.text, typed, f"goal.{name}", noise=added)
+        self._valued[name] = Expression(name, text.span, text.text, typed, f"goal.{name}", noise=added)
         return Symbol(name, typed.type._replace(stage=Stage.STEP))
 
     def _reached(self, context: Context) -> Symbol:
@@ -105,7 +106,7 @@ class Goals:
         return Symbol(name, Type(boolean=True, stage=Stage.STEP))
 
 
-def _check_rewards(terms: Iterable[Valued], namespace: Namespace) -> None:
+def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     """A finding for each term that hindsight cannot recompute."""
     for term in terms:
         if term.foreign is not None:

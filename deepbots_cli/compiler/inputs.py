@@ -16,6 +16,7 @@ from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.nodes import replace, walk
 from deepbots_cli.errors import UsageError
 
+RESOLVED = "resolved.yaml"
 FOLDER = "inputs"
 """Where the copies lie, beside the resolved scenario."""
 
@@ -53,6 +54,10 @@ class Inputs:
         robots = {robot.path: robot.file.source.text for robot in self._all_robots}
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 
+    def write(self, folder: Path) -> None:
+        """Write the resolved scenario and the copies into `folder`; what is compiled from there is the same."""
+        write_copies(folder, self.resolved(), self.contents())
+
     def contents(self) -> dict[str, bytes]:
         """The bytes of every file by the name of its copy.
 
@@ -88,6 +93,20 @@ class Inputs:
                 files |= {descend(variant.document.root, path)[0].span: file for path, file in variant._named.items()}
         places = walk(self.document.root) if files else ()
         return {path: files[node.span] for path, node in places if path[:1] in _SETTINGS and node.span in files}
+
+
+def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> None:
+    """Write a resolved scenario and the copies of its files, by their names, into `folder`.
+
+    Raises:
+        UsageError: The disk refuses it.
+    """
+    try:
+        for name, content in {RESOLVED: resolved.encode(), **{f"{FOLDER}/{name}": content for name, content in contents.items()}}.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be written: {(error.strerror or 'unknown reason').lower()}") from error
 
 
 def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.places import Places, owner_of
 from deepbots_cli.compiler.scopes import ParameterScope
@@ -16,10 +15,12 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
 from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.types import Constant, Context, Type
+from deepbots_cli.program.resets import Cells, Group, Layout, Placement
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box
 from deepbots_cli.scenario.reset import MapLayout
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import Placement, TaskGroup, TaskLayout, Valued
 
 _NOTHING = "."
 _WALL = "wall"
@@ -29,16 +30,16 @@ _MOST_CELLS = 250_000
 class Layouts:
     """The layouts that episodes use. `walls` are the bodies that stand in cells of walls, absent in other layouts."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace, places: Places, world: ir.WorldModel) -> None:
+    def __init__(self, spec: Scenario, namespace: Namespace, places: Places, world: WorldModel) -> None:
         self._spec = spec
         self._namespace = namespace
         self._values = namespace.values
         self._places = places
         self._world = world
         self._fixed = ParameterScope(namespace, Context.FIXED)
-        self.walls: list[ir.ObjectBody] = []
+        self.walls: list[ObjectBody] = []
 
-    def used(self) -> tuple[TaskLayout, ...]:
+    def used(self) -> tuple[Layout, ...]:
         """Each layout with its share; all others are read for their findings alone."""
         given, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(given, dict) else {given: 1.0} if given is not None else dict.fromkeys(list(layouts)[:1], 1.0)
@@ -51,7 +52,7 @@ class Layouts:
                 span = self._values.key_span(path) if isinstance(given, dict) else self._values.span(path)
                 self._values.unknown(span, "layout", name, list(layouts))
         found = {name: tuple(self._layout(name, used=name in shares)) for name in layouts}
-        return tuple(TaskLayout(name, share, found[name]) for name, share in shares.items() if name in found)
+        return tuple(Layout(name, share, found[name]) for name, share in shares.items() if name in found)
 
     def _shares(self) -> dict[str, float]:
         given = self._spec.reset.layout
@@ -133,24 +134,24 @@ class Layouts:
             name = f"{layout} wall"
             if used:
                 self._build(name, cell, len(spots))
-            return Placement(name, {}, rests=True, spot=ir.Cells(spots), owner=owner_of((*path, _WALL)))
+            return Placement(name, {}, rests=True, spot=Cells(spots), owner=owner_of((*path, _WALL)))
         home = self._places.at_home(body)
         turned = {key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")}
-        return replace(home, coordinates=turned, spot=ir.Cells(spots), owner=owner_of((*path, body)))
+        return replace(home, coordinates=turned, spot=Cells(spots), owner=owner_of((*path, body)))
 
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena
-        height, colour = (arena.wall_height, arena.colour or ir.WALL_COLOUR) if arena else (0.1, ir.WALL_COLOUR)
+        height, colour = (arena.wall_height, arena.colour or WALL_COLOUR) if arena else (0.1, WALL_COLOUR)
         number = Constant(Type(NUMBER, interval=exact(float(count))), 0, 0, (float(count),))
         span = self._values.key_span(("reset", "layouts"))
         bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
-        if bodies > ir.MOST_BODIES:
-            headline = f"the world has {bodies:_} bodies, the walls of maps among them, more than {ir.MOST_BODIES}"
+        if bodies > MAX_BODIES:
+            headline = f"the world has {bodies:_} bodies, the walls of maps among them, more than {MAX_BODIES}"
             self._values.findings.add("DB005", span, headline, help="put up long walls under `world.walls`, or use larger cells")
             return
-        group = TaskGroup(name, count, Valued("count", span, "", number, name))
+        group = Group(name, count, Expression("count", span, "", number, name))
         self._namespace.groups[name] = group
-        self.walls += [ir.ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
+        self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
 
 
 def _rows(text: Text) -> list[list[tuple[str, Span]]]:

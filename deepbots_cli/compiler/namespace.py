@@ -19,8 +19,7 @@ from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import EVERYTHING, exact
 from deepbots_cli.expressions.types import Context, Kind, Subject, Symbol
-from deepbots_cli.ir import Variation
-from deepbots_cli.task import TaskGroup, Varied
+from deepbots_cli.program.resets import Group, RandomizedParameter
 
 _SHOWN = 12
 
@@ -70,12 +69,12 @@ class Namespace:
         """Of painted lines, m."""
         self.walls: dict[str, tuple[str, ...]] = {}
         """The bodies that each wall consists of; those of `arena` among them, where there is one."""
-        self.groups: dict[str, TaskGroup] = {}
+        self.groups: dict[str, Group] = {}
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
-        self.variations: list[Varied] = []
+        self.variations: list[RandomizedParameter] = []
         """Figures that are drawn anew in every episode, in the order in which they were found."""
-        self.colours: list[Variation] = []
+        self.colours: list[RandomizedParameter] = []
         """The same for colours."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}
         """Names that the language gives, and whose type the scenario decides."""

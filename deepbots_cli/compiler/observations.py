@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
 from deepbots_cli.compiler.values import Text
@@ -12,9 +11,10 @@ from deepbots_cli.compiler.variations import noise
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.types import Context, Typed
+from deepbots_cli.program.task import MAX_OBSERVED_BYTES, MAX_OBSERVED_NUMBERS, ImageObservation, Observation
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Observed
-from deepbots_cli.task import ObservedValue, Valued
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -30,14 +30,14 @@ class Observations:
         self._namespace = namespace
         self._values = namespace.values
 
-    def entries(self) -> tuple[ObservedValue, ...]:
+    def entries(self) -> tuple[Observation, ...]:
         found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
         self._check_size(found)
         self._check_pictures(found)
         self._check_keys(found)
         return found
 
-    def _entry(self, key: str, given: Observed | str) -> ObservedValue | None:
+    def _entry(self, key: str, given: Observed | str) -> Observation | None:
         place: Path = ("observation", key)
         spec = Observed(range=given) if isinstance(given, str) else given
         text = self._values.key_text(place)
@@ -52,7 +52,8 @@ class Observations:
         added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.given else None
         if bounds is None:
             return None
-        return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, added)
+        kind = ImageObservation if typed.type.picture else Observation
+        return kind(Expression(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, added)
 
     def _observed(self, text: Text) -> Typed | None:
         tree = self._values.parsed(text)
@@ -91,17 +92,17 @@ class Observations:
         ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
         return (ends.low, ends.high) if ends else None
 
-    def _check_size(self, entries: tuple[ObservedValue, ...]) -> None:
+    def _check_size(self, entries: tuple[Observation, ...]) -> None:
         stack = self._spec.agent.stack
         seen = stack * sum(len(entry.low) * entry.history for entry in entries)
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
-        for found, most, what in ((seen, ir.MOST_SEEN, "numbers"), (pixels, ir.MOST_SEEN_BYTES, "bytes of pictures")):
+        for found, most, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if found > most:
                 headline = f"an observation of {found} {what}, which is more than {most}"
                 help = "shorten its histories, or the stack of the agent"
                 self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
 
-    def _check_pictures(self, entries: tuple[ObservedValue, ...]) -> None:
+    def _check_pictures(self, entries: tuple[Observation, ...]) -> None:
         """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
 
         It tells the channels, which histories and stacks add to, from the sides by their being fewest.
@@ -118,7 +119,7 @@ class Observations:
                 headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
                 self._values.findings.add("DB612", entry.value.span, headline, help="shorten the history, or raise the `resolution`")
 
-    def _check_keys(self, entries: tuple[ObservedValue, ...]) -> None:
+    def _check_keys(self, entries: tuple[Observation, ...]) -> None:
         """Pictures stand under keys of their own, in which a dot is an underscore."""
         taken = {"observation", "achieved_goal", "desired_goal"}
         for entry in entries:

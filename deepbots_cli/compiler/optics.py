@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.types import PLANE, NoNames
+from deepbots_cli.program.robots import CameraIntrinsics
 from deepbots_cli.scenario.sensors import Camera
 
 
-def optics(values: Values, path: Path, spec: Camera) -> ir.Optics | None:
+def optics(values: Values, path: Path, spec: Camera) -> CameraIntrinsics | None:
     """The optics of the camera that stands at `path`; None after a finding."""
     size = values.numbers((*path, "resolution"), spec.resolution, NUMBER, PLANE)
     fov = values.number((*path, "fov"), spec.fov, ANGLE)
@@ -30,4 +30,4 @@ def optics(values: Values, path: Path, spec: Camera) -> ir.Optics | None:
             "DB105", values.span((*path, "fov")), f"an angle of view of {math.degrees(fov):g} deg", help="give less than 180 deg"
         )
         return None
-    return ir.Optics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
+    return CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None

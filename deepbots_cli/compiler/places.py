@@ -4,30 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import atan2
+from math import atan2, pi
 
-from deepbots_cli import footprint, ir
+from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.room import check_room, has_top
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, TIME, Dimension
-from deepbots_cli.expressions.intervals import exact
+from deepbots_cli.expressions.intervals import TURN, exact
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Stage, Type
+from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Invocation, Pick, Stage, Type, Typed
+from deepbots_cli.program.resets import MAX_SPOTS, Cells, Placement, Region, Top
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.scenario.pose import Pose
 from deepbots_cli.scenario.reset import Placement as PlacementSpec
-from deepbots_cli.scenario.reset import Region
+from deepbots_cli.scenario.reset import Region as RegionSpec
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import Coordinate, Placement, Valued
 
 _TURNS = ("roll", "pitch", "yaw")
+
+
+def _turn(angle: float) -> Constant:
+    return Constant(Type(ANGLE, interval=exact(angle)), 0, 0, (angle,))
+
+
+_ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_turn(-pi), _turn(pi)), 0)
+"""`any`: a turn drawn from the whole circle."""
 
 
 class Places:
     """Reads placements in the scope of a reset, where figures may be drawn."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> None:
+    def __init__(self, spec: Scenario, namespace: Namespace, world: WorldModel) -> None:
         self._spec = spec
         self._namespace = namespace
         self._values = namespace.values
@@ -73,13 +83,13 @@ class Places:
             span = self._values.key_span((*path, "grid"))
             self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
         self._check_spots(place.spot, path)
-        if isinstance(place.spot, ir.Region) and used:
+        if isinstance(place.spot, Region) and used:
             check_room(place, place.spot, self._world, self._namespace, path)
         self._check_copies(place, path, used=used)
         return self.resting(place)
 
-    def coordinates(self, pose: Pose, path: Path) -> dict[str, Coordinate]:
-        found: dict[str, Coordinate] = {}
+    def coordinates(self, pose: Pose, path: Path) -> dict[str, Expression]:
+        found: dict[str, Expression] = {}
         for whole, parts, dimension in (("xyz", SPACE, LENGTH), ("rpy", _TURNS, ANGLE)):
             for part in parts:
                 given = getattr(pose, part)
@@ -91,32 +101,36 @@ class Places:
         return found
 
     def resting(self, place: Placement) -> Placement:
-        """What can move, or is no robot, lies on the ground where no height is given; a robot with a fixed base is built in at 0."""
+        """The placement of a body that lies on the ground where no height is given; a robot with a fixed base is built in at 0."""
         robot = self._spec.robots.get(place.body)
         is_built_in = robot is not None and robot.base == "fixed"
-        return replace(place, rests=not is_built_in and "z" not in place.coordinates)
+        shapes = {thing.name: thing.shape for thing in self._world.objects if not thing.pooled}
+        models = {body.name: body.model for body in self._world.robots}
+        lying = None if self._world.terrain else shapes.get(place.body) or models.get(place.body)
+        return replace(place, rests=not is_built_in and "z" not in place.coordinates, lying=lying)
 
-    def _coordinate(self, given: object, path: Path, dimension: Dimension) -> Coordinate | None:
-        if given == "any":
-            return Coordinate(owner_of(path), None)
+    def _coordinate(self, given: object, path: Path, dimension: Dimension) -> Expression | None:
         text = self._values.text(path, given)
-        typed = self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, None, Stage.EPISODE)
-        return Coordinate(owner_of(path), typed) if typed else None
+        typed = _ANYWHERE if given == "any" else self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, None, Stage.EPISODE)
+        return Expression(str(path[-1]), text.span, text.text, typed, owner_of(path)) if typed else None
 
-    def _components(self, given: object, path: Path, parts: tuple[str, ...], dimension: Dimension) -> dict[str, Coordinate]:
+    def _components(self, given: object, path: Path, parts: tuple[str, ...], dimension: Dimension) -> dict[str, Expression]:
         """The components of `xyz` or `rpy`, each picked from the same typed vector."""
         text = self._values.text(path, given)
         typed = self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, SPACE, Stage.EPISODE)
         if typed is None:
             return {}
-        return {part: Coordinate(f"{owner_of(path)}[{index}]", typed) for index, part in enumerate(parts)}
+        owner, single = owner_of(path), typed.type._replace(components=None)
+        picks: list[Typed] = [Pick(single, typed.start, typed.end, typed, (index,)) for index in range(len(parts))]
+        trees = picks if typed.type.components else [typed] * len(parts)
+        return {part: Expression(part, text.span, text.text, tree, owner) for part, tree in zip(parts, trees, strict=True)}
 
-    def _vector(self, name: str, given: object, path: Path, dimension: Dimension) -> Valued | None:
+    def _vector(self, name: str, given: object, path: Path, dimension: Dimension) -> Expression | None:
         if given is None:
             return None
         text = self._values.text((*path, name), given)
         typed = self._values.quantity(text, f"`{name}`", self._scope, dimension, SPACE, Stage.EPISODE)
-        return Valued(name, text.span, text.text, typed, owner_of((*path, name))) if typed else None
+        return Expression(name, text.span, text.text, typed, owner_of((*path, name))) if typed else None
 
     def _spacing(self, pose: PlacementSpec, path: Path) -> tuple[float, float]:
         if pose.spacing is None:
@@ -132,10 +146,11 @@ class Places:
             return place
         self._namespace.touch(line)
         first, second = stroke.pieces[0]
-        here = {axis: Coordinate(owner_of(path), _length(first[index])) for index, axis in enumerate(PLANE)}
+        span, owner = self._values.span((*path, "line")), owner_of(path)
+        here = {axis: Expression(axis, span, line, _length(first[index]), owner) for index, axis in enumerate(PLANE)}
         return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
 
-    def _top(self, name: str, pose: PlacementSpec, path: Path) -> ir.Top | None:
+    def _top(self, name: str, pose: PlacementSpec, path: Path) -> Top | None:
         """The top of the object called `name`, for the body at `path` to stand on."""
         span = self._values.span((*path, "on"))
         flat = [thing.name for thing in self._world.objects if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT]
@@ -148,18 +163,18 @@ class Places:
         if name not in flat or (pose.region is not None and (region := self._region(pose, path)) is None):
             return None
         mesh = self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed) if pose.grid is not None else None
-        return ir.Top(name, region if pose.region is not None else None, mesh)
+        return Top(name, region if pose.region is not None else None, mesh)
 
-    def _region(self, pose: PlacementSpec, path: Path) -> ir.Region | None:
+    def _region(self, pose: PlacementSpec, path: Path) -> Region | None:
         mesh = None
         if pose.grid is not None and (mesh := self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed)) is None:
             return None
-        if isinstance(pose.region, Region):
+        if isinstance(pose.region, RegionSpec):
             ends = [
                 self._values.ends(self._values.text((*path, "region", axis), given), f"`{axis}`", self._fixed, dimension=LENGTH)
                 for axis, given in (("x", pose.region.x), ("y", pose.region.y))
             ]
-            return ir.Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if (x := ends[0]) and (y := ends[1]) else None
+            return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if (x := ends[0]) and (y := ends[1]) else None
         arena = self._world.arena
         if pose.region != "arena":
             self._values.unknown(self._values.span((*path, "region")), "region", str(pose.region), ["arena"])
@@ -169,15 +184,15 @@ class Places:
                 self._values.findings.add("DB201", span, "the world has no arena", help=help)
         elif arena is not None:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
-            return ir.Region((-half_x, -half_y), (half_x, half_y), mesh)
+            return Region((-half_x, -half_y), (half_x, half_y), mesh)
         return None
 
-    def _check_spots(self, spot: ir.Region | ir.Cells | ir.Top | None, path: Path) -> None:
-        if isinstance(spot, ir.Top):
+    def _check_spots(self, spot: Region | Cells | Top | None, path: Path) -> None:
+        if isinstance(spot, Top):
             reach = next(footprint.of_shape(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
-            spot = ir.Region((-reach, -reach), (reach, reach), spot.mesh)
-        if isinstance(spot, ir.Region) and spot.spots > ir.MOST_SPOTS:
-            headline = f"a region of {spot.spots:.0f} cells, more than {ir.MOST_SPOTS:_}"
+            spot = Region((-reach, -reach), (reach, reach), spot.mesh)
+        if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
+            headline = f"a region of {spot.spots:.0f} cells, more than {MAX_SPOTS:_}"
             self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
 
     def _check_copies(self, place: Placement, path: Path, *, used: bool) -> None:
@@ -198,7 +213,7 @@ class Places:
         if any(self._values.stands((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        is_fixed = all(coordinate.typed is not None and constant(coordinate.typed) is not None for coordinate in known)
+        is_fixed = all(constant(coordinate.typed) is not None for coordinate in known)
         if most > 1 and is_fixed and place.spot is None and not any(place.spacing):
             headline = f"up to {most} copies of `{place.body}` at one spot"
             help = "draw their spots with `region`, put them in a row with `spacing`, or place `at_most: 1`"

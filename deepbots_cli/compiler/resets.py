@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.layouts import Layouts
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.places import Places
@@ -12,8 +11,10 @@ from deepbots_cli.compiler.room import check_surroundings
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Context, Invocation, Typed, children
+from deepbots_cli.program.resets import Layout, Placement, Reset
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import ObjectBody, WorldModel
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import Beginnings, Placement, TaskLayout, Valued
 
 # Before the first step nothing has touched or acted, and no picture was taken.
 _UNMOVED = {
@@ -23,7 +24,7 @@ _UNMOVED = {
 }
 
 
-def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> tuple[Beginnings, tuple[ir.ObjectBody, ...]]:
+def arrangement(spec: Scenario, namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
     """How bodies are arranged, and the walls that only maps put up.
 
     Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
@@ -38,11 +39,11 @@ def beginnings(spec: Scenario, namespace: Namespace, world: ir.WorldModel) -> tu
     completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
     _require_places(spec, namespace)
     check_surroundings(common, completed, world, namespace)
-    beginning = Beginnings(tuple(common), completed, _requirement(spec, namespace), spec.reset.attempts)
-    return beginning, tuple(layouts.walls)
+    require = _requirement(spec, namespace)
+    return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(layouts.walls)
 
 
-def _left_out(layout: TaskLayout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
+def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
     """Bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
     known = {*namespace.named(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
@@ -62,7 +63,7 @@ def _require_places(spec: Scenario, namespace: Namespace) -> None:
             namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
 
 
-def _requirement(spec: Scenario, namespace: Namespace) -> Valued | None:
+def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
     """The condition that a start must meet, which may ask for whatever is so before the first step."""
     if spec.reset.require is None:
         return None
@@ -78,7 +79,7 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Valued | None:
             values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
     if constant(typed) == (False,):
         values.findings.add("DB105", text.span, "a requirement that no start meets", help="let it depend on where things are")
-    return Valued("require", text.span, text.text, typed, "reset.require")
+    return Expression("require", text.span, text.text, typed, "reset.require")
 
 
 def _calls(value: Typed) -> list[Invocation]:

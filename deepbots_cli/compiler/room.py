@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import hypot
 
-from deepbots_cli import footprint, ir
+from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.footprint import Footprint, Patch
+from deepbots_cli.program.resets import Layout, Placement, Region, Top
+from deepbots_cli.program.world import ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
-from deepbots_cli.task import Placement, TaskLayout
 
 _DWARFS = 16.0
 """Times the area of a top that a body covers whose unit has slipped."""
 
 
-def check_room(place: Placement, region: ir.Region, world: ir.WorldModel, namespace: Namespace, path: Path) -> None:
+def check_room(place: Placement, region: Region, world: WorldModel, namespace: Namespace, path: Path) -> None:
     """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
     values = namespace.values
     kinds = _footprints_of(place, world, namespace)
@@ -48,34 +49,32 @@ def check_room(place: Placement, region: ir.Region, world: ir.WorldModel, namesp
         values.findings.add("DB105", span, headline, help="give a larger arena, or fewer copies")
 
 
-def has_top(thing: ir.ObjectBody) -> bool:
+def has_top(thing: ObjectBody) -> bool:
     """Whether other bodies can stand on an object: a single one with a level top that is solid."""
     return thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
 
 
-def check_surroundings(common: Sequence[Placement], layouts: Sequence[TaskLayout], world: ir.WorldModel, namespace: Namespace) -> None:
+def check_surroundings(common: Sequence[Placement], layouts: Sequence[Layout], world: WorldModel, namespace: Namespace) -> None:
     """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that covers its region."""
-    for layout in layouts or (TaskLayout("", 1.0, ()),):
+    for layout in layouts or (Layout("", 1.0, ()),):
         standing = {place.body: place for place in (*common, *layout.placements)}
         for place in standing.values():
             path: Path = tuple(place.owner.split("."))
             match place.spot:
-                case ir.Top() as spot:
+                case Top() as spot:
                     _check_top(place, spot, standing, world, namespace, path)
-                case ir.Region() as region:
+                case Region() as region:
                     _check_covered(place, region, standing, world, namespace, path)
 
 
-def _check_top(
-    place: Placement, spot: ir.Top, standing: Mapping[str, Placement], world: ir.WorldModel, namespace: Namespace, path: Path
-) -> None:
+def _check_top(place: Placement, spot: Top, standing: Mapping[str, Placement], world: WorldModel, namespace: Namespace, path: Path) -> None:
     """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is too small or elsewhere."""
     add, span = namespace.values.findings.add, namespace.values.span((*path, "on"))
     support, stack = standing[spot.of], [place.body]
     below: Placement | None = support
     while below is not None and below.body not in stack:
         stack.append(below.body)
-        below = standing.get(below.spot.of) if isinstance(below.spot, ir.Top) else None
+        below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
     if below is not None and below.body != next(body for body in standing if body in stack):
         return  # the circle is reported once, of the first of its bodies
     if below is not None and below.body == place.body:
@@ -112,7 +111,7 @@ def _check_top(
 
 
 def _check_covered(
-    place: Placement, region: ir.Region, standing: Mapping[str, Placement], world: ir.WorldModel, namespace: Namespace, path: Path
+    place: Placement, region: Region, standing: Mapping[str, Placement], world: WorldModel, namespace: Namespace, path: Path
 ) -> None:
     """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
 
@@ -138,7 +137,7 @@ def _check_covered(
             return
 
 
-def _standing_patch(thing: ir.ObjectBody, place: Placement | None) -> Patch | None:
+def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
     """What an object covers that rises above level ground; None where it does not, or where it stands is not fixed."""
     low, high = footprint.bounds_of_shape(thing.shape)
     if place is None:  # a piece of a wall
@@ -162,9 +161,8 @@ def _figure(place: Placement, key: str) -> float | None:
     coordinate = place.coordinates.get(key)
     if coordinate is None:
         return 0.0
-    found = None if coordinate.typed is None else constant(coordinate.typed)
-    index = coordinate.owner.partition("[")[2].rstrip("]")
-    return None if found is None else float(found[int(index) if index and len(found) > 1 else 0])
+    found = constant(coordinate.typed)
+    return None if found is None else float(found[0])
 
 
 def _is_tilted(place: Placement) -> bool:
@@ -185,7 +183,7 @@ def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) ->
     return kind.narrowest + margin <= top.narrowest + 1e-6 and kind.radius + margin <= top.radius + 1e-6
 
 
-def _misses(region: ir.Region, patch: Patch) -> bool:
+def _misses(region: Region, patch: Patch) -> bool:
     reach = patch.extent
     return any(
         region.low[axis] > middle + reach[axis] or region.high[axis] < middle - reach[axis] for axis, middle in ((0, patch.x), (1, patch.y))
@@ -202,17 +200,17 @@ def _copies(place: Placement, namespace: Namespace) -> int:
     return 1 if group is None else min(group.capacity, group.capacity if place.at_most is None else place.at_most)
 
 
-def _is_fixed(place: Placement, world: ir.WorldModel, namespace: Namespace) -> bool:
+def _is_fixed(place: Placement, world: WorldModel, namespace: Namespace) -> bool:
     group = namespace.groups.get(place.body)
     return any(thing.name in (place.body, *(group.copies if group else ())) and thing.fixed for thing in world.objects)
 
 
-def _footprints_of(place: Placement, world: ir.WorldModel, namespace: Namespace) -> list[Footprint]:
+def _footprints_of(place: Placement, world: WorldModel, namespace: Namespace) -> list[Footprint]:
     group = namespace.groups.get(place.body)
     return _footprints(place.body, world, group.copies[0] if group else place.body)
 
 
-def _footprints(body: str, world: ir.WorldModel, first: str) -> list[Footprint]:
+def _footprints(body: str, world: WorldModel, first: str) -> list[Footprint]:
     """Of each form that a body may take; none that is known for a mesh."""
     for robot in world.robots:
         if robot.name in (body, first):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.foreign import foreign
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
@@ -16,9 +15,11 @@ from deepbots_cli.expressions.dimensions import NUMBER, TIME
 from deepbots_cli.expressions.intervals import EVERYTHING
 from deepbots_cli.expressions.types import Context, Stage, Symbol, Typed
 from deepbots_cli.expressions.unification import expect
+from deepbots_cli.program.task import Ending, Outcome, Truncation
+from deepbots_cli.program.training import Solved
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Measured, PythonTerm
-from deepbots_cli.task import TaskEnding, Valued
 
 _SHOWN = 60
 MOST_ENDINGS = 200
@@ -32,7 +33,7 @@ class Signals:
     def __init__(self, spec: Scenario, namespace: Namespace) -> None:
         self._namespace = namespace
         self._values = namespace.values
-        self.valued: dict[str, Valued] = {}
+        self.valued: dict[str, Expression] = {}
         if isinstance(spec.augment, dict):
             for name, given in spec.augment.items():
                 self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
@@ -40,8 +41,8 @@ class Signals:
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
         if not isinstance(spec.augment, dict):
             self._check_granted(spec.augment)
-        self._outcomes: dict[str, ir.Outcome] = {}
-        outcomes: tuple[tuple[ir.Outcome, dict[str, str | PythonTerm]], ...] = (
+        self._outcomes: dict[str, Outcome] = {}
+        outcomes: tuple[tuple[Outcome, dict[str, str | PythonTerm]], ...] = (
             ("success", spec.termination.success),
             ("failure", spec.termination.failure),
         )
@@ -82,24 +83,24 @@ class Signals:
             added = noise(self._values, (*whole, "noise"), given.noise, typed, ParameterScope(self._namespace, Context.FIELD))
         if typed is None:
             return Symbol(name, None)
-        self.valued[name] = Valued(name, text.span, text.text, typed, ".".join(map(str, place)), noise=added)
+        self.valued[name] = Expression(name, text.span, text.text, typed, ".".join(map(str, place)), noise=added)
         return Symbol(name, typed.type._replace(interval=EVERYTHING, stage=Stage.STEP) if added else typed.type)
 
-    def ordered(self) -> tuple[Valued, ...]:
+    def ordered(self) -> tuple[Expression, ...]:
         """Augmentation and signals, each after those that it is made of."""
         for name in self._namespace.named(Origin.AUGMENT, Origin.SIGNAL):
             self._namespace.settle(name)
         wanted = (Origin.AUGMENT, Origin.SIGNAL)
         return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
 
-    def endings(self) -> tuple[TaskEnding, ...]:
+    def endings(self) -> tuple[Ending, ...]:
         """In file order."""
         for name in self._outcomes:
             self._namespace.settle(name)
-        return tuple(TaskEnding(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
+        return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
 
 
-def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
+def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Expression, ...]:
     """The summands of the reward: single plain numbers."""
     terms = []
     for name, given in spec.reward.items():
@@ -109,7 +110,7 @@ def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Valued, ...]:
         text = namespace.values.text(("reward", name), given)
         typed = _amount(text, namespace)
         if typed is not None:
-            terms.append(Valued(name, text.span, text.text, typed, f"reward.{name}"))
+            terms.append(Expression(name, text.span, text.text, typed, f"reward.{name}"))
     return tuple(terms)
 
 
@@ -125,7 +126,7 @@ def _amount(text: Text, namespace: Namespace) -> Typed | None:
     return typed and expect(typed, report, "a reward", dimension=NUMBER)
 
 
-def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:
+def truncation(spec: Scenario, namespace: Namespace) -> Truncation:
     """The limits; without any, nothing is sure to end an episode."""
     values, limits = namespace.values, spec.truncation
     if limits is None:
@@ -134,14 +135,14 @@ def truncation(spec: Scenario, namespace: Namespace) -> ir.Truncation:
             values.findings.add(
                 "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )
-        return ir.Truncation()
+        return Truncation()
     scope = ParameterScope(namespace, Context.FIXED)
     steps = None if limits.max_steps is None else values.number(("truncation", "max_steps"), limits.max_steps, NUMBER, scope)
     time = None if limits.max_time is None else values.number(("truncation", "max_time"), limits.max_time, TIME, scope)
-    return ir.Truncation(None if steps is None else int(steps), time)
+    return Truncation(None if steps is None else int(steps), time)
 
 
-def solved(spec: Scenario, values: Values) -> ir.Solved | None:
+def solved(spec: Scenario, values: Values) -> Solved | None:
     if spec.solved is None:
         return None
     rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
@@ -150,4 +151,4 @@ def solved(spec: Scenario, values: Values) -> ir.Solved | None:
         help = "add a condition under `termination.success`, or ask for a `mean_return`"
         values.findings.add("DB407", values.span(("solved", "success_rate")), NO_SUCCESS, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
-    return ir.Solved(spec.solved.episodes, mean_return, rate)
+    return Solved(spec.solved.episodes, mean_return, rate)

@@ -9,20 +9,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import SupervisorScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Components, Context
 from deepbots_cli.expressions.unification import expect
+from deepbots_cli.program.task import MAX_CONDITIONS, ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import Pick, TaskScript, Valued
 
 _WORD = re.compile(r"\w+", re.ASCII)
 
 
-def scripts(spec: Scenario, namespace: Namespace, action: tuple[ir.Choices | ir.Interval, ...]) -> tuple[TaskScript, ...]:
+def scripts(spec: Scenario, namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
     """The scripts without findings, which decide every part of the `action`."""
     reader = _Reader(namespace, {part.name: part for part in action}, list(spec.action))
     found = (reader.script(name, given) for name, given in spec.scripts.items())
@@ -32,14 +32,14 @@ def scripts(spec: Scenario, namespace: Namespace, action: tuple[ir.Choices | ir.
 class _Reader:
     """Reads scripts for one action; `names` are those of all its parts, `parts` has those without findings."""
 
-    def __init__(self, namespace: Namespace, parts: Mapping[str, ir.Choices | ir.Interval], names: list[str]) -> None:
+    def __init__(self, namespace: Namespace, parts: Mapping[str, Choices | ActionRange], names: list[str]) -> None:
         self._namespace = namespace
         self._values = namespace.values
         self._scope = SupervisorScope(namespace, Context.SCRIPT)
         self._parts = parts
         self._names = names
 
-    def script(self, name: str, given: Mapping[str, object]) -> TaskScript | None:
+    def script(self, name: str, given: Mapping[str, object]) -> Script | None:
         place: Path = ("scripts", name)
         for part in given:
             if part not in self._names:
@@ -50,27 +50,27 @@ class _Reader:
                 self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
         parts = [decided.get(part) for part in self._names]
-        return TaskScript(name, tuple(part for part in parts if part is not None)) if all(parts) else None
+        return Script(name, tuple(part for part in parts if part is not None)) if all(parts) else None
 
     def _example(self, name: str) -> str | None:
         """How a part may be decided."""
         match self._parts.get(name):
-            case ir.Choices(options=options) if options:
+            case Choices(options=options) if options:
                 return f"name an option, as in `{name}: {options[0].name}`"
-            case ir.Interval(low=low, high=high, unit=unit):
+            case ActionRange(low=low, high=high, unit=unit):
                 return f"give a value, as in `{name}: {f'{(low + high) / 2:g} {unit}'.removesuffix(' 1')}`"
             case _:
                 return None
 
-    def _decision(self, place: Path, part: ir.Choices | ir.Interval, given: object) -> Pick | tuple[Valued, ...] | None:
-        if isinstance(part, ir.Interval):
+    def _decision(self, place: Path, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
+        if isinstance(part, ActionRange):
             if isinstance(given, dict):
                 return self._aims(place, part, given)
             aim = self._aim(place, part, given, part.components or None)
-            return None if aim is None else (aim,)
+            return None if aim is None else ScriptedRange((aim,), max(1, len(part.components)))
         return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
 
-    def _aims(self, place: Path, part: ir.Interval, given: Mapping[str, object]) -> tuple[Valued, ...] | None:
+    def _aims(self, place: Path, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
         """A value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
@@ -85,9 +85,9 @@ class _Reader:
                 self._values.findings.add("DB102", key, headline, help="give a value for each component, or one for all")
         aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
         found = tuple(aim for aim in aims if aim is not None)
-        return found if len(found) == len(part.components) else None
+        return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
 
-    def _aim(self, place: Path, part: ir.Interval, given: object, components: Components | None) -> Valued | None:
+    def _aim(self, place: Path, part: ActionRange, given: object, components: Components | None) -> Expression | None:
         """A value of the dimension of the range, which may be a vector of these components."""
         known = self._namespace.settle(part.name)
         text = self._values.text(place, given)
@@ -96,9 +96,9 @@ class _Reader:
             return None
         report, dimension = self._values.report(text), known.type.dimension
         fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
-        return fitted and Valued(part.name, text.span, text.text, fitted, ".".join(map(str, place)))
+        return fitted and Expression(part.name, text.span, text.text, fitted, ".".join(map(str, place)))
 
-    def _option(self, place: Path, part: ir.Choices, word: str) -> Pick | None:
+    def _option(self, place: Path, part: Choices, word: str) -> ScriptedChoice | None:
         """The same option always."""
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
@@ -107,13 +107,13 @@ class _Reader:
         elif word not in options:
             self._values.unknown(span, "choice", word, options)
         else:
-            return Pick((), word)
+            return ScriptedChoice((), word)
         return None
 
-    def _pick(self, place: Path, part: ir.Choices, given: Mapping[str, object]) -> Pick | None:
+    def _pick(self, place: Path, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
         """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
-        if len(given) > ir.MOST_CONDITIONS:
-            self._values.findings.add("DB005", self._values.key_span(place), f"more than {ir.MOST_CONDITIONS} conditions")
+        if len(given) > MAX_CONDITIONS:
+            self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
             return None
         options, rules, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
@@ -135,10 +135,10 @@ class _Reader:
         for option, _ in rules[always + 1 :]:
             headline = f"`{option}` is never taken, as `{otherwise}` before it always is"
             self._values.findings.add("DB205", self._values.key_span((*place, option)), headline, help="take it out, or put it before")
-        return Pick(tuple(rules[:always]), otherwise)
+        return ScriptedChoice(tuple(rules[:always]), otherwise)
 
-    def _condition(self, place: Path, given: object) -> Valued | None:
+    def _condition(self, place: Path, given: object) -> Expression | None:
         text = self._values.text(place, given)
         typed = self._values.expression(text, self._scope, boolean=True)
         typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
-        return typed and Valued(str(place[-1]), text.span, text.text, typed, ".".join(map(str, place)))
+        return typed and Expression(str(place[-1]), text.span, text.text, typed, ".".join(map(str, place)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.beams import BeamReader
 from deepbots_cli.compiler.faults import FaultReader, period
 from deepbots_cli.compiler.joints import hull, sensed_dimension
@@ -19,7 +18,10 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
-from deepbots_cli.scenario.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
+from deepbots_cli.program.robots import MAX_SENSED_RAYS, NoiseModel, Sensor
+from deepbots_cli.program.task import MAX_OBSERVED_BYTES
+from deepbots_cli.scenario.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, TouchSensor
+from deepbots_cli.scenario.sensors import Sensor as SensorSpec
 
 _LINKS = frozenset({Kind.LINK})
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
@@ -34,13 +36,13 @@ class Sensing:
         self._values = namespace.values
         self.path: Path = ("robots", scene.name, "sensors")
         self.symbols: dict[str, Symbol] = {}
-        self._sensors: dict[str, ir.Sensor] = {}
+        self._sensors: dict[str, Sensor] = {}
         for name, spec in scene.spec.sensors.items():
             self.symbols[name] = Symbol(name, None)
             self._add(name, spec, SENSOR_KINDS[spec.type])
         self._check_size()
 
-    def finished(self, tick: float) -> tuple[ir.Sensor, ...]:
+    def finished(self, tick: float) -> tuple[Sensor, ...]:
         """The sensors in a world whose timestep is `tick` s, which their periods are multiples of."""
         specs = self._scene.spec.sensors
         return tuple(
@@ -52,12 +54,12 @@ class Sensing:
         """DB005 for more than a robot can send in every tick."""
         rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
         values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
-        for count, most, what in ((rays, ir.MOST_SENSED_RAYS, "rays"), (values, ir.MOST_SEEN_BYTES, "bytes of pictures")):
+        for count, most, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if count > most:
                 headline = f"`{self._scene.name}` senses {count:_} {what}, more than {most:_}"
                 self._values.findings.add("DB005", self._values.key_span(self.path), headline, help="every one is read in every timestep")
 
-    def _add(self, name: str, spec: Sensor, kind: SensorKind) -> None:
+    def _add(self, name: str, spec: SensorSpec, kind: SensorKind) -> None:
         place = (*self.path, name)
         match spec:
             case JointSensor():
@@ -83,7 +85,7 @@ class Sensing:
         self._sensors[name] = replace(sensor, unit="" if unitless else str(known.dimension), faults=faults)
         self.symbols[name] = Symbol(name, known._replace(interval=reach, stage=Stage.STEP))
 
-    def _of_joints(self, name: str, spec: JointSensor, place: Path) -> tuple[ir.Sensor, Type] | None:
+    def _of_joints(self, name: str, spec: JointSensor, place: Path) -> tuple[Sensor, Type] | None:
         joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, place)
         if not joints:
             return None
@@ -92,14 +94,14 @@ class Sensing:
         interval = hull(joints) if spec.type == "joint_position" else EVERYTHING
         return _sensor(name, spec.type, names, components), _type(sensed_dimension(spec.type, joints[0]), components, interval)
 
-    def _of_link(self, name: str, spec: LinkSensor, kind: SensorKind, place: Path) -> tuple[ir.Sensor, Type] | None:
+    def _of_link(self, name: str, spec: LinkSensor, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
         if not self._is_link(spec.link, place):
             return None
         frame = mount(self._values, (*place, "pose"), spec.pose)
         sensor = _sensor(name, spec.type, (spec.link,), kind.components)
         return replace(sensor, mount=frame), _type(kind.dimension, kind.components, kind.interval)
 
-    def _of_contacts(self, name: str, spec: ContactSensor, kind: SensorKind, place: Path) -> tuple[ir.Sensor, Type] | None:
+    def _of_contacts(self, name: str, spec: ContactSensor, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
         links = links_of(self._values, self._scene.link_names, self._scene.groups, spec, place)
         against = self._against(spec, place) if isinstance(spec, TouchSensor) and spec.against is not None else None
         if not links:
@@ -108,7 +110,7 @@ class Sensing:
         known = _type(kind.dimension, components, kind.interval)._replace(boolean=kind.truth)
         return replace(_sensor(name, spec.type, links, components), against=against), known
 
-    def _of_rays(self, name: str, spec: Fan, kind: SensorKind, place: Path) -> tuple[ir.Sensor, Type] | None:
+    def _of_rays(self, name: str, spec: Fan, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
         beams = BeamReader(self._values, place).read(spec, kind)
         if not self._is_link(spec.link, place) or beams is None:
             return None
@@ -116,14 +118,14 @@ class Sensing:
         sensor = _sensor(name, spec.type, (spec.link,), beams.components)
         return replace(sensor, mount=frame, beams=beams.beams), _type(beams.dimension, beams.components, beams.interval)
 
-    def _of_camera(self, name: str, spec: Camera, place: Path) -> tuple[ir.Sensor, Type] | None:
+    def _of_camera(self, name: str, spec: Camera, place: Path) -> tuple[Sensor, Type] | None:
         seen = optics(self._values, place, spec)
         if not self._is_link(spec.link, place) or seen is None:
             return None
         frame = mount(self._values, (*place, "pose"), spec.pose)
         return replace(_sensor(name, spec.type, (spec.link,), ()), mount=frame, optics=seen), Type(picture=seen.shape, stage=Stage.STEP)
 
-    def _reaching(self, sensor: ir.Sensor, spec: RaySensor, faults: ir.Faults | None, place: Path) -> ir.Sensor:
+    def _reaching(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None, place: Path) -> Sensor:
         """The sensor with rays that go to the end of its range."""
         if "range" not in spec.given:
             headline = f"how far `{sensor.name}` sees is not known"
@@ -159,8 +161,8 @@ class Sensing:
         return [name for name, subject in subjects.items() if subject is not None and subject.kind in _FELT]
 
 
-def _sensor(name: str, kind: str, subjects: tuple[str, ...], components: Components) -> ir.Sensor:
-    return ir.Sensor(name, kind, subjects, components, "")
+def _sensor(name: str, kind: str, subjects: tuple[str, ...], components: Components) -> Sensor:
+    return Sensor(name, kind, subjects, components, "")
 
 
 def _type(dimension: Dimension, components: Components, interval: Interval) -> Type:

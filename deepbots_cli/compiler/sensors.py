@@ -14,7 +14,7 @@ from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VEL
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Scalar, World
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
-from deepbots_cli.ir import Sensor
+from deepbots_cli.program.robots import Sensor
 from deepbots_cli.robots.model import Pose
 
 Mounting = Literal["joints", "link", "links", "rays", "camera"]

@@ -10,11 +10,12 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import TIME, Dimension
-from deepbots_cli.expressions.types import Context, Kind, Stage, Subject, Symbol
+from deepbots_cli.expressions.types import Components, Context, Kind, Stage, Subject, Symbol
+from deepbots_cli.program.resets import JointStart
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.plain import choose_from
 from deepbots_cli.scenario.reset import JointState
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.task import JointStart, Valued
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
@@ -48,14 +49,17 @@ def _joint_start(key: str, given: object, namespace: Namespace, poses: Mapping[s
     scope = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {}))
     angle = joint_dimension(robot.model.joint(joints[0]))
     if not isinstance(given, JointState):
-        position = _start_value(given, path, angle, subject, scope)
+        position = _start_value(given, path, angle, subject, scope, joints)
         return JointStart(robot_name, joints, position, None) if position else None
-    position = _start_value(given.position, (*path, "position"), angle, subject, scope)
-    velocity = _start_value(given.velocity, (*path, "velocity"), angle / TIME, subject, scope)
+    position = _start_value(given.position, (*path, "position"), angle, subject, scope, joints)
+    velocity = _start_value(given.velocity, (*path, "velocity"), angle / TIME, subject, scope, joints)
     return JointStart(robot_name, joints, position, velocity) if position and velocity else None
 
 
-def _start_value(given: object, path: Path, dimension: Dimension, subject: Subject, scope: ParameterScope) -> Valued | None:
+def _start_value(
+    given: object, path: Path, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
+) -> Expression | None:
+    """A draw that is written once is drawn anew for each joint of a group."""
     values = scope.namespace.values
     text = values.text(path, given)
     typed = values.quantity(text, "the start of a joint", scope, dimension, subject.components, Stage.EPISODE)
@@ -67,4 +71,4 @@ def _start_value(given: object, path: Path, dimension: Dimension, subject: Subje
 
         help = "an engine pushes the joint back at once; keep to its limits"
         Confines(values, text, dimension, limits).report("a start at", reach, help)
-    return Valued(str(path[2]), text.span, text.text, typed, ".".join(map(str, path)))
+    return Expression(str(path[2]), text.span, text.text, typed, ".".join(map(str, path)), joints if len(joints) > 1 else None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scopes import ParameterScope
@@ -13,6 +12,7 @@ from deepbots_cli.compiler.variations import figure
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
 from deepbots_cli.expressions.types import PLANE, Context
+from deepbots_cli.program.world import MAX_POINTS, WALL_COLOUR, Line, ObjectBody, Point
 from deepbots_cli.robots.model import Box, Pose
 from deepbots_cli.scenario.plain import COLOURS
 from deepbots_cli.scenario.scenario import Scenario
@@ -20,19 +20,19 @@ from deepbots_cli.scenario.world import Line as LineSpec
 from deepbots_cli.scenario.world import Wall as WallSpec
 
 
-def lines(spec: Scenario, namespace: Namespace) -> tuple[ir.Line, ...]:
+def lines(spec: Scenario, namespace: Namespace) -> tuple[Line, ...]:
     """The painted lines; their lengths are noted in the namespace."""
     scope = ParameterScope(namespace, Context.FIXED)
     found = [_line(name, line, namespace, scope) for name, line in spec.world.lines.items()]
     known = tuple(line for line in found if line is not None)
-    if sum(len(line.points) for line in known) > ir.MOST_POINTS:
-        headline = f"the lines have more than {ir.MOST_POINTS:_} points together"
+    if sum(len(line.points) for line in known) > MAX_POINTS:
+        headline = f"the lines have more than {MAX_POINTS:_} points together"
         namespace.values.findings.add("DB005", namespace.values.key_span(("world", "lines")), headline, help="leave out points")
     namespace.lengths |= {line.name: line.length for line in known}
     return known
 
 
-def _line(name: str, spec: LineSpec, namespace: Namespace, scope: ParameterScope) -> ir.Line | None:
+def _line(name: str, spec: LineSpec, namespace: Namespace, scope: ParameterScope) -> Line | None:
     path: Path = ("world", "lines", name)
     points = _points(spec, path, namespace, scope)
     width = namespace.values.number((*path, "width"), spec.width, LENGTH, scope)
@@ -41,10 +41,10 @@ def _line(name: str, spec: LineSpec, namespace: Namespace, scope: ParameterScope
         namespace.values.lose(name)
         return None
     paint = colour(namespace, (*path, "colour"), spec.colour)
-    return ir.Line(name, points, spec.closed, width, reflectance, paint or (*COLOURS["black"], 1.0))
+    return Line(name, points, spec.closed, width, reflectance, paint or (*COLOURS["black"], 1.0))
 
 
-def _points(spec: LineSpec | WallSpec, path: Path, namespace: Namespace, scope: ParameterScope) -> tuple[ir.Point, ...] | None:
+def _points(spec: LineSpec | WallSpec, path: Path, namespace: Namespace, scope: ParameterScope) -> tuple[Point, ...] | None:
     """The corners; None after a finding."""
     values = namespace.values
     found = [values.numbers((*path, "through", index), given, LENGTH, PLANE, scope) for index, given in enumerate(spec.through)]
@@ -61,7 +61,7 @@ def _points(spec: LineSpec | WallSpec, path: Path, namespace: Namespace, scope: 
     return tuple(points)
 
 
-def walls(spec: Scenario, namespace: Namespace) -> tuple[ir.ObjectBody, ...]:
+def walls(spec: Scenario, namespace: Namespace) -> tuple[ObjectBody, ...]:
     """The walls, a fixed box for each straight piece; those around an arena are the engine's."""
     scope = ParameterScope(namespace, Context.FIXED)
     return tuple(box for name, wall in spec.world.walls.items() for box in _wall(name, wall, namespace, scope))
@@ -72,7 +72,7 @@ def pieces(name: str, spec: WallSpec) -> tuple[str, ...]:
     return tuple(f"{name} {number}" for number in range(1, len(spec.through) + (1 if spec.closed else 0)))
 
 
-def _wall(name: str, spec: WallSpec, namespace: Namespace, scope: ParameterScope) -> Sequence[ir.ObjectBody]:
+def _wall(name: str, spec: WallSpec, namespace: Namespace, scope: ParameterScope) -> Sequence[ObjectBody]:
     path: Path = ("world", "walls", name)
     points = _points(spec, path, namespace, scope)
     height = namespace.values.number((*path, "height"), spec.height, LENGTH, scope)
@@ -84,11 +84,11 @@ def _wall(name: str, spec: WallSpec, namespace: Namespace, scope: ParameterScope
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.lose(name)
         return ()
-    paint = colour(namespace, (*path, "colour"), spec.colour) or ir.WALL_COLOUR
+    paint = colour(namespace, (*path, "colour"), spec.colour) or WALL_COLOUR
     boxes = []
     for piece, one, other in zip(names, points, ends, strict=False):
         heading = math.atan2(other[1] - one[1], other[0] - one[0])
         middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, height / 2)
         box = Box((math.dist(one, other) + thickness, thickness, height))  # so that corners are closed
-        boxes.append(ir.ObjectBody(piece, box, Pose(middle, (0.0, 0.0, heading)), colour=paint, friction=friction, fixed=True))
+        boxes.append(ObjectBody(piece, box, Pose(middle, (0.0, 0.0, heading)), colour=paint, friction=friction, fixed=True))
     return boxes

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.colours import colour
 from deepbots_cli.compiler.files import mesh, picture
 from deepbots_cli.compiler.namespace import Namespace
@@ -16,6 +15,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import lower, op
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
+from deepbots_cli.program.world import GROUND, Formula, Picture, Pit, Terrain, TerrainShape
 from deepbots_cli.scenario import world as spec
 
 _PATH: Path = ("world", "terrain")
@@ -24,23 +24,23 @@ _HIGHEST = 1e4  # m
 _TRIED = 8  # places along either side at which a formula is tried
 
 
-def terrain(given: spec.Terrain, namespace: Namespace) -> ir.Terrain | None:
+def terrain(given: spec.Terrain, namespace: Namespace) -> Terrain | None:
     """The terrain; None after a finding."""
     drawn = ParameterScope(namespace, Context.FIELD)
-    friction = figure(namespace, (*_PATH, "friction"), given.friction, NUMBER, drawn, "lateral_friction", (ir.GROUND, ""))
-    paint = colour(namespace, (*_PATH, "colour"), given.colour, (ir.GROUND, ""))
+    friction = figure(namespace, (*_PATH, "friction"), given.friction, NUMBER, drawn, "lateral_friction", (GROUND, ""))
+    paint = colour(namespace, (*_PATH, "colour"), given.colour, (GROUND, ""))
     relief = _relief(given, namespace, ParameterScope(namespace, Context.FIXED))
-    return None if relief is None else ir.Terrain(relief, 1.0 if friction is None else friction, paint)
+    return None if relief is None else Terrain(relief, 1.0 if friction is None else friction, paint)
 
 
-def _relief(given: spec.Terrain, namespace: Namespace, scope: ParameterScope) -> ir.Relief | None:
+def _relief(given: spec.Terrain, namespace: Namespace, scope: ParameterScope) -> TerrainShape | None:
     values = namespace.values
     match given:
         case spec.Pit():
             height = values.number((*_PATH, "height"), given.height, LENGTH, scope)
             radius = _RIM if given.radius is None else values.number((*_PATH, "radius"), given.radius, LENGTH, scope)
             noise = values.number((*_PATH, "noise"), given.noise, NUMBER, scope)
-            return None if height is None or radius is None or noise is None else ir.Pit(height, radius, noise)
+            return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
         case spec.MeshTerrain():
             if given.file.lower().endswith(".dae"):
                 headline = "ground from a COLLADA file"
@@ -51,14 +51,14 @@ def _relief(given: spec.Terrain, namespace: Namespace, scope: ParameterScope) ->
             file = picture(namespace, (*_PATH, "file"), given.file)
             size = values.numbers((*_PATH, "size"), given.size, LENGTH, PLANE, scope)
             height = values.number((*_PATH, "height"), given.height, LENGTH, scope)
-            return None if file is None or size is None or height is None else ir.Picture(*file, (size[0], size[1]), height)
+            return None if file is None or size is None or height is None else Picture(*file, (size[0], size[1]), height)
         case spec.Formula():
             size = values.numbers((*_PATH, "size"), given.size, LENGTH, PLANE, scope)
             return None if size is None else _formula(given, (size[0], size[1]), namespace)
     return None
 
 
-def _formula(given: spec.Formula, size: tuple[float, float], namespace: Namespace) -> ir.Formula | None:
+def _formula(given: spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values, path = namespace.values, (*_PATH, "heights")
     sides = {name: Type(LENGTH, interval=Interval(-side / 2, side / 2), stage=Stage.STEP) for name, side in zip(PLANE, size, strict=True)}
     scope = ParameterScope(namespace, Context.FIXED, {name: Symbol(name, known) for name, known in sides.items()})
@@ -74,7 +74,7 @@ def _formula(given: spec.Formula, size: tuple[float, float], namespace: Namespac
             headline = f"the ground has no height, or one beyond 10 km, at x = {x:g} m, y = {y:g} m"
             values.findings.add("DB105", text.span, headline, help="it divides by zero, leaves the domain of a function, or is too large")
             return None
-    return ir.Formula(heights, size)
+    return Formula(heights, size)
 
 
 def _at(heights: Scalar, place: dict[str, float]) -> Scalar:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.scenario.hyperparameters import ActionNoise, Hindsight
+from deepbots_cli.program.task import ActionRange, Agent, Choices, Truncation
+from deepbots_cli.program.training import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.scenario.hyperparameters import ActionNoise as ActionNoiseSpec
+from deepbots_cli.scenario.hyperparameters import Hindsight as HindsightSpec
 from deepbots_cli.scenario.plain import read_schedule
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import DiscreteAction
@@ -13,10 +15,10 @@ _ONE_CHOICE = frozenset({"DQN"})
 _CHOICES = frozenset({"DQN", "MaskablePPO"})
 _INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 
-Action = tuple[ir.Choices | ir.Interval, ...]
+Action = tuple[Choices | ActionRange, ...]
 
 
-def training(spec: Scenario, values: Values, action: Action, agent: ir.Agent, limits: ir.Truncation, tick: float) -> ir.Training | None:
+def training(spec: Scenario, values: Values, action: Action, agent: Agent, limits: Truncation, tick: float) -> Training | None:
     """The training section; `tick` is the timestep in s.
 
     An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
@@ -29,44 +31,44 @@ def training(spec: Scenario, values: Values, action: Action, agent: ir.Agent, li
     for name, given in own.items():
         if name != "replay" and (isinstance(given, (bool, int, float, str)) or given is None):
             ramp = read_schedule(given) if isinstance(given, str) else None
-            figures.append(ir.Hyperparameter(name, ir.Schedule(*ramp) if ramp else given))
+            figures.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
     replay = _hindsight(own.get("replay"), spec, values)
     starts = own.get("learning_starts")
-    if replay is not None and starts is not None and limits != ir.Truncation():
+    if replay is not None and starts is not None and limits != Truncation():
         rows = spec.train.environments * (agent.each.count if agent.each else 1)
-        longest = rows * limits.most_steps(tick * agent.repeat)
+        longest = rows * limits.last_step(tick * agent.repeat)
         if starts < longest:
             headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
-    return ir.Training(
+    return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
         spec.train.environments,
         tuple(figures),
-        ir.Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
+        Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
         _action_noise(own.get("action_noise")),
         replay,
     )
 
 
-def _action_noise(given: ActionNoise | None) -> ir.ActionNoise | None:
+def _action_noise(given: ActionNoiseSpec | None) -> ActionNoise | None:
     if given is None:
         return None
     start, end = read_schedule(given.sigma) or (0.0, 0.0)  # the schema has read it before
-    return ir.ActionNoise(given.type, ir.Schedule(start, end), given.theta)
+    return ActionNoise(given.type, Schedule(start, end), given.theta)
 
 
-def _hindsight(given: Hindsight | str | None, spec: Scenario, values: Values) -> ir.Hindsight | None:
+def _hindsight(given: HindsightSpec | str | None, spec: Scenario, values: Values) -> Hindsight | None:
     if given is None or given == "uniform":
         return None
     if spec.goal is None and not values.is_lost("goal"):
         help = "add a `goal`, with what is achieved and what is desired, or take `replay` out"
         values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a goal to make up", help=help)
-    return ir.Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, Hindsight) else ir.Hindsight()
+    return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
 
 
 def _check_algorithm(spec: Scenario, algorithm: str, values: Values, action: Action) -> None:
-    intervals = [part for part in action if isinstance(part, ir.Interval)]
+    intervals = [part for part in action if isinstance(part, ActionRange)]
     if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
         headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
     elif algorithm in _CHOICES and intervals:

@@ -11,8 +11,9 @@ from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.types import Components, Scope, Stage, Typed, zero
 from deepbots_cli.expressions.unification import expect
+from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.fields import Quantity
-from deepbots_cli.task import TaskNoise, Valued, Varied
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace
@@ -60,11 +61,12 @@ def figures(
         fixed = values.fixed(typed, text, called)
         return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
     owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
-    namespace.variations.append(Varied(what, of, Valued(str(path[-1]), text.span, text.text, typed, owner), components, spread))
+    value = Expression(str(path[-1]), text.span, text.text, typed, owner, spread)
+    namespace.variations.append(RandomizedParameter(what, of, value, count))
     return (_middle(typed.type.interval),) * count
 
 
-def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) -> TaskNoise | None:
+def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) -> Noise | None:
     """The noise on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of the value.
 
     None for a deviation of 0, and after a finding.
@@ -81,7 +83,8 @@ def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) ->
     relative = deviation.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
     if not relative:
         deviation = expect(deviation, values.report(text), "the noise", dimension=of.type.dimension, components=components)
-    return TaskNoise(Valued("noise", text.span, text.text, deviation, ".".join(map(str, path))), relative) if deviation else None
+    std = deviation and Expression("noise", text.span, text.text, deviation, ".".join(map(str, path)), components)
+    return Noise(std, relative) if std else None
 
 
 def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:

@@ -71,11 +71,12 @@ def load(
     display: str | None = None,
     allow_paths: Iterable[str | Path] = (),
     drafts: Drafts = NO_DRAFTS,
+    project: Path | None = None,
 ) -> Document:
     """Read the scenario at `path` and apply the assignments `sets` (`path=value`).
 
     Problems in the files are findings of the document, reported under the name `display`. `drafts` replace the contents
-    of files.
+    of files. `project` is the folder that the scenario may read from; by default it is found by its markers.
 
     Raises:
         UsageError: The file does not exist or cannot be read.
@@ -93,7 +94,7 @@ def load(
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UsageError(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
-    reader = _Reader(_roots(file.parent, sets, allow_paths), drafts)
+    reader = _Reader(_roots(file.parent, sets, allow_paths, project), drafts)
     source, readable = files.decode(data, name, reader.findings)
     reader.files[file] = source
     return reader.document(source, Path.cwd(), sets, file.parent, (file,), readable=readable)
@@ -114,9 +115,9 @@ def loads(
     return reader.document(source, base, sets, base, (), readable=readable)
 
 
-def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path]) -> tuple[Path, ...]:
+def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path], project: Path | None = None) -> tuple[Path, ...]:
     # A path in an assignment is the user's own, and relative to the working directory.
-    own = [files.project_root(folder), *([files.project_root(Path.cwd())] if sets else [])]
+    own = [project.resolve() if project else files.project_root(folder), *([files.project_root(Path.cwd())] if sets else [])]
     return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
 
 

@@ -27,8 +27,8 @@ from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 if TYPE_CHECKING:
-    from deepbots_cli.ir import WorldModel
     from deepbots_cli.port import Engine, EngineFactory
+    from deepbots_cli.program.world import WorldModel
 
 ENGINES = {
     "pybullet": "deepbots_cli.engines.pybullet:PyBulletEngine",

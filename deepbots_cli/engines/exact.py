@@ -28,7 +28,6 @@ from deepbots_cli.robots import inertia
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.ir import RobotBody, WorldModel
     from deepbots_cli.port import (
         CameraReader,
         Capability,
@@ -49,6 +48,7 @@ if TYPE_CHECKING:
         VelocityReader,
         View,
     )
+    from deepbots_cli.program.world import RobotBody, WorldModel
     from deepbots_cli.robots.model import RobotModel
 
 

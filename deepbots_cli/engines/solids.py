@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from deepbots_cli.ir import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
+from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
 

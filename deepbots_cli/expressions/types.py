@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
@@ -305,6 +305,13 @@ def children(node: Typed) -> tuple[Typed, ...]:
             return args
         case Vector(items=items):
             return items
+
+
+def walk(node: Typed) -> Iterator[Typed]:
+    """Every node, each before its children."""
+    yield node
+    for child in children(node):
+        yield from walk(child)
 
 
 def bare(value: Typed) -> bool:

@@ -21,9 +21,9 @@ from torch import nn
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.ir import Hindsight, Hyperparameter, Policy, Schedule, Training
 from deepbots_cli.learning import defaults
 from deepbots_cli.learning.noise import noise
+from deepbots_cli.program.training import Hindsight, Hyperparameter, Policy, Schedule, Training
 
 Settings = dict[str, Any]
 

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-from deepbots_cli.ir import CompiledScenario, Criterion, Stage
 from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.program import CurriculumStage, Program
+from deepbots_cli.program.training import Criterion
 
 
 @dataclass(frozen=True)
@@ -34,14 +35,14 @@ class Curriculum:
     episode of an earlier stage comes to does not count for a later one.
     """
 
-    def __init__(self, ir: CompiledScenario, first: str | None = None) -> None:
+    def __init__(self, ir: Program, first: str | None = None) -> None:
         """`first` names the stage to begin in, if not the first one.
 
         Raises:
             UsageError: The scenario has no such stage.
         """
         self._ir = ir
-        self.stages: Sequence[Stage] = ir.curriculum
+        self.stages: Sequence[CurriculumStage] = ir.curriculum
         self._skipped = 0 if first is None else self.stages.index(ir.stage(first))
         self.ends: list[StageEnd] = []
         self._begin(0)
@@ -69,9 +70,9 @@ class Curriculum:
         return None if self.is_last else self.stages[self.index].until
 
     @property
-    def scenario(self) -> CompiledScenario:
+    def scenario(self) -> Program:
         """What is trained in now."""
-        return self.stages[self.index].scenario if self.stages else self._ir
+        return self.stages[self.index].program if self.stages else self._ir
 
     def value(self, steps: int) -> float | None:
         """What the criterion compares with its threshold, after `steps` steps in all; None without one, and before enough episodes."""

@@ -15,7 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from deepbots_cli.ir import ActionNoise, CompiledScenario, Schedule, Training
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import ActionNoise, Schedule, Training
 from deepbots_cli.scenario.hyperparameters import ALGORITHMS
 
 LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}
@@ -99,13 +100,13 @@ def ours(training: Training, total_timesteps: int, longest_episode: int) -> dict
     return {name: default.value(training, total_timesteps, longest_episode) for name, default in OURS[training.algorithm].items()}
 
 
-def longest_episode(scenario: CompiledScenario) -> int:
+def longest_episode(scenario: Program) -> int:
     """In steps of the agent, over the scenario and its stages."""
-    stages = [scenario, *(stage.scenario for stage in scenario.curriculum)]
-    return max(stage.truncation.most_steps(stage.period) for stage in stages)
+    stages = [scenario, *(stage.program for stage in scenario.curriculum)]
+    return max(stage.truncation.last_step(stage.period) for stage in stages)
 
 
-def effective(scenario: CompiledScenario, total_timesteps: int) -> list[Effective]:
+def effective(scenario: Program, total_timesteps: int) -> list[Effective]:
     """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
     training = scenario.training
     if training is None or training.algorithm not in OURS:  # a scenario of a run may name any

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.episodes import Episode, Tally
+from deepbots_cli.program import Program
 
 World = gym.Env[Any, Any]
 
@@ -25,7 +25,7 @@ World = gym.Env[Any, Any]
 class BuildWorld(Protocol):
     """Makes one copy of the world of a compiled scenario; `render_mode` as in Gymnasium."""
 
-    def __call__(self, ir: CompiledScenario, *, render_mode: str | None = None) -> World: ...
+    def __call__(self, ir: Program, *, render_mode: str | None = None) -> World: ...
 
 
 class Copies(VecEnv):

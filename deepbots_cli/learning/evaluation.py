@@ -11,16 +11,18 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli import interface
+from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import CompiledScenario, Solved
 from deepbots_cli.learning import algorithms, video, weights
 from deepbots_cli.learning.environments import BuildWorld, World, copies_over
 from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair
 from deepbots_cli.learning.rollout import ROWS, OnEpisode, rollout
-from deepbots_cli.learning.run import Compiled, ModelName, Run
+from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.summary import Summary
 from deepbots_cli.learning.training import compiled_of, default_build
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Solved
 from deepbots_cli.runtime.streams import derive
 
 
@@ -59,7 +61,7 @@ class EvaluationResult:
 
 
 def evaluate(
-    run: str | Path,
+    run: Run | str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
@@ -80,7 +82,7 @@ def evaluate(
     training starts from such a seed. All cases take the same seeds, so that they differ by their settings alone.
 
     Args:
-        run: The directory of the run.
+        run: The run, or its directory.
         episodes: The scenario's figure by default.
         seed: The root of the stream, from 0; the training's by default.
         deterministic: Whether the policy takes its likeliest action; else it samples, from seeded streams too.
@@ -99,12 +101,12 @@ def evaluate(
         MissingExtraError: A video is wanted and imageio is not installed.
     """
     torch.set_num_threads(1)
-    known = Run.open(run)
+    known = run if isinstance(run, Run) else Run.open(run)
     ir = known.ir if scenario is None else _fitting(known, compiled_of(scenario).ir)
     count = ir.evaluation.episodes if episodes is None else episodes
     if case is not None:
         chosen = ir.case(case)
-        ir, count = chosen.scenario, chosen.episodes if episodes is None else episodes
+        ir, count = chosen.program, chosen.episodes if episodes is None else episodes
     root = known.record.seed if seed is None else seed
     if count < 1 or root < 0:
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
@@ -128,7 +130,7 @@ def evaluate(
 
 
 def evaluate_cases(
-    run: str | Path,
+    run: Run | str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
@@ -140,10 +142,10 @@ def evaluate_cases(
 ) -> tuple[EvaluationResult, ...]:
     """Evaluate in every case of the scenario, in file order; arguments and errors as for `evaluate`."""
     scenario = None if scenario is None else compiled_of(scenario)
-    cases = (Run.open(run).ir if scenario is None else scenario.ir).cases
+    known = run if isinstance(run, Run) else Run.open(run)
     return tuple(
         evaluate(
-            run,
+            known,
             episodes=episodes,
             seed=seed,
             model=model,
@@ -153,7 +155,7 @@ def evaluate_cases(
             build=build,
             on_episode=on_episode,
         )
-        for case in cases
+        for case in (known.ir if scenario is None else scenario.ir).cases
     )
 
 
@@ -174,16 +176,17 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     return model
 
 
-def _fitting(run: Run, ir: CompiledScenario) -> CompiledScenario:
-    if interface.digest(ir) != run.record.interface:
-        lines = "\n  ".join(interface.differences(run.ir, ir))
+def _fitting(run: Run, ir: Program) -> Program:
+    differences = interface.differences(run.ir, ir)
+    if differences:
+        lines = "\n  ".join(differences)
         raise RunError(f"{run.path} was trained for another observation, action or messages than {ir.name} has:\n  {lines}")
     return ir
 
 
 def _summary(
     run: Run,
-    ir: CompiledScenario,
+    ir: Program,
     case: str | None,
     model: ModelName,
     seed: int,

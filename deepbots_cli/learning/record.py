@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, get_args
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.atomic import Entries, parse_object, read_bytes, write_json
 
-FORMAT = 1
+FORMAT = 2
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
 NAME = "run.json"
@@ -32,7 +32,8 @@ class Record:
     scenario: str
     source: str
     digest: str
-    interface: str
+    interface: Mapping[str, str]
+    """What the policy and the world have agreed on, item by item (`deepbots_cli.interface`)."""
     inputs: Mapping[str, str]
     engine: str
     seed: int
@@ -79,7 +80,7 @@ class Record:
             scenario=entries.text("scenario"),
             source=entries.text("source"),
             digest=entries.text("digest"),
-            interface=entries.text("interface"),
+            interface=entries.texts("interface"),
             inputs=entries.texts("inputs"),
             engine=entries.text("engine"),
             seed=entries.count("seed"),

@@ -3,8 +3,7 @@
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
     ├── inputs/              a copy of every file that the scenario was read from, meshes too
-    ├── resolved.yaml        the scenario after includes and overrides; compiles, from the copies, to the same
-    ├── scenario.ir.json     the compiled scenario; its digest names the task
+    ├── resolved.yaml        the scenario after includes and overrides, with the copies as its files: what the run is loaded from
     ├── environment.py       the generated code, to read; it is never run from here
     ├── monitor.csv          a line per episode
     ├── tensorboard/
@@ -19,52 +18,32 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
-from typing import Any, Literal, Protocol
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
 import deepbots_cli
-from deepbots_cli import canonical, interface
+from deepbots_cli import api, interface
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.ir import CompiledScenario
-from deepbots_cli.learning.atomic import atomic, read_bytes, write_text
+from deepbots_cli.learning.atomic import write_text
 from deepbots_cli.learning.record import Record
-from deepbots_cli.robots.soundness import is_sound, is_sound_shape
+from deepbots_cli.program import Program
 
 ModelName = Literal["best", "last"]
 
-_SCENARIO = "scenario.ir.json"
-_INPUTS = "inputs"  # as `resolved.yaml` calls it
-_SCENARIO_LIMIT = 64_000_000
-_MEMBERS = ("run.json", _SCENARIO, "monitor.csv", "tensorboard", "models", "models/best.npz", "models/last.npz", "checkpoint.npz")
-
-
-class Compiled(Protocol):
-    """What compiling a scenario gives: the task, and all that it was made from."""
-
-    @property
-    def ir(self) -> CompiledScenario: ...
-    @property
-    def code(self) -> str: ...
-    @property
-    def digest(self) -> str: ...
-    @property
-    def inputs(self) -> Mapping[str, bytes]: ...
-    @property
-    def resolved(self) -> str: ...
-    @property
-    def source(self) -> Path: ...
-    @property
-    def allow_code(self) -> bool: ...
+_MEMBERS = ("run.json", RESOLVED, FOLDER, "monitor.csv", "tensorboard", "models", "models/best.npz", "models/last.npz", "checkpoint.npz")
 
 
 @dataclass
 class Run:
-    """One run on disk; `record` is what its `run.json` says."""
+    """One run on disk; `record` is what its `run.json` says, `digest` that of its scenario as it compiles now."""
 
     path: Path
     record: Record
-    ir: CompiledScenario
+    ir: Program
+    digest: str
 
     @property
     def checkpoint(self) -> Path:
@@ -94,8 +73,11 @@ class Run:
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
-        here, stages = deepbots_cli.__version__, [stage.name for stage in self.ir.curriculum]
-        found = [] if self.record.deepbots == here else [f"{self.path} was trained by deepbots {self.record.deepbots}, this is {here}"]
+        here, there, stages = deepbots_cli.__version__, self.record.deepbots, [stage.name for stage in self.ir.curriculum]
+        found = [] if there == here else [f"{self.path} was trained by deepbots {there}, this is {here}"]
+        if self.digest != self.record.digest:
+            cause = "to this deepbots" if found else "since it was changed after the training"
+            found.append(f"the scenario in {self.path} means something else {cause}; the policy still fits its interface")
         stage = (self.record.result or {}).get("stage")
         if stage in stages[:-1]:
             found.append(f"the training ended in stage {stage}, number {stages.index(stage) + 1} of {len(stages)}")
@@ -103,31 +85,23 @@ class Run:
 
     @staticmethod
     def create(path: Path, record: Record, compiled: Compiled) -> Run:
-        """Fill a new, empty directory (see `new_directory`)."""
-        for folder in (_INPUTS, "models", "tensorboard"):
+        """Fill a new, empty directory (see `new_directory`), and open it, so that a run that could not be loaded is not trained either."""
+        for folder in ("models", "tensorboard"):
             (path / folder).mkdir()
-        for name, content in compiled.inputs.items():
-            copy = path / _INPUTS / inside(name)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            with atomic(copy) as stream:
-                stream.write(content)
-        write_text(path / "resolved.yaml", compiled.resolved)
-        write_text(path / _SCENARIO, canonical.to_json(compiled.ir))
+        write_copies(path, compiled.resolved, compiled.inputs)
         write_text(path / "environment.py", compiled.code)
         record.write(path)
-        return Run(path, record, compiled.ir)
+        return Run.open(path)
 
     @staticmethod
     def open(path: str | Path) -> Run:
-        """A run that exists.
+        """A run that exists. Its scenario is compiled anew, and only files of the run, shipped ones and installed packages are read.
 
         Raises:
-            RunError: No run, damaged, changed after the training, or of a format that this deepbots does not know.
+            RunError: No run, damaged, of another format, or its policy does not fit its scenario; then says field by field why.
         """
         path = Path(path)
-        if not path.is_dir():
-            raise RunError(f"{path} is not a run: {'it is a file' if path.exists() else 'there is no such directory'}")
-        record = Record.read(path)
+        record = read_record(path)
         # A run may come from someone else, and resuming writes: no file of it may stand for one elsewhere.
         linked = next((name for name in _MEMBERS if (path / name).is_symlink()), None)
         if linked:
@@ -136,53 +110,33 @@ class Run:
         odd = next((name for name in _MEMBERS if not _is_plain(path / name)), None)
         if odd:
             raise RunError(f"{path / odd} is neither a file nor a directory, which no run of ours holds")
+        if not (path / RESOLVED).is_file():
+            raise RunError(f"{path / RESOLVED} is missing")
         try:
-            ir = canonical.from_json(read_bytes(path / _SCENARIO, _SCENARIO_LIMIT).decode())
-        except (DeepbotsError, ValueError) as error:
-            raise RunError(f"{path / _SCENARIO} cannot be used: {' '.join(str(error).split())[:200]}") from error
-        if canonical.digest(ir) != record.digest or interface.digest(ir) != record.interface:
-            raise RunError(f"{path / _SCENARIO} is not what was trained: its digest differs from the one in run.json")
-        if not _sensible(ir):
-            raise RunError(f"{path / _SCENARIO} holds figures or bodies that no scenario of ours does")
-        return Run(path, record, _with_own_files(path, record, ir))
+            # The functions of Python that it names are not called before a world is built, which asks again whether they may.
+            compiled = api.compile(api.load(path / RESOLVED, allow_code=True, project=path))
+        except DeepbotsError as error:
+            raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
+        differences = interface.compare(record.interface, interface.interface(compiled.ir), words=("trained", "now"))
+        if differences:
+            lines = "\n  ".join(differences)
+            raise RunError(f"{path} was trained for another observation, action or messages than its scenario has now:\n  {lines}")
+        return Run(path, record, compiled.ir, compiled.digest)
 
 
-def _with_own_files(path: Path, record: Record, ir: CompiledScenario) -> CompiledScenario:
-    """The scenario with the copies of its meshes and pictures in the run, which may have moved; the engine compares their digests."""
-    copies = {(digest, PurePosixPath(name).suffix): path / _INPUTS / inside(name) for name, digest in record.inputs.items()}
+def read_record(path: Path) -> Record:
+    """The record of a run.
 
-    def own(file: canonical.Filed) -> canonical.Filed:
-        copy = copies.get((file.digest, Path(file.path).suffix))
-        return replace(file, path=str(copy.resolve())) if copy is not None and copy.is_file() else file
-
-    return canonical.with_files(ir, own)
+    Raises:
+        RunError: There is no such run, or its record is damaged.
+    """
+    if not path.is_dir():
+        raise RunError(f"{path} is not a run: {'it is a file' if path.exists() else 'there is no such directory'}")
+    return Record.read(path)
 
 
 def _is_plain(path: Path) -> bool:
     return path.is_file() or path.is_dir() or not path.exists()
-
-
-def _sensible(ir: CompiledScenario) -> bool:
-    """Whether the scenario, its cases and its stages are such as compiling leaves them."""
-    others = [case.scenario for case in ir.cases] + [stage.scenario for stage in ir.curriculum]
-    nested = any(other.cases or other.curriculum for other in others)
-    episodes = [case.episodes for case in ir.cases] + [stage.until.episodes for stage in ir.curriculum if stage.until]
-    return (
-        not nested
-        and all(1 <= count <= 1_000_000 for count in episodes)
-        and all(stage.until for stage in ir.curriculum[:-1])
-        and all(interface.digest(other) == interface.digest(ir) for other in others)
-        and all(map(_is_sound, [ir, *others]))
-    )
-
-
-def _is_sound(ir: CompiledScenario) -> bool:
-    """Whether the figures that learning itself computes with, and the bodies, are such as compiling leaves them."""
-    windows = (ir.evaluation.episodes, ir.solved.episodes if ir.solved else 1)
-    forms = [(thing.shape, thing.mass) for thing in ir.world.objects]
-    forms += [(variant.shape, variant.mass) for thing in ir.world.objects for variant in thing.variants]
-    bodies = [is_sound(robot.model) for robot in ir.world.robots] + [is_sound_shape(shape, mass) for shape, mass in forms]
-    return 0 < ir.world.timestep < 1e6 and all(1 <= episodes <= 1_000_000 for episodes in windows) and all(bodies)
 
 
 def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int) -> Path:
@@ -212,16 +166,9 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
         raise UsageError(f"the run directory {wanted or parent} cannot be made: {error.strerror}") from error
 
 
-def inside(name: str) -> PurePosixPath:
-    """A relative path without upward steps for the copy of an input, whose name may be anyone's; each `..` becomes `_`."""
-    parts = PurePosixPath(name.replace("\\", "/").replace(":", "_").replace("\0", "_")).parts
-    kept = ["_" if part == ".." else part for part in parts if part not in ("/", "//", ".")]
-    return PurePosixPath(*kept) if kept else PurePosixPath("_")
-
-
 def input_digests(inputs: Mapping[str, bytes]) -> dict[str, str]:
     """SHA-256 of every input, by the path of its copy under `inputs/`."""
-    return {str(inside(name)): hashlib.sha256(content).hexdigest() for name, content in inputs.items()}
+    return {name: hashlib.sha256(content).hexdigest() for name, content in inputs.items()}
 
 
 def _number(name: str, stem: str) -> int:

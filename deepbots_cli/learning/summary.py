@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from deepbots_cli.ir import Solved
 from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
+from deepbots_cli.program.training import Solved
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 
 import deepbots_cli
-from deepbots_cli import interface
+from deepbots_cli import api, interface
+from deepbots_cli.api import Compiled
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.ir import CompiledScenario, Training
 from deepbots_cli.learning import algorithms, weights
 from deepbots_cli.learning.callbacks import Keeper, Rank, Watch, diverged
 from deepbots_cli.learning.curriculum import Curriculum, StageEnd
@@ -30,8 +30,10 @@ from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.interruption import listening
 from deepbots_cli.learning.progress import Reporter, reporter
 from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
-from deepbots_cli.learning.run import Compiled, Run, input_digests, new_directory
+from deepbots_cli.learning.run import Run, input_digests, new_directory, read_record
 from deepbots_cli.learning.trials import AT_ONCE, Trials
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Training
 from deepbots_cli.runtime.streams import derive
 
 _KEPT = (
@@ -130,7 +132,7 @@ def train(
         scenario=compiled.ir.name,
         source=str(compiled.source),
         digest=compiled.digest,
-        interface=interface.digest(compiled.ir),
+        interface=interface.interface(compiled.ir),
         inputs=input_digests(compiled.inputs),
         engine=engine,
         seed=seed,
@@ -180,7 +182,8 @@ def resume(
         RunError: No run, or one that is damaged; else as for `train`.
         UsageError: The run has already reached its goal, or another training is at work in it.
     """
-    path = Run.open(run).path  # a folder that is no run is told so, whoever is at work in it
+    path = Path(run)
+    read_record(path)  # a folder that is no run is told so, whoever is at work in it
     with sole_trainer(path):
         # Only now: a training that has just ended in there has changed the record.
         known = Run.open(path)
@@ -217,21 +220,15 @@ def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | Non
 
 def compiled_of(scenario: Compiled | str | Path) -> Compiled:
     """The scenario as it is, or compiled if a path or the name of a shipped one is given."""
-    if not isinstance(scenario, (str, Path)):
-        return scenario
-    from deepbots_cli.api import compile  # as for `default_build`
-
-    return compile(scenario)
+    return api.compile(scenario) if isinstance(scenario, (str, Path)) else scenario
 
 
 def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
     """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
-    from deepbots_cli.api import build  # brings the compiler, which a caller with a world of its own does not need
-
-    return partial(build, engine=engine, allow_code=allow_code)
+    return partial(api.build, engine=engine, allow_code=allow_code)
 
 
-def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
+def _training_of(ir: Program, total_timesteps: int | None) -> Training:
     if find_spec("tensorboard") is None:  # Stable-Baselines3 would only notice with the run half made
         raise MissingExtraError("train", "training")
     if ir.training is None:
@@ -246,10 +243,10 @@ def _training_of(ir: CompiledScenario, total_timesteps: int | None) -> Training:
     return training
 
 
-def _rehearse(ir: CompiledScenario, training: Training, build: BuildWorld) -> None:
+def _rehearse(ir: Program, training: Training, build: BuildWorld) -> None:
     """Fail before there is a run directory, if a world cannot be built or the algorithm refuses its settings."""
     for stage in ir.curriculum:
-        build(stage.scenario).close()
+        build(stage.program).close()
     with closing(build(ir)) as world:
         copies = copies_over([world] * training.environments, [0] * training.environments)
         algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(ir))

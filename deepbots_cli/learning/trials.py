@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.learning.environments import BuildWorld, World
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.interruption import Interruption
 from deepbots_cli.learning.rollout import rollout
 from deepbots_cli.learning.summary import Summary
+from deepbots_cli.program import Program
 from deepbots_cli.runtime.streams import derive
 
 EPISODES = 20
@@ -41,16 +41,14 @@ class Trials:
         self.steps = steps
         self._build = build
         self._seeds: Sequence[int] = [derive(seed, "trial", k) for k in range(PROOF)]
-        self._scenario: CompiledScenario | None = None
+        self._scenario: Program | None = None
         self._world: World | None = None
 
     def due(self, trained: int, length: float, share: float) -> bool:
         """Whether another one fits into this share of `trained` steps, if its episodes are of that length."""
         return self.steps + EPISODES * length <= share * trained
 
-    def hold(
-        self, model: BaseAlgorithm, scenario: CompiledScenario, interruption: Interruption, episodes: int = EPISODES
-    ) -> Summary | None:
+    def hold(self, model: BaseAlgorithm, scenario: Program, interruption: Interruption, episodes: int = EPISODES) -> Summary | None:
         """What the networks do in `scenario`; None if somebody wants the work to end. The training's random numbers stay as they were."""
         world = self._world_of(scenario)
         state = torch.get_rng_state()
@@ -65,7 +63,7 @@ class Trials:
             torch.set_rng_state(state)
         return Summary.of(done)
 
-    def _world_of(self, scenario: CompiledScenario) -> World:
+    def _world_of(self, scenario: Program) -> World:
         if self._world is None or scenario is not self._scenario:
             self.close()
             self._world, self._scenario = self._build(scenario), scenario

@@ -85,7 +85,7 @@ class Checker:
             self._desk.learn(analysis)
             if self._desk.documents.get(document.uri) is document:  # else it is stale, and the next one is under way
                 self._show(analysis)
-        except Exception as error:  # noqa: BLE001  # a fault of ours, which must not end the service
+        except Exception as error:  # a fault of ours, which must not end the service  # noqa: BLE001
             self._complain(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
 
     def _analysed(self, document: Document, drafts: Drafts) -> Analysis:

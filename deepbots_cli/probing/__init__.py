@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from functools import partial
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics import Finding, shielded
 from deepbots_cli.diagnostics.findings import fault
@@ -58,14 +57,13 @@ def probe(checked: Checked, *, preview: bool = False, limits: Limits = USUAL) ->
     Where that finds errors there are no warnings but those of `_CAUSES`: what episodes are like would follow from them. A rule that
     raises an exception is a DB903 beside what the others find, and so is a simulation that fails by a fault of deepbots.
     """
-    assert checked.task is not None  # it has no errors
+    assert checked.program is not None  # it has no errors
     assert checked.namespace is not None
-    scenario = lower(checked.task)
     source = checked.document.source
-    report = measured(scenario, limits, allow_code=checked.document.allow_code)
+    report = measured(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
         return Probe([fault("the simulation", source, report.fault)])
-    probed = Probed(checked, checked.task, checked.namespace, scenario, planned(scenario), report)
+    probed = Probed(checked, checked.program, checked.namespace, planned(checked.program), report)
     rules = [(code, rule) for code, rule in RULES.items() if preview or not CATALOGUE[code].deep_preview]
     found = [finding for code, rule in rules for finding in shielded(f"the rule {code}", source, partial(rule, probed))]
     errors = [finding for finding in found if finding.severity == "error"]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.expressions.scalar import Name, Scalar, walk
+from deepbots_cli.expressions.scalar import Name, walk
 from deepbots_cli.probing.probed import Probed
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
 
 Section = Literal["observation", "reward", "other"]
 
@@ -31,7 +33,7 @@ def blamed(probed: Probed) -> Blamed | None:
         return None
     text = str(stop.get("text", ""))
     notes = (probed.when(), text) if text else (probed.when(),)
-    terms = {term.name: term for term in probed.task.reward}
+    terms = {term.name: term for term in probed.program.reward}
     for name in map(str, stop.get("terms", ())):
         if name in terms:
             return Blamed(name, terms[name].span, "reward", notes)
@@ -51,22 +53,19 @@ def _words(line: str) -> list[str]:
 
 def _identifiers(probed: Probed) -> Iterator[tuple[str, tuple[str, Span, Section]]]:
     """What generated code calls values, in the order of `compiler.emit.names`; a name that was taken has a number behind it there."""
-    task = probed.task
-    for entry in task.observation:
+    program = probed.program
+    for entry in program.observation:
         for part in ("", *entry.value.components):
             yield _identifier("seen", entry.value.name, part), (entry.value.name, entry.value.span, "observation")
-    for term in task.reward:
+    for term in program.reward:
         yield _identifier("term", term.name), (term.name, term.span, "reward")
         yield _identifier(term.name, "term"), (term.name, term.span, "reward")
-    seen, paid = (
-        _needed(probed, (entry.value for entry in probed.scenario.observation)),
-        _needed(probed, (t.value for t in probed.scenario.reward)),
-    )
-    for value in task.order:
+    seen, paid = _needed(program, (entry.value for entry in program.observation)), _needed(program, program.reward)
+    for value in program.signals:
         section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
         for part in ("", *value.components):
             yield _identifier(value.name, part), (value.name, value.span, section)
-    for ending in task.endings:
+    for ending in program.endings:
         yield _identifier(ending.value.name), (ending.value.name, ending.value.span, "other")
 
 
@@ -74,11 +73,11 @@ def _identifier(*parts: str) -> str:
     return re.sub(r"\W", "_", "_".join(part for part in parts if part))
 
 
-def _needed(probed: Probed, values: Iterator[Scalar]) -> set[str]:
+def _needed(program: Program, values: Iterable[Expression]) -> set[str]:
     """The signals that values are made of."""
-    made_of = {signal.name: signal.values for signal in probed.scenario.signals}
+    made_of = {signal.name: signal.scalars for signal in program.signals}
     found: set[str] = set()
-    waiting = list(values)
+    waiting = [scalar for value in values for scalar in value.scalars]
     while waiting:
         for node in walk(waiting.pop()):
             if isinstance(node, Name) and node.name in made_of and node.name not in found:

@@ -1,4 +1,4 @@
-"""The process in which a scenario is simulated: reads a compiled scenario from stdin, writes what it measures to stdout.
+"""The process in which a scenario is simulated: compiles it from a folder of copies, writes what it measures to stdout.
 
 It limits itself before it reads anything, so that a scenario that would hang, fill the memory or crash the engine takes
 down this process and no other. Where the system knows no such limits (Windows) the parent's clock is left.
@@ -12,6 +12,7 @@ import signal
 import sys
 import traceback
 from io import FileIO
+from pathlib import Path
 from typing import Any
 
 from deepbots_cli.probing.limits import OUT_OF_MEMORY, Limits
@@ -37,7 +38,8 @@ def main(limits: Limits) -> None:
 
 def _measure(request: dict[str, Any], out: FileIO, most: float) -> None:
     """Every line gives another `most` seconds of CPU time."""
-    from deepbots_cli.canonical import from_json
+    from deepbots_cli import api
+    from deepbots_cli.compiler.inputs import RESOLVED
     from deepbots_cli.probing.rolls import Rolls
 
     def say(told: dict[str, Any]) -> None:
@@ -49,7 +51,9 @@ def _measure(request: dict[str, Any], out: FileIO, most: float) -> None:
         out.write(b"~%d\n" % number)
 
     _in_time(most)
-    Rolls(from_json(request["scenario"]), say, step, allow_code=request["allow_code"]).run()
+    folder = Path(request["folder"])
+    compiled = api.compile(api.load(folder / RESOLVED, allow_code=request["allow_code"], project=folder))
+    Rolls(compiled.ir, say, step, allow_code=request["allow_code"]).run()
     say({"done": True})
 
 

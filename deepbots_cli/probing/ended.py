@@ -13,7 +13,7 @@ _SHOWN = 8
 
 def ends_at_reset(probed: Probed) -> Iterator[Finding]:
     """DB806: an ending holds when an episode begins, with some seeds at least."""
-    for ending in probed.task.endings:
+    for ending in probed.program.endings:
         seeds = probed.report.early.get(ending.value.name, [])
         if seeds:
             headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {probed.plan.resets} episodes"

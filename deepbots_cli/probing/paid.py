@@ -12,10 +12,11 @@ from deepbots_cli.probing.blame import blamed
 from deepbots_cli.probing.plan import IDLE
 from deepbots_cli.probing.probed import Probed
 from deepbots_cli.probing.report import Played
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book
 from deepbots_cli.rules.payments import Payments
 from deepbots_cli.rules.reward import horizon, is_turned_down
-from deepbots_cli.task import TaskEnding, Valued
 
 _DWARFED = 100.0
 _FEW = 200
@@ -36,7 +37,7 @@ def term_dominates(probed: Probed) -> Iterator[Finding]:
     """DB702: under every policy a term adds up to more than a hundred times all others, what endings pay among them."""
     if not probed.report.whole or not probed.measured:
         return
-    prize = _prize(Payments(probed.task))
+    prize = _prize(Payments(probed.program))
     for term, rows in probed.paid():
         ratios, notes = [], []
         for by, row in rows.items():
@@ -53,7 +54,7 @@ def term_dominates(probed: Probed) -> Iterator[Finding]:
 def _prize(payments: Payments) -> float:
     """The most that an ending pays; 0 where that is not known."""
     _, final = payments.split()
-    prizes = [absolute(payments.total(final, payments.at(ending))).high for ending in (*payments.task.endings, None)]
+    prizes = [absolute(payments.total(final, payments.at(ending))).high for ending in (*payments.program.endings, None)]
     most = max(prizes, default=0.0)
     return most if most < INF else 0.0
 
@@ -66,9 +67,9 @@ def inactive_term(probed: Probed) -> Iterator[Finding]:
     steps = sum(found.steps for found in probed.measured.values())
     if not probed.report.whole or steps < _FEW:
         return
-    payments = Payments(probed.task)
+    payments = Payments(probed.program)
     final = {term.name for term, _ in payments.split()[1]}
-    for place, term in enumerate(probed.task.reward):
+    for place, term in enumerate(probed.program.reward):
         if place not in probed.report.silent or term.name in final or term.foreign is not None:
             continue
         if not is_turned_down(term.typed, payments.book) and not _asks(term.typed, payments.book, set()):
@@ -93,7 +94,7 @@ def _asks(node: Typed, book: Book, met: set[str]) -> bool:
 
 def hovering_pays(probed: Probed) -> Iterator[Finding]:
     """DB708: to do something else for a whole episode is worth more than the success that was seen, or that could be."""
-    successes = [ending for ending in probed.task.endings if ending.outcome == "success"]
+    successes = [ending for ending in probed.program.endings if ending.outcome == "success"]
     if not successes or not probed.report.whole:
         return
     found = _beaten(probed)
@@ -119,9 +120,9 @@ def _beaten(probed: Probed) -> tuple[Played, Played] | None:
     return pairs[0] if pairs and all(best.worth > success.worth for best, success in pairs) else None
 
 
-def _idle(probed: Probed, success: TaskEnding) -> Iterator[Finding]:
+def _idle(probed: Probed, success: Ending) -> Iterator[Finding]:
     """As the static rule compares: what doing nothing is paid in the steps that count, and what the end pays once."""
-    payments = Payments(probed.task)
+    payments = Payments(probed.program)
     row = probed.measured.get(IDLE)
     played = [played for played in probed.report.played if played.by == IDLE]
     ordinary, _ = payments.split()
@@ -139,7 +140,7 @@ def _idle(probed: Probed, success: TaskEnding) -> Iterator[Finding]:
         yield Finding("DB708", _dearest(probed, IDLE).span, headline, help=help, notes=notes, also=also)
 
 
-def _dearest(probed: Probed, by: str) -> Valued:
+def _dearest(probed: Probed, by: str) -> Expression:
     """The term that pays most under a policy."""
     return max(probed.paid(), key=lambda entry: entry[1][by].total)[0]
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from math import degrees, radians
 from typing import Any
 
-from deepbots_cli import ir
 from deepbots_cli.compiler.joints import joint_dimension
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.probing.probed import Probed
 from deepbots_cli.probing.report import Missed, Overlap, Where
+from deepbots_cli.program.world import ARENA_WALLS, GROUND
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.rules.wording import figure
 
@@ -85,7 +85,7 @@ def _violent(stop: Any, body: str) -> str:
 
 def _named(probed: Probed, text: str) -> str | None:
     """The first body that a message of the engine names."""
-    world = probed.task.world
+    world = probed.program.world
     known = {robot.name for robot in world.robots} | {thing.name for thing in world.objects}
     return next((word for word in re.findall(r"'([^']+)'", text) if word in known), None)
 
@@ -107,10 +107,10 @@ def _overlapping(probed: Probed, found: Overlap) -> Finding:
     depth = f"{found.depth * 1000:.3g} mm"
     span = probed.placed(one[0]) or probed.body(one[0])
     notes = (f"link `{one[1]}` meets `{other[1]}`, in the reset with seed {found.seed}; {probed.plan.resets} seeds were tried",)
-    if other[0] == ir.GROUND:
+    if other[0] == GROUND:
         headline = f"`{one[0]}` begins {depth} deep in the ground"
         help = f"place it {depth} higher, or leave `z` out for what shall rest on the ground"
-        also = (Label(probed.body(other[0]), "the ground"),) if probed.task.world.terrain else ()
+        also = (Label(probed.body(other[0]), "the ground"),) if probed.program.world.terrain else ()
     else:
         headline = f"`{one[0]}` and `{other[0]}` begin {depth} within each other"
         help = "place them apart, or in a `region`, which looks for free spots"
@@ -120,7 +120,7 @@ def _overlapping(probed: Probed, found: Overlap) -> Finding:
 
 
 def _order(probed: Probed, name: str) -> int:
-    if name == ir.GROUND or name in ir.ARENA_WALLS:
+    if name == GROUND or name in ARENA_WALLS:
         return 3
     if name.partition("#")[0] in probed.scenario_robots:
         return 0
@@ -137,7 +137,7 @@ def pose_out_of_reach(probed: Probed) -> Iterator[Finding]:
 
 
 def _missed(probed: Probed, missed: Missed) -> Finding:
-    model = next(robot.model for robot in probed.task.world.robots if robot.name == missed.robot)
+    model = next(robot.model for robot in probed.program.world.robots if robot.name == missed.robot)
     turned = missed.angle > _SLIGHT_ANGLE
     span = probed.names.values.span(("robots", missed.robot, "actuators", missed.actuator, "rpy" if turned else "link"))
     distance = f"{missed.distance:.3g} m" if missed.distance > _SLIGHT_DISTANCE else ""

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from deepbots_cli.ir import Choices, CompiledScenario
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Choices
 
 RANDOM, HELD, IDLE = "random actions", "random actions, each held", "doing nothing"
 HOLD = 8
@@ -52,9 +53,9 @@ class Plan:
     enough: int
 
 
-def planned(ir: CompiledScenario) -> Plan:
+def planned(ir: Program) -> Plan:
     """What is done in the scenario itself."""
-    last = ir.truncation.most_steps(ir.period)
+    last = ir.truncation.last_step(ir.period)
     drawn = [Roll(HELD if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
     others = [Roll(by, seed, min(last, _OTHER_STEPS), script) for by, script in _others(ir) for seed in range(_OTHER_EPISODES)]
     share = min(1.0, _MOST_WORK / (_work(ir) * (_ENOUGH + sum(roll.steps for roll in others))))
@@ -64,13 +65,13 @@ def planned(ir: CompiledScenario) -> Plan:
     return Plan(resets, rolls, max(_FEW, int(_ENOUGH * share)))
 
 
-def planned_for_variant(ir: CompiledScenario) -> tuple[Roll, ...]:
+def planned_for_variant(ir: Program) -> tuple[Roll, ...]:
     """What is done in a case or a stage, where something has not moved so far: an episode each."""
     steps = max(_FEW, min(_VARIANT_STEPS, int(_MOST_WORK / 20 / _work(ir))))
     return (Roll(HELD, 1, steps), *(Roll(by, 0, steps, script) for by, script in _others(ir) if script))
 
 
-def _others(ir: CompiledScenario) -> Iterator[tuple[By, str | None]]:
+def _others(ir: Program) -> Iterator[tuple[By, str | None]]:
     if idle(ir) is not None:
         yield IDLE, None
     for script in ir.scripts:
@@ -81,10 +82,10 @@ def script_called(name: str) -> By:
     return f"the script `{name}`"
 
 
-def _work(ir: CompiledScenario) -> float:
+def _work(ir: Program) -> float:
     """What a step of the agent costs, in physics steps of one robot (about 15 us): ten of them are overhead."""
     copies = ir.agent.each.count if ir.agent.each else 1
-    pixels = sum(entry.shape[0] * entry.shape[1] for entry in ir.pictures)
+    pixels = sum(entry.shape[0] * entry.shape[1] for entry in ir.images)
     return (len(ir.robots) * (ir.world.substeps * ir.agent.repeat + 10) + pixels / _PIXELS) * copies
 
 
@@ -92,7 +93,7 @@ Idle = tuple[tuple[int, ...], tuple[float, ...]]
 """An option of each choice, by number, and a value from -1 to 1 for each component of a range."""
 
 
-def idle(ir: CompiledScenario) -> Idle | None:
+def idle(ir: Program) -> Idle | None:
     """The action that asks for nothing: the option of zeros, the value of a range that is nearest to 0. None where a choice has none."""
     choices: list[int] = []
     ranges: list[float] = []

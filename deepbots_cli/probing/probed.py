@@ -6,22 +6,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from deepbots_cli import ir
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.probing.plan import Plan
 from deepbots_cli.probing.report import Measured, Paid, Report, Where
-from deepbots_cli.task import ObservedValue, Placement, Task, Valued
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Placement
+from deepbots_cli.program.task import Observation
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import ARENA_WALLS, GROUND
 
 
 @dataclass(frozen=True, eq=False)
 class Number:
     """One number of the observation: its entry, which of its components, and its place among all numbers."""
 
-    entry: ObservedValue
+    entry: Observation
     component: int
     place: int
 
@@ -34,12 +36,11 @@ class Number:
 
 @dataclass(frozen=True, eq=False)
 class Probed:
-    """`task` is that of `checked`, `scenario` what it was lowered to."""
+    """A checked scenario and what was measured of it; `program` is that of `checked`."""
 
     checked: Checked
-    task: Task
+    program: Program
     names: Namespace
-    scenario: CompiledScenario
     plan: Plan
     report: Report
 
@@ -51,13 +52,13 @@ class Probed:
     @cached_property
     def numbers(self) -> tuple[Number, ...]:
         """In the order of the report."""
-        entries = [entry for entry in self.task.observation if not entry.value.typed.type.picture]
+        entries = [entry for entry in self.program.observation if not entry.value.typed.type.picture]
         parts = [(entry, part) for entry in entries for part in range(len(entry.value.components) or 1)]
         return tuple(Number(entry, part, place) for place, (entry, part) in enumerate(parts))
 
-    def paid(self) -> Iterator[tuple[Valued, dict[str, Paid]]]:
+    def paid(self) -> Iterator[tuple[Expression, dict[str, Paid]]]:
         """Every term of the reward, with what was measured of it by policy."""
-        for place, term in enumerate(self.task.reward):
+        for place, term in enumerate(self.program.reward):
             yield term, {by: found.terms[place] for by, found in self.measured.items()}
 
     # Places in the scenario
@@ -65,7 +66,7 @@ class Probed:
     def key(self, path: Path) -> Span:
         return self.names.values.key_span(path)
 
-    def range_span(self, entry: ObservedValue) -> Span:
+    def range_span(self, entry: Observation) -> Span:
         return self.names.values.span(("observation", entry.value.name, "range"))
 
     def body(self, name: str | None) -> Span:
@@ -76,21 +77,21 @@ class Probed:
             return self.key(("robots", base))
         if spec is not None and base in spec.objects:
             return self.key(("objects", base))
-        if base in ir.ARENA_WALLS:
+        if base in ARENA_WALLS:
             return self.key(("world", "arena"))
-        if base == ir.GROUND:
-            return self.key(("world", "terrain" if self.task.world.terrain else "ground"))
+        if base == GROUND:
+            return self.key(("world", "terrain" if self.program.world.terrain else "ground"))
         return self.key(("world",)) if name else self.key(("robots", next(iter(self.scenario_robots), "")))
 
     @property
     def scenario_robots(self) -> tuple[str, ...]:
-        return tuple(robot.name for robot in self.task.robots)
+        return tuple(robot.name for robot in self.program.robots)
 
     def placed(self, name: str) -> Span | None:
         """Where the scenario says where a body begins; None where it does not."""
         base = name.partition("#")[0]
-        begins = self.task.beginnings
-        every = (*begins.placements, *(place for layout in begins.layouts for place in layout.placements))
+        reset = self.program.reset
+        every = (*reset.placements, *(place for layout in reset.layouts for place in layout.placements))
         return next((self._place(place) for place in every if place.body == base), None)
 
     def _place(self, place: Placement) -> Span:
@@ -106,7 +107,7 @@ class Probed:
             return "while the world was built"
         if doing == "reset":
             return f"in the reset with seed {seed}"
-        time = f" ({step * self.scenario.period:.4g} s)" if step else ""
+        time = f" ({step * self.program.period:.4g} s)" if step else ""
         return f"in step {step}{time} of the episode with seed {seed}, {doing}"
 
     @property

@@ -7,14 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import deepbots_cli
-from deepbots_cli.canonical import to_json
+from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.errors import MissingExtraError
-from deepbots_cli.ir import CompiledScenario
 from deepbots_cli.probing.limits import OUT_OF_MEMORY, Limits
 from deepbots_cli.probing.report import Halt, Report
 
@@ -32,18 +32,24 @@ def require_simulator() -> None:
         raise MissingExtraError("sim", "lint --deep")
 
 
-def measured(ir: CompiledScenario, limits: Limits, *, allow_code: bool = False) -> Report:
-    """Simulate a scenario in a process of its own; whatever becomes of that, there is a report.
+def measured(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Report:
+    """Simulate a scenario in a process of its own, which compiles it from copies; whatever becomes of that, there is a report.
 
     Raises:
+        UsageError: The copies cannot be written.
         RuntimeError: The process failed by a fault of deepbots itself, and DEEPBOTS_DEBUG is 1; holds its traceback.
     """
-    request = json.dumps({"scenario": to_json(ir), "allow_code": allow_code})
+    with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
+        inputs.write(Path(folder))
+        return _told_by_child({"folder": folder, "allow_code": allow_code}, limits)
+
+
+def _told_by_child(request: dict[str, Any], limits: Limits) -> Report:
     # -P, since modules in the working directory may be anyone's
     command = [sys.executable, "-P", "-m", "deepbots_cli.probing.child", *limits.told()]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment()) as process:
         try:
-            out, _ = process.communicate(request.encode(), limits.wall)
+            out, _ = process.communicate(json.dumps(request).encode(), limits.wall)
             late = False
         except subprocess.TimeoutExpired:
             process.kill()

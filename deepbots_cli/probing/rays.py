@@ -7,9 +7,11 @@ from math import hypot, inf
 
 from deepbots_cli import footprint, frames
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.ir import CompiledScenario, ObjectBody, Sensor
 from deepbots_cli.port import Engine
 from deepbots_cli.probing.probed import Probed
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.rules.rays import ARENA, CLEAR, Aim, Heights, casts_rays, over_all
 
 
@@ -19,7 +21,7 @@ class Overlooking:
     Of teams and above terrain there is none.
     """
 
-    def __init__(self, scenario: CompiledScenario) -> None:
+    def __init__(self, scenario: Program) -> None:
         self._world = scenario.world
         is_asked = scenario.world.terrain is None and scenario.agent.each is None
         found = [(robot.name, sensor) for robot in scenario.robots for sensor in robot.sensors if is_asked and casts_rays(sensor)]
@@ -79,7 +81,7 @@ def _lowest(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], float]:
 
 def rays_meet_nothing(probed: Probed) -> Iterator[Finding]:
     """DB615: as the rule of that name, for robots whose height the text does not tell."""
-    heights = Heights(probed.task)
+    heights = Heights(probed.program)
     for (robot, sensor), aim in probed.report.over.items() if probed.report.whole else ():
         if heights.is_left_to_simulation(robot, sensor):
             yield over_all(probed.names.values, robot, sensor, aim, notes=(probed.looked,))

@@ -7,10 +7,11 @@ from dataclasses import replace
 from functools import partial
 from math import atan2, dist, hypot, radians
 
-from deepbots_cli import frames, ir
+from deepbots_cli import frames
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Triple
 from deepbots_cli.probing.report import Missed
+from deepbots_cli.program.robots import Cartesian as BuiltCartesian
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
@@ -40,7 +41,7 @@ class Reaches:
         for robot in world.scenario.robots:
             for actuator in robot.actuators:
                 drive = getattr(getattr(world, f"robot_{robot.name}"), f"drive_{actuator.name}", None)
-                if isinstance(actuator, ir.Cartesian) and isinstance(drive, Cartesian):
+                if isinstance(actuator, BuiltCartesian) and isinstance(drive, Cartesian):
                     drive.watch = partial(self._look, world, robot.name, models[robot.name], actuator, drive)
                     yield actuator.name
 
@@ -56,7 +57,7 @@ class Reaches:
         world: Supervisor,
         robot: str,
         model: RobotModel,
-        actuator: ir.Cartesian,
+        actuator: BuiltCartesian,
         drive: Cartesian,
         target: Triple,
         solution: Sequence[float],
@@ -79,7 +80,7 @@ class Reaches:
             self._missed[key] = Missed(robot, actuator.name, distance, angle, stops, step=world.step_count)
         self._missed[key] = replace(self._missed[key], out=self._missed[key].out + 1)
 
-    def _look_for_turn(self, world: Supervisor, key: tuple[str, str], actuator: ir.Cartesian, drive: Cartesian, target: Triple) -> None:
+    def _look_for_turn(self, world: Supervisor, key: tuple[str, str], actuator: BuiltCartesian, drive: Cartesian, target: Triple) -> None:
         """Whether the first command of an episode asks a link to stay about where it is and to turn."""
         if drive.attitude is None or self.commands[key] > 1 or key in self._missed:
             return

@@ -135,7 +135,7 @@ class Report:
         """Whether nothing stopped it, so that what was not seen can be told."""
         return self.done and self.stop is None
 
-    def take(self, told: Mapping[str, Any]) -> None:  # noqa: C901  # one case per kind of line
+    def take(self, told: Mapping[str, Any]) -> None:  # one case per kind of line  # noqa: C901
         """One line of the other process."""
         match told:
             case {"at": [str() as doing, int() as seed]}:

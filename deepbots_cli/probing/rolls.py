@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
-from deepbots_cli.ir import Case, Choices, CompiledScenario, Stage, viewed
 from deepbots_cli.probing.plan import HELD, HOLD, IDLE, RANDOM, Roll, idle, planned, planned_for_variant
 from deepbots_cli.probing.rays import Overlooking
 from deepbots_cli.probing.reach import Reaches
 from deepbots_cli.probing.speeds import Speeds
+from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
+from deepbots_cli.program.task import Choices, viewed
 from deepbots_cli.runtime import Supervisor
 
 Say = Callable[[dict[str, Any]], None]
@@ -48,7 +49,7 @@ class StoppedError(Exception):
 class Rolls:
     """The plan of one scenario. `say` takes what is found out, `step` the number of the step that comes next."""
 
-    def __init__(self, ir: CompiledScenario, say: Say, step: Step, *, allow_code: bool) -> None:
+    def __init__(self, ir: Program, say: Say, step: Step, *, allow_code: bool) -> None:
         self._ir = ir
         self._say = say
         self._step = step
@@ -75,7 +76,7 @@ class Rolls:
         self._say({"still": self._still(), "silent": self._silent()})
         self._say({"over": [[*both, *aim] for both, aim in self._overlooking.aims.items()]})
 
-    def _made(self, ir: CompiledScenario) -> Supervisor:
+    def _made(self, ir: Program) -> Supervisor:
         self._say({"at": ["build", 0]})
         try:
             return api.build(ir, allow_code=self._allow_code)
@@ -204,7 +205,7 @@ class Rolls:
     def _still(self) -> list[int]:
         """Numbers of the observation, by place, that were the same in every step of every episode; pictures after them."""
         whole = functools.reduce(Measure.joined, self.measures.values(), Measure(self._ir))
-        return [place for place in range(len(self._ir.seen)) if not whole.moves(place)]
+        return [place for place in range(len(self._ir.numbers) + len(self._ir.images)) if not whole.moves(place)]
 
     def _silent(self) -> list[int]:
         """Terms of the reward, by place, that were 0 in all of them."""
@@ -212,12 +213,12 @@ class Rolls:
 
     def _try_variants(self) -> None:
         """Cases and stages may show what the scenario itself does not."""
-        variants: tuple[Case | Stage, ...] = (*self._ir.cases, *self._ir.curriculum)
+        variants: tuple[EvaluationCase | CurriculumStage, ...] = (*self._ir.cases, *self._ir.curriculum)
         for variant in variants:
             if not self._still() and not self._silent():
                 return
-            ir = variant.scenario
-            if len(ir.seen) == len(self._ir.seen) and len(ir.reward) == len(self._ir.reward):
+            ir = variant.program
+            if len(ir.numbers) + len(ir.images) == len(self._ir.numbers) + len(self._ir.images) and len(ir.reward) == len(self._ir.reward):
                 with closing(self._made(ir)) as environment:
                     self._roll_out(environment, planned_for_variant(ir), measured_as=_VARIANTS)
 
@@ -243,14 +244,14 @@ _VARIANTS = "cases and stages"
 class Measure:
     """What the episodes of one policy came to, per number of the observation and per term of the reward."""
 
-    def __init__(self, ir: CompiledScenario) -> None:
+    def __init__(self, ir: Program) -> None:
         self._ir = ir
-        ages = viewed(ir.observation, ir.agent.stack)
-        self._columns = [ages.index((place, 0)) for place in range(len(ir.observation))]
-        self._pictures = [entry.key for entry in ir.pictures]
+        ages = viewed(ir.numbers, ir.agent.stack)
+        self._columns = [ages.index((place, 0)) for place in range(len(ir.numbers))]
+        self._pictures = [entry.key for entry in ir.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
         self._changed: set[str] = set()
-        numbers, terms = len(ir.observation), len(ir.reward)
+        numbers, terms = len(ir.numbers), len(ir.reward)
         self.steps = 0
         self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
@@ -336,7 +337,7 @@ def _idle(environment: Supervisor) -> Iterator[Any]:
         yield one
 
 
-def _discount(ir: CompiledScenario) -> float:
+def _discount(ir: Program) -> float:
     found = [entry.value for entry in ir.training.hyperparameters if entry.name == "gamma"] if ir.training else []
     return found[0] if found and isinstance(found[0], float) else DEFAULT_DISCOUNT
 
@@ -344,9 +345,7 @@ def _discount(ir: CompiledScenario) -> float:
 def _outside(environment: Supervisor, observation: Any) -> list[str]:
     """The numbers of an observation that are outside of its space, by name."""
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
-    entries = [
-        environment.scenario.observation[place] for place, _ in viewed(environment.scenario.observation, environment.scenario.agent.stack)
-    ]
+    entries = [environment.scenario.numbers[place] for place, _ in viewed(environment.scenario.numbers, environment.scenario.agent.stack)]
     return [
         entry.full_name
         for entry, column in zip(entries, numbers.T, strict=True)

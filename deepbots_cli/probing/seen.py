@@ -24,7 +24,7 @@ def observation_outside_space(probed: Probed) -> Iterator[Finding]:
     """DB607: a number of the observation is none, or is outside of what its space allows."""
     stop = probed.report.stop or {}
     if stop.get("kind") == "space":
-        for entry in probed.task.observation:
+        for entry in probed.program.observation:
             names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
@@ -50,7 +50,7 @@ def constant_observation(probed: Probed) -> Iterator[Finding]:
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = ("take it out" if whole else "show the other components alone") + ", or add a script that changes it under `scripts`"
         yield Finding("DB608", entry.value.span, headline, help=help, notes=(probed.looked,))
-    pictures = [entry for entry in probed.task.observation if entry.value.typed.type.picture]
+    pictures = [entry for entry in probed.program.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(probed.numbers)):
         if place in probed.report.still:
             help = "look at where its camera stands and what it sees, or add a script that changes it under `scripts`"
@@ -61,7 +61,7 @@ def observation_saturates(probed: Probed) -> Iterator[Finding]:
     """DB611: under every policy a number is at the same end of its range most of the time, and could lie beyond."""
     if not probed.report.whole or _steps(probed) < _FEW:
         return
-    book = Book(probed.task)
+    book = Book(probed.program)
     reach, met = Reach(book), set()
     for number in probed.numbers:
         entry = number.entry

@@ -35,8 +35,8 @@ from importlib import import_module
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics import Finding, shielded
+from deepbots_cli.program import Program
 from deepbots_cli.rules.doubts import Doubts
-from deepbots_cli.task import Task
 
 Rule = Callable[[Checked], Iterator[Finding]]
 
@@ -46,13 +46,13 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
 
     A rule that raises an exception is a DB903, and the other rules run all the same.
     """
-    if checked.findings.errors or checked.task is None:
+    if checked.findings.errors or checked.program is None:
         return
     doubts = Doubts(checked)
     for module, concerns in _MODULES.items():
         if module in _IN_PREVIEW and not preview:
             continue
-        for rule in rules_of(module) if concerns(checked.task) else ():
+        for rule in rules_of(module) if concerns(checked.program) else ():
             code = code_of(rule)
             if preview or not CATALOGUE[code].preview:
                 yield from shielded(f"the rule {code}", checked.document.source, partial(_found, rule, checked, doubts))
@@ -85,62 +85,62 @@ def code_of(rule: Rule) -> str:
 # linting a small scenario can do without.
 
 
-def _always(_task: Task) -> bool:
+def _always(_task: Program) -> bool:
     return True
 
 
-def _ends(task: Task) -> bool:
-    return bool(task.endings) or (task.truncation.max_steps is not None and task.truncation.max_time is not None)
+def _ends(program: Program) -> bool:
+    return bool(program.endings) or (program.truncation.max_steps is not None and program.truncation.max_time is not None)
 
 
-def _succeeds(task: Task) -> bool:
-    return any(ending.outcome == "success" for ending in task.endings)
+def _succeeds(program: Program) -> bool:
+    return any(ending.outcome == "success" for ending in program.endings)
 
 
-def _fails(task: Task) -> bool:
-    return any(ending.outcome == "failure" for ending in task.endings)
+def _fails(program: Program) -> bool:
+    return any(ending.outcome == "failure" for ending in program.endings)
 
 
-def _may_cost(task: Task) -> bool:
+def _may_cost(program: Program) -> bool:
     """Whether the reward is more than a sum of what is always paid, and never more than so much."""
-    known = (term.typed.type.interval for term in task.reward)
-    return _succeeds(task) or not all(interval.low > 0.0 and interval.finite for interval in known)
+    known = (term.typed.type.interval for term in program.reward)
+    return _succeeds(program) or not all(interval.low > 0.0 and interval.finite for interval in known)
 
 
-def _asks_for_equality(task: Task) -> bool:
-    texts = (value.text for value in (*task.order, *task.reward, *(ending.value for ending in task.endings)))
+def _asks_for_equality(program: Program) -> bool:
+    texts = (value.text for value in (*program.signals, *program.reward, *(ending.value for ending in program.endings)))
     return any("==" in text or "!=" in text for text in texts)
 
 
-def _requires(task: Task) -> bool:
-    return task.beginnings.require is not None
+def _requires(program: Program) -> bool:
+    return program.reset.require is not None
 
 
-def _holds_objects(task: Task) -> bool:
-    return bool(task.world.objects)
+def _holds_objects(program: Program) -> bool:
+    return bool(program.world.objects)
 
 
-def _casts_rays(task: Task) -> bool:
-    return any(sensor.beams is not None for robot in task.robots for sensor in robot.sensors)
+def _casts_rays(program: Program) -> bool:
+    return any(sensor.beams is not None for robot in program.robots for sensor in robot.sensors)
 
 
-def _waits(task: Task) -> bool:
+def _waits(program: Program) -> bool:
     """Whether there is a time that could be too long."""
-    routes = task.to_robot.latency is not None or task.from_robot.latency is not None
-    return bool(task.disturbances) or routes or any(sensor.faults is not None for robot in task.robots for sensor in robot.sensors)
+    routes = any(route.latency is not None for robot in program.robots for route in (robot.to_route, robot.from_route))
+    return bool(program.disturbances) or routes or any(sensor.faults is not None for robot in program.robots for sensor in robot.sensors)
 
 
-def _may_be_known(task: Task) -> bool:
+def _may_be_known(program: Program) -> bool:
     """Whether a return is asked for, or may be the same in all episodes."""
-    stages = (stage.until for stage in task.curriculum)
+    stages = (stage.until for stage in program.curriculum)
     return (
-        (task.solved is not None and task.solved.mean_return is not None)
+        (program.solved is not None and program.solved.mean_return is not None)
         or any(until is not None and until.metric == "mean_return" for until in stages)
-        or all(term.typed.type.interval.single for term in task.reward)
+        or all(term.typed.type.interval.single for term in program.reward)
     )
 
 
-_MODULES: dict[str, Callable[[Task], bool]] = {
+_MODULES: dict[str, Callable[[Program], bool]] = {
     "names": _always,
     "commands": _always,
     "equality": _asks_for_equality,

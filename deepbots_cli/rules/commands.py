@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import ceil, inf, radians
 from typing import TypeGuard
 
-from deepbots_cli import frames, ir
+from deepbots_cli import frames
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.joints import carries, joint_dimension
 from deepbots_cli.compiler.values import Values
@@ -16,13 +16,14 @@ from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.program.robots import Actuator, Cartesian, Command, Motor, Robot, Thrust
+from deepbots_cli.program.world import RobotBody
 from deepbots_cli.robots.inertia import matrix
 from deepbots_cli.robots.model import Joint, RobotModel
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import NEVER, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import figure, span_of
-from deepbots_cli.task import Command, TaskRobot
 
 _VAGUE = 0.2  # rad or m; where a joint begins is known if it is drawn from no more
 
@@ -47,16 +48,16 @@ def command_cut_off(checked: Checked) -> Iterator[Finding]:
         parameters: {wheel_speed: 10 rad/s}
         action: {drive: -1 .. 1}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task)
-    models = {robot.name: robot.model for robot in checked.task.world.robots}
-    for robot in checked.task.robots:
+    book = book_of(checked.program)
+    models = {robot.name: robot.model for robot in checked.program.world.robots}
+    for robot in checked.program.robots:
         for command in robot.commands:
             yield from _cut_off(book, robot, models[robot.name], command)
 
 
-def _cut_off(book: Book, robot: TaskRobot, model: RobotModel, command: Command) -> Iterator[Finding]:
+def _cut_off(book: Book, robot: Robot, model: RobotModel, command: Command) -> Iterator[Finding]:
     trees = book.on_board(command.target, robot.name)
     limits = Interval(0.0, 1.0) if command.opening else _limits(command.actuator, model)
     if limits is None or not all(_is_decided(book, tree, robot) for tree in trees):
@@ -69,15 +70,15 @@ def _cut_off(book: Book, robot: TaskRobot, model: RobotModel, command: Command) 
         yield Finding("DB312", command.target.span, headline, help="let the action, or what multiplies it, go as far as the actuator does")
 
 
-def _limits(actuator: ir.Actuator, model: RobotModel) -> Interval | None:
+def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
     """What all its joints or links can do; None where that has no end."""
     match actuator:
-        case ir.Thrust(low=low, high=high):
+        case Thrust(low=low, high=high):
             return Interval(low, high)
-        case ir.Motor(kind="position_motor", joints=joints):
+        case Motor(kind="position_motor", joints=joints):
             stops = [model.joint(joint).limit for joint in joints]
             return _within([(stop.lower, stop.upper) for stop in stops])
-        case ir.Motor(kind=kind, max_torque=torques, max_velocity=speeds):
+        case Motor(kind=kind, max_torque=torques, max_velocity=speeds):
             return _within([(None if most is None else -most, most) for most in (torques if kind == "torque_motor" else speeds)])
         case _:
             return None
@@ -88,7 +89,7 @@ def _within(ends: list[tuple[float | None, float | None]]) -> Interval | None:
     return hull(known) if len(known) == len(ends) else None
 
 
-def _is_decided(book: Book, target: Scalar, robot: TaskRobot) -> bool:
+def _is_decided(book: Book, target: Scalar, robot: Robot) -> bool:
     """Whether a command follows from the action alone, and from fixed figures."""
     received = {value.name for value in robot.receive}
     for node in book.unfold(target):
@@ -126,10 +127,10 @@ def joint_driven_twice(checked: Checked) -> Iterator[Finding]:
               right:  {type: velocity_motor, joints: ["*_right"], max_torque: 10 N*m}
             apply: {right: drive * wheel_speed}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
     values = checked.namespace.values
-    for robot in checked.task.robots:
+    for robot in checked.program.robots:
         holding: dict[str, str] = {}
         for command in robot.commands:
             name = command.actuator.name
@@ -141,10 +142,10 @@ def joint_driven_twice(checked: Checked) -> Iterator[Finding]:
             holding |= dict.fromkeys(_held(command.actuator), name)
 
 
-def _held(actuator: ir.Actuator) -> tuple[str, ...]:
+def _held(actuator: Actuator) -> tuple[str, ...]:
     """The joints that the motors of the engine hold for it."""
     match actuator:
-        case ir.Motor(kind="velocity_motor" | "position_motor", stiffness=None) | ir.Cartesian():
+        case Motor(kind="velocity_motor" | "position_motor", stiffness=None) | Cartesian():
             return actuator.joints
         case _:
             return ()
@@ -188,25 +189,30 @@ def limp_at_start(checked: Checked) -> Iterator[Finding]:
             apply: {shoulder: 60 deg}
         reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
     """
-    task = checked.task
-    if task is None or checked.namespace is None or task.settle or any(varied.what == "gravity" for varied in task.variations):
+    program = checked.program
+    if (
+        program is None
+        or checked.namespace is None
+        or program.reset.settle
+        or any(varied.what == "gravity" for varied in program.reset.variations)
+    ):
         return
-    book, values = book_of(task), checked.namespace.values
-    ticks = int(task.timing == "paper")
-    if task.to_robot.latency is not None:
-        latency = reach_of(book).of(book.scalars(task.to_robot.latency)[0]).low
-        ticks += ceil(latency / task.world.timestep - 1e-9) if latency > 0.0 else 0
-    bodies = {body.name: body for body in task.world.robots}
-    for robot in task.robots:
+    book, values = book_of(program), checked.namespace.values
+    bodies = {body.name: body for body in program.world.robots}
+    for robot in program.robots:
         held = {joint for command in robot.commands if not _is_limp(command.actuator) for joint in getattr(command.actuator, "joints", ())}
         limp = [command.actuator for command in robot.commands if _is_limp(command.actuator)]
         positions = _start_positions(book, bodies[robot.name]) if limp else None
+        ticks = int(program.timing == "paper")
+        if robot.to_route.latency is not None:
+            latency = reach_of(book).of(book.scalars(robot.to_route.latency)[0]).low
+            ticks += ceil(latency / program.world.timestep - 1e-9) if latency > 0.0 else 0
         for motor in limp:
-            wait = ticks * task.world.timestep + motor.response.delay
+            wait = ticks * program.world.timestep + motor.response.delay
             joints = {joint: most for joint, most in zip(motor.joints, motor.max_torque, strict=True) if joint not in held}
-            if positions is None or wait <= task.world.timestep:
+            if positions is None or wait <= program.world.timestep:
                 continue
-            sunk = _sunk(bodies[robot.name], positions, joints, task.world.gravity, wait)
+            sunk = _sunk(bodies[robot.name], positions, joints, program.world.gravity, wait)
             if sunk is not None:
                 by = figure(sunk[1], joint_dimension(sunk[0]))
                 headline = f"`{motor.name}` exerts nothing for the first {figure(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
@@ -216,15 +222,15 @@ def limp_at_start(checked: Checked) -> Iterator[Finding]:
                 yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
 
 
-def _is_limp(actuator: ir.Actuator) -> TypeGuard[ir.Motor]:
+def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
     """Whether it exerts nothing until its first command."""
-    return isinstance(actuator, ir.Motor) and (actuator.kind == "torque_motor" or actuator.stiffness == 0.0)
+    return isinstance(actuator, Motor) and (actuator.kind == "torque_motor" or actuator.stiffness == 0.0)
 
 
-def _start_positions(book: Book, body: ir.RobotBody) -> dict[str, float] | None:
+def _start_positions(book: Book, body: RobotBody) -> dict[str, float] | None:
     """Where the joints of a robot on a fixed base begin, as far as the text tells; None for one that stands or begins anyhow."""
     start = AtStart(book)
-    tilts = any(place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in book.task.beginnings.placements)
+    tilts = any(place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in book.program.reset.placements)
     if not body.fixed_base or tilts:
         return None
     found = {joint.name: start.joint(f"{body.name}.{joint.name}") or NEVER for joint in body.model.moving_joints}
@@ -234,7 +240,7 @@ def _start_positions(book: Book, body: ir.RobotBody) -> dict[str, float] | None:
 
 
 def _sunk(
-    body: ir.RobotBody, positions: Mapping[str, float], joints: Mapping[str, float | None], gravity: Triple, time: float
+    body: RobotBody, positions: Mapping[str, float], joints: Mapping[str, float | None], gravity: Triple, time: float
 ) -> tuple[Joint, float] | None:
     """The one of some joints (with the most that their motors exert) that gravity moves farthest in a time, and how far (rad or m)."""
     where = link_frames(body.model, positions)

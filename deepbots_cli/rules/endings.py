@@ -9,13 +9,14 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.intervals import INF, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World, children
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Ending
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
 from deepbots_cli.rules.precedence import forestalled
 from deepbots_cli.rules.reach import ALWAYS, NEVER, Reach, Supposing, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.wording import between
-from deepbots_cli.task import Task, TaskEnding
 
 _CLOCK = frozenset({"time", "step"})
 _ENDLESS = (0.0, INF)
@@ -35,27 +36,27 @@ def never_true(checked: Checked) -> Iterator[Finding]:
 
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
     silent: set[str] | None = None
-    for task in versions(checked):
-        found = {ending.value.name for ending in task.endings if _unlimited(book_of(task), ending) == NEVER}
+    for program in versions(checked):
+        found = {ending.value.name for ending in program.endings if _unlimited(book_of(program), ending) == NEVER}
         silent = found if silent is None else silent & found
-    for ending in checked.task.endings:
+    for ending in checked.program.endings:
         if ending.value.name in (silent or ()):
             headline = f"`{ending.value.name}` can never hold"
-            notes = tuple(_reasons(book_of(checked.task), ending))
+            notes = tuple(_reasons(book_of(checked.program), ending))
             yield Finding("DB801", ending.value.span, headline, help="give a limit that can be met, or take it out", notes=notes)
 
 
-def _unlimited(book: Book, ending: TaskEnding) -> Interval:
+def _unlimited(book: Book, ending: Ending) -> Interval:
     """Whether an ending holds in an episode that may last for ever; 0 .. 1 where that depends."""
     if ending.value.foreign is not None:
         return Interval(0.0, 1.0)
     return reach_of(book, _ENDLESS).of(book.scalars(ending.value)[0])
 
 
-def _reasons(book: Book, ending: TaskEnding) -> Iterator[str]:
+def _reasons(book: Book, ending: Ending) -> Iterator[str]:
     """Comparisons that never hold, and where their sides lie; or why they never hold together."""
     reach = reach_of(book, _ENDLESS)
     (node,) = book.scalars(ending.value)
@@ -92,10 +93,10 @@ def always_true(checked: Checked) -> Iterator[Finding]:
 
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task)
-    for ending in checked.task.endings:
+    book = book_of(checked.program)
+    for ending in checked.program.endings:
         if _unlimited(book, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
             yield Finding("DB802", ending.value.span, headline, help="give a limit that an episode can keep within")
@@ -117,13 +118,13 @@ def shadowed_limit(checked: Checked) -> Iterator[Finding]:
 
         truncation: {max_steps: 200}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
     yield from _two_limits(checked)
     yield from _one_behind_another(checked)
-    book = book_of(checked.task)
-    payments = payments_of(checked.task)
-    for ending in checked.task.endings:
+    book = book_of(checked.program)
+    payments = payments_of(checked.program)
+    for ending in checked.program.endings:
         if ending.value.foreign is not None or _unlimited(book, ending).single:
             continue  # DB801, DB802
         (node,) = book.scalars(ending.value)
@@ -144,7 +145,7 @@ def shadowed_limit(checked: Checked) -> Iterator[Finding]:
 def _within(payments: Payments, steps: tuple[float, float]) -> Reach:
     """What can be within these steps, the return included."""
     ordinary = payments.total(list(payments.terms), payments.running())
-    ticks = steps[1] * payments.task.agent.repeat
+    ticks = steps[1] * payments.program.agent.repeat
     known = Interval(min(0.0, ordinary.low * ticks), max(0.0, ordinary.high * ticks)) if payments.is_whole else Interval()
     return Supposing(payments.book, {"episode_return": known}, steps)
 
@@ -152,16 +153,16 @@ def _within(payments: Payments, steps: tuple[float, float]) -> Reach:
 def _before(payments: Payments, step: int) -> Reach:
     """What is in one step, before which the episode has been paid for all steps before."""
     ordinary = payments.total(list(payments.terms), payments.running())
-    ticks = float((step - 1) * payments.task.agent.repeat)
+    ticks = float((step - 1) * payments.program.agent.repeat)
     known = Interval(ordinary.low * ticks, ordinary.high * ticks) if payments.is_whole and ordinary.finite else Interval()
     return Supposing(payments.book, {"episode_return": known}, (float(step), float(step)))
 
 
 def _two_limits(checked: Checked) -> Iterator[Finding]:
     """Of `max_steps` and `max_time` the one that is later in every case and every stage."""
-    assert checked.task is not None  # as the caller found
+    assert checked.program is not None  # as the caller found
     assert checked.namespace is not None
-    later = {_later(task) for task in versions(checked)}
+    later = {_later(program) for program in versions(checked)}
     if len(later) == 1 and (name := later.pop()):
         other = "max_steps" if name == "max_time" else "max_time"
         values = checked.namespace.values
@@ -172,9 +173,9 @@ def _two_limits(checked: Checked) -> Iterator[Finding]:
 
 def _one_behind_another(checked: Checked) -> Iterator[Finding]:
     """Endings that come too late in every case and every stage."""
-    assert checked.task is not None  # as the caller found
-    found = forestalled(checked.task)
-    later = [{late.value.name for late in forestalled(task)} for task in versions(checked)] if found else []
+    assert checked.program is not None  # as the caller found
+    found = forestalled(checked.program)
+    later = [{late.value.name for late in forestalled(program)} for program in versions(checked)] if found else []
     for late, first in found.items():
         if all(late.value.name in names for names in later):
             headline = f"`{late.value.name}` comes after `{first.value.name}`, which always ends an episode before"
@@ -182,18 +183,18 @@ def _one_behind_another(checked: Checked) -> Iterator[Finding]:
             yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "comes first"),))
 
 
-def _later(task: Task) -> str:
-    limits, tick = task.truncation, task.world.timestep
+def _later(program: Program) -> str:
+    limits, tick = program.truncation, program.world.timestep
     if limits.max_steps is None or limits.max_time is None:
         return ""
-    steps, time = limits.max_steps * task.agent.repeat, math.ceil(limits.max_time / tick - 1e-9)
+    steps, time = limits.max_steps * program.agent.repeat, math.ceil(limits.max_time / tick - 1e-9)
     return "max_time" if time > steps else "max_steps" if steps > time else ""
 
 
 def _leaves(book: Book, node: Scalar) -> set[str]:
     """The names at the bottom of a value, parameters aside; facts of the world by their function."""
     found: set[str] = set()
-    parameters = {value.name for value in book.task.parameters}
+    parameters = {value.name for value in book.program.parameters}
     met: set[Scalar] = set()
     waiting = [node]
     while waiting:
@@ -224,14 +225,14 @@ def timeout_as_termination(checked: Checked) -> Iterator[Finding]:
 
         truncation: {max_steps: 156}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    book = book_of(checked.task)
-    shown = {name for entry in checked.task.observation for node in book.scalars(entry.value) for name in _leaves(book, node)}
+    book = book_of(checked.program)
+    shown = {name for entry in checked.program.observation for node in book.scalars(entry.value) for name in _leaves(book, node)}
     if shown & _CLOCK:
         return
     reach = reach_of(book)
-    for ending in checked.task.endings:
+    for ending in checked.program.endings:
         if ending.value.foreign is not None:
             continue
         (node,) = book.scalars(ending.value)
@@ -253,11 +254,11 @@ def ends_at_reset(checked: Checked) -> Iterator[Finding]:
 
         reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     start = AtStart(book)
-    for ending in checked.task.endings:
+    for ending in checked.program.endings:
         if ending.value.foreign is None and start.of(book.scalars(ending.value)[0]) == ALWAYS != _unlimited(book, ending):
             headline = f"`{ending.value.name}` already holds when an episode begins"
             notes = tuple(

@@ -8,8 +8,9 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.scalar import Op, Scalar, World
 from deepbots_cli.expressions.types import Constant, Operation, Stage, Typed, children
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book, book_of
-from deepbots_cli.task import Task, Valued
 
 _MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
 _SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
@@ -31,10 +32,10 @@ def equality_of_measures(checked: Checked) -> Iterator[Finding]:
 
         reward: {alive: 1, there: 5 when abs(x - 20 cm) < 1 cm}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    book = book_of(checked.task, ideal=True)
-    for value in judged(checked.task):
+    book = book_of(checked.program, ideal=True)
+    for value in judged(checked.program):
         for node in _compared(value.typed):
             pairs = [pair for pair in (node.args, node.args[::-1]) if _is_met_by_chance(book, value, *pair)]
             if pairs:
@@ -47,10 +48,10 @@ def equality_of_measures(checked: Checked) -> Iterator[Finding]:
                 yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help=help)
 
 
-def judged(task: Task) -> Iterator[Valued]:
+def judged(program: Program) -> Iterator[Expression]:
     """What the supervisor computes in a step, as it is written."""
-    yield from (value for value in (*task.order, *task.reward) if value.foreign is None)
-    yield from (ending.value for ending in task.endings if ending.value.foreign is None)
+    yield from (value for value in (*program.signals, *program.reward) if value.foreign is None)
+    yield from (ending.value for ending in program.endings if ending.value.foreign is None)
 
 
 def _compared(node: Typed) -> Iterator[Operation]:
@@ -60,7 +61,7 @@ def _compared(node: Typed) -> Iterator[Operation]:
         yield from _compared(part)
 
 
-def _is_met_by_chance(book: Book, value: Valued, measure: Typed, figure: Typed) -> bool:
+def _is_met_by_chance(book: Book, value: Expression, measure: Typed, figure: Typed) -> bool:
     settled = figure.type.stage is not Stage.STEP
     return settled and all(_is_measure(book, part) for part in book.lowered(measure, value.owner))
 
@@ -75,7 +76,7 @@ def _is_measure(book: Book, node: Scalar, known: dict[int, bool] | None = None) 
 
 
 def _measures(book: Book, node: Scalar, known: dict[int, bool]) -> bool:
-    still = {thing.name for thing in book.task.world.objects if thing.fixed}
+    still = {thing.name for thing in book.program.world.objects if thing.fixed}
     match book.meaning(node):
         case World(function, subjects):
             return function in _MEASURED and still.isdisjoint(subject.partition("#")[0] for subject in subjects)

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from math import sqrt
 from typing import NamedTuple
 
-from deepbots_cli import footprint, ir
+from deepbots_cli import footprint
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import World
+from deepbots_cli.program.robots import Thrust
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Shape, Sphere
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
@@ -65,11 +66,11 @@ def unreachable_goal(checked: Checked) -> Iterator[Finding]:
         observation: {left: 0 .. 1 m}
         termination: {success: {there: left < 2 cm}}
     """
-    if checked.task is None or checked.task.world.terrain is not None:
+    if checked.program is None or checked.program.world.terrain is not None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     reach = reach_of(book)
-    for ending in checked.task.endings:
+    for ending in checked.program.endings:
         if ending.outcome == "success" and ending.value.foreign is None and not has_choice(book, ending.value):
             for entry in book.comparisons(ending.value):
                 found = (_out_of_reach(book, asked) for asked in thresholds(entry, book, reach) if not asked.above)
@@ -102,7 +103,7 @@ def _out_of_reach(book: Book, asked: Threshold) -> Reason | None:
         words = f"asks for {figure(limit, LENGTH)} between origins that are {apart} apart when `{a}` and `{b}` touch"
         return Reason(words, "ask for more than that, or for the `gap` between surfaces")
     outside = next((body for body in (a, b) if _is_outside(book, body, limit)), None)
-    if outside and any(robot.name in pair and robot.name != outside and not robot.fixed_base for robot in book.task.world.robots):
+    if outside and any(robot.name in pair and robot.name != outside and not robot.fixed_base for robot in book.program.world.robots):
         words = f"asks to come to `{outside}`, which lies beyond the walls of the arena"
         return Reason(words, f"place `{outside}` within the walls, or make the arena larger")
     return None
@@ -110,9 +111,9 @@ def _out_of_reach(book: Book, asked: Threshold) -> Reason | None:
 
 def _flies(book: Book, body: str) -> bool:
     """Whether a body may be above another: a robot with rotors, or an arm."""
-    robot = next((robot for robot in book.task.robots if robot.name == body), None)
-    fixed = any(entry.name == body and entry.fixed_base for entry in book.task.world.robots)
-    return fixed or (robot is not None and any(isinstance(actuator, ir.Thrust) for actuator in robot.actuators))
+    robot = next((robot for robot in book.program.robots if robot.name == body), None)
+    fixed = any(entry.name == body and entry.fixed_base for entry in book.program.world.robots)
+    return fixed or (robot is not None and any(isinstance(actuator, Thrust) for actuator in robot.actuators))
 
 
 def _touching(first: list[Core], second: list[Core]) -> float:
@@ -128,7 +129,7 @@ def _touching(first: list[Core], second: list[Core]) -> float:
 
 def _cores(book: Book, body: str) -> list[Core]:
     """The solid parts around the vertical through the origin of a body that stands as it begins."""
-    world = book.task.world
+    world = book.program.world
     thing = next((thing for thing in world.objects if thing.name == body), None)
     robot = next((robot for robot in world.robots if robot.name == body), None)
     if thing is not None:
@@ -145,7 +146,7 @@ def _cores(book: Book, body: str) -> list[Core]:
 def _height(book: Book, body: str, shape: Shape | object) -> float | None:
     """Of the origin, where it begins; None where that is drawn or not known, or where the body leans."""
     start = AtStart(book)
-    model = next((robot.model for robot in book.task.world.robots if robot.name == body), None)
+    model = next((robot.model for robot in book.program.world.robots if robot.name == body), None)
     subject = body if model is None else f"{body}.{model.root}"
     leaning = [start.standing(World("orientation", (subject,), axis)) for axis in "xy"]
     if any(part != Interval(0.0, 0.0) for part in leaning):
@@ -173,8 +174,8 @@ def _around(shape: Shape, height: float, upright: bool) -> list[Core]:
 
 def _is_outside(book: Book, body: str, near: float) -> bool:
     """Whether a body begins farther than `near` beyond the walls."""
-    arena = book.task.world.arena
-    thing = next((thing for thing in book.task.world.objects if thing.name == body), None)
+    arena = book.program.world.arena
+    thing = next((thing for thing in book.program.world.objects if thing.name == body), None)
     if arena is None or thing is None:
         return False
     start = AtStart(book)

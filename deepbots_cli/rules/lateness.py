@@ -8,11 +8,12 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import TIME
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.payments import versions
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.task import Task, Valued
 
 
 def after_the_end(checked: Checked) -> Iterator[Finding]:
@@ -31,34 +32,37 @@ def after_the_end(checked: Checked) -> Iterator[Finding]:
         disturbances:
           knock: {body: cart, force: 5 0 0 N, at: 2 s, lasts: 50 ms}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    times = [{path: time for _, time, path in _awaited(task)} for task in versions(checked)]
-    end = max(book_of(task).last * book_of(task).period for task in versions(checked))  # s
-    for what, time, path in _awaited(checked.task):
+    times = [{path: time for _, time, path in _awaited(program)} for program in versions(checked)]
+    end = max(book_of(program).last * book_of(program).period for program in versions(checked))  # s
+    for what, time, path in _awaited(checked.program):
         if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {figure(time, TIME)} or more, and no episode lasts longer than {figure(end, TIME)}"
             yield Finding("DB811", checked.namespace.values.span(path), headline, help="let it come earlier, or episodes last longer")
 
 
-def _awaited(task: Task) -> Iterator[tuple[str, float, Path]]:
+def _awaited(program: Program) -> Iterator[tuple[str, float, Path]]:
     """What has to be waited for, the least time of that (s), and where it is written."""
-    book = book_of(task)
+    book = book_of(program)
     reach = reach_of(book)
 
-    def least(time: Valued) -> float:
+    def least(time: Expression) -> float:
         return reach.of(book.scalars(time)[0]).low
 
-    for push in task.disturbances:
+    for push in program.disturbances:
         key, first = ("at", push.first) if push.first is not None else ("every", push.every)
         if first is not None:
             yield f"`{push.name}` begins after", least(first), ("disturbances", push.name, key)
-    for robot in task.robots:
+    for robot in program.robots:
         for sensor in robot.sensors:
             if sensor.faults is not None and sensor.faults.period > 1:
-                period = sensor.faults.period * task.world.timestep
+                period = sensor.faults.period * program.world.timestep
                 yield f"`{sensor.name}` is read again after", period, ("robots", robot.name, "sensors", sensor.name, "period")
-    for key, route in (("to_robot", task.to_robot), ("from_robot", task.from_robot)):
+    routes = (
+        (key, route) for robot in program.robots[:1] for key, route in (("to_robot", robot.to_route), ("from_robot", robot.from_route))
+    )
+    for key, route in routes:
         if route.latency is not None:
             yield "a message takes", least(route.latency), ("messages", key, "latency")
 

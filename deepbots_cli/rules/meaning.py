@@ -16,9 +16,11 @@ from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.expressions.scalar import children as parts
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed
-from deepbots_cli.ir import Sensor
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot, Sensor
+from deepbots_cli.program.task import Goal
+from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Pose
-from deepbots_cli.task import Task, TaskGoal, TaskRobot, Valued
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")
@@ -29,7 +31,7 @@ _TIME = frozenset(("time",))
 class Comparison(NamedTuple):
     """One comparison inside of a condition, and the named value in whose text it stands."""
 
-    value: Valued
+    value: Expression
     node: Operation
 
 
@@ -60,22 +62,22 @@ class Book:
     holds for a value of the supervisor that has noise.
     """
 
-    def __init__(self, task: Task, *, ideal: bool = False, like: Book | None = None) -> None:
+    def __init__(self, program: Program, *, ideal: bool = False, like: Book | None = None) -> None:
         """With `like`, the trees of what the supervisor computes are those of another book of the same task."""
-        self.task = task
+        self.program = program
         self.leaves: dict[str, Interval] = like.leaves if like else {}
         """The intervals of names that nothing defines, such as action variables and readings."""
         self._ideal = ideal
-        self._robots: Mapping[str, TaskRobot] = {robot.name: robot for robot in task.robots}
-        self.marks = frozenset(thing.name for thing in task.world.objects if not thing.solid)
+        self._robots: Mapping[str, Robot] = {robot.name: robot for robot in program.robots}
+        self.marks = frozenset(thing.name for thing in program.world.objects if not thing.solid)
         """Objects that nothing touches."""
-        self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in task.world.robots}
-        self._defined: dict[str, tuple[Valued, str]] = {value.name: (value, "") for value in (*task.parameters, *task.order)}
-        self._defined |= {ending.value.name: (ending.value, "") for ending in task.endings}
-        self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in task.robots for value in robot.emit}
-        if task.goal is not None:
-            self._defined |= {"achieved": (task.goal.achieved, ""), "desired": (task.goal.desired, "")}
-            self._defined["goal_reached"] = (_reached(task.goal), "")
+        self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
+        self._defined: dict[str, tuple[Expression, str]] = {value.name: (value, "") for value in (*program.parameters, *program.signals)}
+        self._defined |= {ending.value.name: (ending.value, "") for ending in program.endings}
+        self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in program.robots for value in robot.emit}
+        if program.goal is not None:
+            self._defined |= {"achieved": (program.goal.achieved, ""), "desired": (program.goal.desired, "")}
+            self._defined["goal_reached"] = (_reached(program.goal), "")
         self._scalars: dict[str, dict[str | None, Scalar]] = {}
         self._behind: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._behind_names: dict[Name, frozenset[str]] = {}
@@ -84,17 +86,17 @@ class Book:
         self._numbers: dict[tuple[object, ...], int] = {}
         self._of_names: dict[Name, int] = {}
         self._of_trees: dict[int, tuple[Scalar, int]] = {}
-        self.period = task.world.timestep * task.agent.repeat
+        self.period = program.world.timestep * program.agent.repeat
         """Of a step of the agent, s."""
-        self.last = task.truncation.most_steps(self.period)
+        self.last = program.truncation.last_step(self.period)
         """The step at which an episode is cut short at the latest."""
 
-    def named(self, name: str) -> Valued | None:
+    def named(self, name: str) -> Expression | None:
         """The definition of a name, where it has one."""
         found = self._defined.get(name)
         return found[0] if found else None
 
-    def scalars(self, value: Valued) -> tuple[Scalar, ...]:
+    def scalars(self, value: Expression) -> tuple[Scalar, ...]:
         """What a value of the supervisor computes, per component; of one in Python only its type is known."""
         return self.lowered(value.typed, value.owner)
 
@@ -134,7 +136,7 @@ class Book:
         known = self._scalars[node.name]
         return known[node.component] if node.component in known else next(iter(known.values()))
 
-    def on_board(self, value: Valued, robot: str) -> Scalars:
+    def on_board(self, value: Expression, robot: str) -> Scalars:
         """What a value on board of a robot computes, per component."""
         met: dict[str, Interval] = {}
         trees = _Lowered(value.owner, met).scalars(value.typed)
@@ -273,11 +275,11 @@ class Book:
 
     # Conditions
 
-    def comparisons(self, value: Valued) -> Iterator[Comparison]:
+    def comparisons(self, value: Expression) -> Iterator[Comparison]:
         """Comparisons of which one at least must hold for the condition to hold, also for some time."""
         yield from self._compared(value, value.typed, set()) if value.foreign is None else ()
 
-    def _compared(self, value: Valued, node: Typed, met: set[str]) -> Iterator[Comparison]:
+    def _compared(self, value: Expression, node: Typed, met: set[str]) -> Iterator[Comparison]:
         """`met` are the names that were followed: what is asked twice is asked."""
         match node:
             case Operation(operator=operator) if operator in COMPARISONS:
@@ -299,12 +301,12 @@ class Book:
 
 
 @lru_cache(maxsize=4)
-def book_of(task: Task, *, ideal: bool = False) -> Book:
+def book_of(program: Program, *, ideal: bool = False) -> Book:
     """The definitions of a task, which all rules share: following them anew for each took a third of the time of all rules."""
-    return Book(task, ideal=ideal, like=book_of(task) if ideal else None)
+    return Book(program, ideal=ideal, like=book_of(program) if ideal else None)
 
 
-def _reached(goal: TaskGoal) -> Valued:
+def _reached(goal: Goal) -> Expression:
     """What `goal_reached` means, as if it had been written out. It has no place of its own in the scenario: its owner is empty."""
     apart, least = "norm(achieved - desired)", f"{goal.within:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{apart} <= {least}", len(apart)
@@ -314,4 +316,4 @@ def _reached(goal: TaskGoal) -> Valued:
     distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (Operation(whole, 0, end, "sub", sides),))
     within = Constant(size, end + 4, len(text), (goal.within,))
     typed = Operation(Type(boolean=True, stage=Stage.STEP), 0, len(text), "less_equal", (distance, within))
-    return Valued("goal_reached", goal.achieved.span, text, typed, "")
+    return Expression("goal_reached", goal.achieved.span, text, typed, "")

@@ -10,7 +10,8 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removing
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.types import Invocation, Kind, Reference, Typed, children
-from deepbots_cli.task import Task, Valued
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
@@ -40,8 +41,8 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
     if checked.namespace is None:
         return
     yield from _unused_names(checked, checked.namespace)
-    if checked.task is not None:
-        yield from _unused_parts(checked, checked.task)
+    if checked.program is not None:
+        yield from _unused_parts(checked, checked.program)
 
 
 def _unused_names(checked: Checked, namespace: Namespace) -> Iterator[Finding]:
@@ -53,10 +54,10 @@ def _unused_names(checked: Checked, namespace: Namespace) -> Iterator[Finding]:
             yield Finding("DB205", values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
 
 
-def _unused_parts(checked: Checked, task: Task) -> Iterator[Finding]:
+def _unused_parts(checked: Checked, program: Program) -> Iterator[Finding]:
     """Sensors and actuators of a robot, and what it is sent."""
-    looking = {part for value in _judged(task) for part in _sensors(value.typed)}
-    for robot in task.robots:
+    looking = {part for value in _judged(program) for part in _sensors(value.typed)}
+    for robot in program.robots:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         for sensor in robot.sensors:
@@ -82,17 +83,17 @@ def _idle(checked: Checked, path: Path, what: str, help: str) -> Iterator[Findin
         yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removing(values.root, path))
 
 
-def _judged(task: Task) -> Iterator[Valued]:
+def _judged(program: Program) -> Iterator[Expression]:
     """What the supervisor computes."""
-    yield from task.order
-    yield from task.reward
-    if task.goal is not None:
-        yield from (task.goal.achieved, task.goal.desired)
-    yield from (ending.value for ending in task.endings)
-    for script in task.scripts:
+    yield from program.signals
+    yield from program.reward
+    if program.goal is not None:
+        yield from (program.goal.achieved, program.goal.desired)
+    yield from (ending.value for ending in program.endings)
+    for script in program.scripts:
         for part in script.parts:
-            yield from part if isinstance(part, tuple) else (condition for _, condition in part.rules)
-    for robot in task.robots:
+            yield from part.values
+    for robot in program.robots:
         yield from robot.receive
 
 

@@ -16,10 +16,12 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, children
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Observation
+from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import reach_of
 from deepbots_cli.rules.wording import between, span_of
-from deepbots_cli.task import ObservedValue, Task, TaskNoise, Valued
 
 _ROUNDING = 1e-6
 """How far, as a share, a value may be beyond a bound by rounding alone."""
@@ -32,7 +34,7 @@ _SHARE = 0.25
 class Seen(NamedTuple):
     """One number of the observation: its entry, what it shows and the bounds of its range in SI units."""
 
-    entry: ObservedValue
+    entry: Observation
     node: Scalar
     low: float
     high: float
@@ -44,14 +46,14 @@ class Seen(NamedTuple):
 
 def numbers_seen(book: Book) -> Iterator[Seen]:
     """Every number of the observation that has a range."""
-    for entry in book.task.observation:
+    for entry in book.program.observation:
         known = entry.value.typed.type
         if not known.picture and not known.boolean:
             for node, low, high in zip(book.scalars(entry.value), entry.low, entry.high, strict=True):
                 yield Seen(entry, node, low, high)
 
 
-def range_span(checked: Checked, entry: ObservedValue) -> Span:
+def range_span(checked: Checked, entry: Observation) -> Span:
     assert checked.namespace is not None  # there is a task
     return checked.namespace.values.span(("observation", entry.value.name, "range"))
 
@@ -78,10 +80,10 @@ def privileged_observation(checked: Checked) -> Iterator[Finding]:
         augment: {height: position(cart.tip).z}
         observation: {height: 0 .. 2 m}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    privileged = _privileged(checked.task)
-    for observed in checked.task.observation:
+    privileged = _privileged(checked.program)
+    for observed in checked.program.observation:
         head = observed.value.name.partition(".")[0]
         if head in privileged:
             origin = checked.namespace.origin(head)
@@ -91,11 +93,11 @@ def privileged_observation(checked: Checked) -> Iterator[Finding]:
             yield Finding("DB609", observed.value.span, headline, help=helps)
 
 
-def _privileged(task: Task) -> set[str]:
+def _privileged(program: Program) -> set[str]:
     """Drawn parameters, and signals that are made of them or of the world, without those that `augment` grants."""
-    found = {value.name for value in task.parameters} - task.augmented
-    for value in task.order:
-        if value.name not in task.augmented and _tells(value.typed, found):
+    found = {value.name for value in program.parameters} - program.augmented
+    for value in program.signals:
+        if value.name not in program.augmented and _tells(value.typed, found):
             found.add(value.name)
     return found
 
@@ -131,24 +133,24 @@ def goal_in_observation(checked: Checked) -> Iterator[Finding]:
         reward: {alive: 1 when goal_reached}
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
     """
-    task = checked.task
-    if task is None or task.goal is None or task.training is None or task.training.replay is None:
+    program = checked.program
+    if program is None or program.goal is None or program.training is None or program.training.replay is None:
         return
-    book = book_of(task, ideal=True)
-    bodies = {thing.name for thing in task.world.objects} | {robot.name for robot in task.world.robots}
-    known = bodies | {value.name for value in task.parameters}
-    achieved, desired = (_told(book, side) for side in (task.goal.achieved, task.goal.desired))
+    book = book_of(program, ideal=True)
+    bodies = {thing.name for thing in program.world.objects} | {robot.name for robot in program.world.robots}
+    known = bodies | {value.name for value in program.parameters}
+    achieved, desired = (_told(book, side) for side in (program.goal.achieved, program.goal.desired))
     ours = (desired - achieved) & known
-    for entry in task.observation:
+    for entry in program.observation:
         told = _told(book, entry.value)
         if told & ours:
             headline = f"`{entry.value.name}` tells of the goal, which hindsight replaces in `desired` alone"
             help = "take it out: the policy sees `achieved` and `desired` beside the observation"
-            also = (Label(task.goal.desired.span, f"made of `{min(told & ours)}` too"),)
+            also = (Label(program.goal.desired.span, f"made of `{min(told & ours)}` too"),)
             yield Finding("DB614", entry.value.span, headline, help=help, also=also)
 
 
-def _told(book: Book, value: Valued) -> set[str]:
+def _told(book: Book, value: Expression) -> set[str]:
     return {name for node in book.scalars(value) for name in book.told(node)}
 
 
@@ -159,7 +161,7 @@ class Sight(NamedTuple):
     span: Span
     node: Scalar
     reach: Interval
-    noise: TaskNoise | None
+    noise: Noise | None
 
 
 class Linear(NamedTuple):
@@ -190,10 +192,10 @@ def noise_without_effect(checked: Checked) -> Iterator[Finding]:
         goal: {achieved: x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
         reward: {alive: 1 when goal_reached}
     """
-    task = checked.task
-    if task is None or not any((*(entry.noise for entry in task.observation), *(value.noise for value in _measured(task)))):
+    program = checked.program
+    if program is None or not any((*(entry.noise for entry in program.observation), *(value.noise for value in _measured(program)))):
         return
-    book = book_of(task)
+    book = book_of(program)
     seen = [(sight, _noises(book, sight)) for sight in _sights(book)]
     known: dict[int, Linear] = {}
     exact = [(sight, _linear(book, sight.node, known)) for sight, noises in seen if not noises]
@@ -205,32 +207,32 @@ def noise_without_effect(checked: Checked) -> Iterator[Finding]:
             headline = f"`{sight.name}` has noise, and the policy sees its exact value in `{shown.name}`"
             help = "give the value its noise once, under `augment`, as `{value: ..., noise: ...}`, and use that name in both places"
             also = (Label(shown.span, "seen exactly"),)
-            yield Finding("DB616", noises[0].deviation.span, headline, help=help, also=also)
+            yield Finding("DB616", noises[0].std.span, headline, help=help, also=also)
 
 
-def _measured(task: Task) -> tuple[Valued, ...]:
+def _measured(program: Program) -> tuple[Expression, ...]:
     """What may have noise whatever the policy sees."""
-    return (*task.order, *([task.goal.achieved] if task.goal else []))
+    return (*program.signals, *([program.goal.achieved] if program.goal else []))
 
 
 def _sights(book: Book) -> Iterator[Sight]:
     """Every number of the observation and of the goal; none that comes by messages which may be late."""
-    task = book.task
-    route = task.from_robot
-    late = task.timing == "paper" or any((route.latency, route.loss, route.range))
+    program = book.program
+    routes = [robot.from_route for robot in program.robots]
+    late = program.timing == "paper" or any(route.settings for route in routes)
     found = [
         Sight(seen.entry.value.name, seen.entry.value.span, seen.node, Interval(seen.low, seen.high), seen.entry.noise)
         for seen in numbers_seen(book)
     ]
-    if task.goal is not None:
-        for value in (task.goal.achieved, task.goal.desired):
+    if program.goal is not None:
+        for value in (program.goal.achieved, program.goal.desired):
             nodes = book.scalars(value)
-            ranges = zip(nodes, task.goal.low, task.goal.high, strict=False)
+            ranges = zip(nodes, program.goal.low, program.goal.high, strict=False)
             found += [Sight(value.name, value.span, node, Interval(low, high), value.noise) for node, low, high in ranges]
     return (sight for sight in found if not (late and any("." in name for name in book.names_behind(sight.node))))
 
 
-def _noises(book: Book, sight: Sight) -> list[TaskNoise]:
+def _noises(book: Book, sight: Sight) -> list[Noise]:
     """The noise that a number has, its own first."""
     names = [part.name for part in book.unfold(sight.node) if isinstance(part, Name) and book.is_noisy(part.name)]
     measured = [value for name in names if (value := book.named(name)) is not None]
@@ -300,9 +302,9 @@ def observation_unbounded(checked: Checked) -> Iterator[Finding]:
 
         observation: {speed: -0.8 .. 0.8 m/s}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     reach = reach_of(book)
     for entry in {
         id(seen.entry): seen.entry for seen in numbers_seen(book) if not seen.entry.clip and not reach.of(seen.node).finite
@@ -328,9 +330,9 @@ def bounds_mismatch(checked: Checked) -> Iterator[Finding]:
 
         observation: {cart.pole_angle: -20 .. 20 deg}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     reach = reach_of(book)
     for seen in once(seen for seen in numbers_seen(book) if seen.entry.clip):
         known = reach.of(seen.node)

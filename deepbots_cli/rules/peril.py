@@ -9,13 +9,14 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book, Comparison
 from deepbots_cli.rules.payments import Payments, payments_of
 from deepbots_cli.rules.progress import Slope
 from deepbots_cli.rules.reach import Kept
 from deepbots_cli.rules.thresholds import Threshold, thresholds
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.task import TaskEnding, Valued
 
 _EDGE = 0.1
 """What counts as near, as a share of the way from the middle to the failure: near the middle, and near the failure."""
@@ -41,13 +42,13 @@ def pays_towards_failure(checked: Checked) -> Iterator[Finding]:
         reward: {near: exp(-abs(x) / 20 cm)}
         termination: {failure: {off_track: abs(x) > 39 cm}}
     """
-    if checked.task is None or checked.task.goal is not None:
+    if checked.program is None or checked.program.goal is not None:
         return
-    payments = payments_of(checked.task)
+    payments = payments_of(checked.program)
     if not payments.is_whole:
         return
     ordinary, _ = payments.split()
-    for ending in checked.task.endings:
+    for ending in checked.program.endings:
         compared = list(payments.book.comparisons(ending.value)) if ending.outcome == "failure" else []
         if len(compared) != 1 or _is_more(payments.book, ending):
             continue
@@ -60,7 +61,7 @@ def pays_towards_failure(checked: Checked) -> Iterator[Finding]:
             yield Finding("DB710", term.span, headline, help=_help(compared[0], asked), also=also)
 
 
-def _is_more(book: Book, ending: TaskEnding) -> bool:
+def _is_more(book: Book, ending: Ending) -> bool:
     """Whether the condition is more than one comparison."""
     meaning = book.meaning(book.scalars(ending.value)[0])
     return not (isinstance(meaning, Op) and meaning.op.startswith(("less", "greater")))
@@ -78,16 +79,16 @@ def _holds_memory(book: Book, node: Scalar) -> bool:
     return isinstance(node, State) or any(_holds_memory(book, part) for part in children(node))
 
 
-def _towards(payments: Payments, asked: Threshold, terms: list[tuple[Valued, Scalar]]) -> list[Valued]:
+def _towards(payments: Payments, asked: Threshold, terms: list[tuple[Expression, Scalar]]) -> list[Expression]:
     """The terms that pay for it; none where another term, or a success, speaks of the same things."""
     book, slope = payments.book, Slope(payments.book, payments.running(), asked)
     things = _things(book, asked.quantity)
     wrong = [(term, node) for term, node in terms if slope.of(node) == 1.0 and _is_dearer(payments, asked, node)]
     others = [node for term, node in terms if term not in [found for found, _ in wrong]]
     others += [
-        book.scalars(ending.value)[0] for ending in payments.task.endings if ending.outcome == "success" and not ending.value.foreign
+        book.scalars(ending.value)[0] for ending in payments.program.endings if ending.outcome == "success" and not ending.value.foreign
     ]
-    if any(ending.value.foreign for ending in payments.task.endings) or any(things & _things(book, node) for node in others):
+    if any(ending.value.foreign for ending in payments.program.endings) or any(things & _things(book, node) for node in others):
         return []
     return [term for term, _ in wrong]
 

@@ -7,10 +7,11 @@ from functools import lru_cache
 
 from deepbots_cli.expressions.intervals import INF, Interval
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, World
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Ending
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.reach import ALWAYS, Kept, reach_of
 from deepbots_cli.rules.thresholds import has_choice, is_clock, thresholds
-from deepbots_cli.task import Task, TaskEnding
 
 _BEFORE = 0.02
 """How far ahead of its limit, as a share of that, another ending has to hold: a value may pass both within a tick."""
@@ -21,15 +22,15 @@ _GRADUAL = frozenset({"position", "orientation", "joint_position", "gap", "besid
 
 
 @lru_cache(maxsize=4)
-def forestalled(task: Task) -> Mapping[TaskEnding, TaskEnding]:
+def forestalled(program: Program) -> Mapping[Ending, Ending]:
     """Endings that have no effect, each with the one that holds already when it could.
 
     A failure beats a success, so that one behind a success is not meant.
     """
-    book = book_of(task)
+    book = book_of(program)
     reach = reach_of(book, (0.0, INF))
-    own = [ending for ending in task.endings if ending.value.foreign is None and not reach.of(book.scalars(ending.value)[0]).single]
-    found: dict[TaskEnding, TaskEnding] = {}
+    own = [ending for ending in program.endings if ending.value.foreign is None and not reach.of(book.scalars(ending.value)[0]).single]
+    found: dict[Ending, Ending] = {}
     for late in own if 1 < len(own) <= _MANY else ():
         others = [other for other in own if other is not late and late.outcome in (other.outcome, "success")]
         if not others or has_choice(book, late.value):
@@ -47,7 +48,7 @@ def forestalled(task: Task) -> Mapping[TaskEnding, TaskEnding]:
 
 
 def _is_gradual(book: Book, quantity: Scalar) -> bool:
-    parameters = {value.name for value in book.task.parameters}
+    parameters = {value.name for value in book.program.parameters}
     for node in book.unfold(quantity):
         match node:
             case World(function) if function in _GRADUAL:

@@ -9,11 +9,12 @@ from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State
 from deepbots_cli.expressions.unification import negated
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of
 from deepbots_cli.rules.reach import NEVER, Reach
 from deepbots_cli.rules.thresholds import FOLLOWING, Threshold, is_clock, thresholds
-from deepbots_cli.task import TaskEnding, Valued
 
 _RISING = FOLLOWING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
 """Functions that rise with their first argument."""
@@ -45,12 +46,12 @@ def suspicious_sign(checked: Checked) -> Iterator[Finding]:
         reward: {nearer: -10 * delta(left) / m}
         termination: {success: {arrived: left < 5 cm}}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    payments = payments_of(checked.task)
+    payments = payments_of(checked.program)
     ordinary, final = payments.split()
     for term, node in final:
-        for ending in checked.task.endings:
+        for ending in checked.program.endings:
             paid = payments.at(ending).of(node)
             if _is_for_others_too(payments, node, ending):
                 continue
@@ -60,25 +61,25 @@ def suspicious_sign(checked: Checked) -> Iterator[Finding]:
                 also = (Label(ending.value.span, f"{kind} here"),)
                 yield _turn(term, f"`{ending.value.name}` is {kind}, and {verb}", also)
                 break
-    successes = [ending for ending in checked.task.endings if ending.outcome == "success"]
+    successes = [ending for ending in checked.program.endings if ending.outcome == "success"]
     if payments.is_whole and len(successes) == 1:
         yield from _away(payments, ordinary, successes[0])
 
 
-def _turn(term: Valued, headline: str, also: tuple[Label, ...]) -> Finding:
+def _turn(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
     turned = negated(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, turned, safe=False)
     help = f"turn the sign round: `{turned}`" if len(turned) <= _SHOWN else "turn the sign round"
     return Finding("DB703", term.span, headline, help=help, also=also, fix=fix)
 
 
-def _is_for_others_too(payments: Payments, node: Scalar, ending: TaskEnding) -> bool:
+def _is_for_others_too(payments: Payments, node: Scalar, ending: Ending) -> bool:
     """Whether a term is paid at ends of another kind as well, so that its sign says nothing about this one."""
-    others = [other for other in payments.task.endings if other.outcome != ending.outcome]
+    others = [other for other in payments.program.endings if other.outcome != ending.outcome]
     return any(payments.at(other).of(node) != NEVER for other in (*others, None))
 
 
-def _away(payments: Payments, ordinary: list[tuple[Valued, Scalar]], ending: TaskEnding) -> Iterator[Finding]:
+def _away(payments: Payments, ordinary: list[tuple[Expression, Scalar]], ending: Ending) -> Iterator[Finding]:
     """Terms that pay for the opposite of the one thing that a success asks for."""
     compared = list(payments.book.comparisons(ending.value))
     if len(compared) != 1 or _is_joined(payments.book, ending):
@@ -97,9 +98,9 @@ def _away(payments: Payments, ordinary: list[tuple[Valued, Scalar]], ending: Tas
             return
 
 
-def _going(slope: Slope, terms: list[tuple[Valued, Scalar]], way: float) -> list[Valued]:
+def _going(slope: Slope, terms: list[tuple[Expression, Scalar]], way: float) -> list[Expression]:
     """The terms with this slope; none if another has the opposite, or one that is not known."""
-    found: list[Valued] = []
+    found: list[Expression] = []
     for term, node in terms:
         known = slope.of(node)
         if known == way:
@@ -109,7 +110,7 @@ def _going(slope: Slope, terms: list[tuple[Valued, Scalar]], way: float) -> list
     return found
 
 
-def _is_joined(book: Book, ending: TaskEnding) -> bool:
+def _is_joined(book: Book, ending: Ending) -> bool:
     """Whether the condition is more than one comparison."""
     meaning = book.meaning(book.scalars(ending.value)[0])
     return isinstance(meaning, Op) and meaning.op in ("and", "or")
@@ -229,25 +230,25 @@ def hidden_state_reward(checked: Checked) -> Iterator[Finding]:
         observation: {left: -0.6 .. 0.6 m}
         reward: {near: -abs(left) / m}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task, ideal=True)
-    task = checked.task
+    book = book_of(checked.program, ideal=True)
+    program = checked.program
     seen: set[str] = set()
-    for entry in task.observation:
+    for entry in program.observation:
         for node in book.scalars(entry.value):
             seen |= book.told(node)
-    if task.goal is not None:
-        for value in (task.goal.achieved, task.goal.desired):
+    if program.goal is not None:
+        for value in (program.goal.achieved, program.goal.desired):
             seen |= {found for node in book.scalars(value) for found in book.told(node)}
-    feels = any(sensor.kind in _FEELERS for robot in task.robots for sensor in robot.sensors) or any(
-        entry.value.typed.type.picture for entry in task.observation
+    feels = any(sensor.kind in _FEELERS for robot in program.robots for sensor in robot.sensors) or any(
+        entry.value.typed.type.picture for entry in program.observation
     )
-    drawn = {value.name for value in task.parameters}
+    drawn = {value.name for value in program.parameters}
     walls = set(checked.namespace.walls) if checked.namespace else set()  # their pieces, such as `bay 1`, are in the same place always
-    things = {thing.name for thing in task.world.objects if thing.name.partition(" ")[0] not in walls}
-    bodies = set() if feels else things | {robot.name for robot in task.world.robots}
-    for term in task.reward:
+    things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
+    bodies = set() if feels else things | {robot.name for robot in program.world.robots}
+    for term in program.reward:
         if term.foreign is None:
             hidden = sorted((book.told(book.scalars(term)[0]) - seen) & (drawn | bodies))
             if hidden:

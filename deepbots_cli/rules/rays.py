@@ -6,18 +6,20 @@ from collections.abc import Iterator
 from math import hypot, inf, pi
 from typing import NamedTuple
 
-from deepbots_cli import footprint, frames, ir
+from deepbots_cli import footprint, frames
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.frames import Frame, quaternion
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Sensor, Thrust
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import extent
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.start import AtStart, is_level
 from deepbots_cli.rules.wording import figure
-from deepbots_cli.task import Task
 
 CLEAR = 0.001
 """m; engines let bodies sink in by less, and round what rays meet."""
@@ -63,28 +65,28 @@ def rays_meet_nothing(checked: Checked) -> Iterator[Finding]:
         robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}, emit: [pole_angle, ahead]}}
         observation: {cart.ahead: auto}
     """
-    task = checked.task
-    if task is None or checked.namespace is None:
+    program = checked.program
+    if program is None or checked.namespace is None:
         return
-    variants = (*(case.task for case in task.cases), *(stage.task for stage in task.curriculum))
-    here = Heights(task)
-    for robot in task.robots:
+    variants = (*(case.program for case in program.cases), *(stage.program for stage in program.curriculum))
+    here = Heights(program)
+    for robot in program.robots:
         for sensor in robot.sensors:
             aim = here.over_all(robot.name, sensor.name) if casts_rays(sensor) else None
             if aim is not None and all(Heights(variant).over_all(robot.name, sensor.name) for variant in variants):
                 yield over_all(checked.namespace.values, robot.name, sensor.name, aim)
 
 
-def casts_rays(sensor: ir.Sensor) -> bool:
+def casts_rays(sensor: Sensor) -> bool:
     return sensor.beams is not None and sensor.beams.reach > 0.0
 
 
 class Heights:
     """How high sensors and all that is solid are, as far as a task tells."""
 
-    def __init__(self, task: Task) -> None:
-        self._task = task
-        self._start = AtStart(book_of(task))
+    def __init__(self, program: Program) -> None:
+        self._task = program
+        self._start = AtStart(book_of(program))
 
     def over_all(self, robot: str, sensor: str) -> Aim | None:
         """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a body, or it is not known."""
@@ -110,7 +112,7 @@ class Heights:
 
     @property
     def _flies(self) -> bool:
-        return any(isinstance(command.actuator, ir.Thrust) for each in self._task.robots for command in each.commands)
+        return any(isinstance(command.actuator, Thrust) for each in self._task.robots for command in each.commands)
 
     def _lowest(self, robot: str, name: str) -> float | None:
         """The lowest point of any ray within its range, m above the ground; None where it is not known or a ray meets the ground."""
@@ -133,7 +135,7 @@ class Heights:
         lowest = min(height + min(0.0, slope * sensor.beams.reach) for height, slope in tried[0])
         return lowest if lowest > 0.0 else None
 
-    def _root(self, body: ir.RobotBody) -> Frame | None:
+    def _root(self, body: RobotBody) -> Frame | None:
         """The frame of a robot's root, turned by no yaw: of one with a fixed base, or of one that stands level on the ground."""
         if self._flies:
             return None
@@ -162,7 +164,7 @@ class Heights:
             if other.name != robot or self._task.agent.each is not None:
                 yield other.name, self._top_of_robot(other)
 
-    def _top(self, thing: ir.ObjectBody, *, may_be_lifted: bool) -> float:
+    def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
         """Of an object that moves, with its longest side upright."""
         kinds = [(kind.shape, kind.fixed) for kind in thing.variants] or [(thing.shape, thing.fixed)]
         if any((isinstance(shape, Mesh) and extent(shape) is None) or (may_be_lifted and not fixed) for shape, fixed in kinds):
@@ -182,7 +184,7 @@ class Heights:
                 top = max(top, (size[2] if is_level(pose) else reach) if place.rests else pose["z"].high + reach)
         return top
 
-    def _top_of_robot(self, body: ir.RobotBody) -> float:
+    def _top_of_robot(self, body: RobotBody) -> float:
         root = self._root(body)
         if root is None or root[1] != frames.UPRIGHT or not _keeps(body.model, _HIGHEST):
             return inf
@@ -217,7 +219,7 @@ def _keeps(model: RobotModel, end: int) -> bool:
     return all(abs(other - known) <= _SAME for other in others)
 
 
-def _can_lift(world: ir.WorldModel) -> bool:
+def _can_lift(world: WorldModel) -> bool:
     return not all(_keeps(robot.model, _HIGHEST) for robot in world.robots)
 
 

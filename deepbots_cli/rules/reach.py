@@ -30,7 +30,7 @@ class Reach:
     def __init__(self, book: Book, given: Mapping[str, Interval] = _NOTHING, steps: tuple[float, float] | None = None) -> None:
         self.book = book
         first, last = steps or (0.0, float(book.last))
-        before = max(0.0, first - 1.0) * book.period + (book.task.world.timestep if first else 0.0)
+        before = max(0.0, first - 1.0) * book.period + (book.program.world.timestep if first else 0.0)
         self._time = Interval(before, last * book.period)
         self.given = {"step": Interval(first, last), "time": self._time, **given}
         self._known: dict[Name, Interval] = {}
@@ -68,7 +68,7 @@ class Reach:
 
     def _clipped(self, node: Name, known: Interval) -> Interval:
         """Of a goal, what is left of it within its range."""
-        goal = self.book.task.goal
+        goal = self.book.program.goal
         if goal is None or node.name not in ("achieved", "desired"):
             return known
         names = goal.achieved.components or (None,)
@@ -97,7 +97,7 @@ class Reach:
     def _travel(self, joint: str) -> Interval:
         """Between the stops of a joint."""
         robot, _, name = joint.partition(".")
-        model = next(body.model for body in self.book.task.world.robots if body.name == robot)
+        model = next(body.model for body in self.book.program.world.robots if body.name == robot)
         limit = model.joint(name).limit
         return EVERYTHING if limit.lower is None or limit.upper is None else Interval(limit.lower, limit.upper)
 

@@ -9,10 +9,11 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.scalar import World
 from deepbots_cli.expressions.types import Invocation, Reference, Stage, Typed, children
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Placement
 from deepbots_cli.rules.meaning import book_of
 from deepbots_cli.rules.reach import ALWAYS
 from deepbots_cli.rules.start import AtStart
-from deepbots_cli.task import Placement, Task
 
 
 def requirement_not_redrawn(checked: Checked) -> Iterator[Finding]:
@@ -34,35 +35,35 @@ def requirement_not_redrawn(checked: Checked) -> Iterator[Finding]:
         augment: {left: mark - x}
         observation: {left: -0.8 .. 0.8 m}
     """
-    if checked.task is None or (require := checked.task.beginnings.require) is None:
+    if checked.program is None or (require := checked.program.reset.require) is None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     (node,) = book.scalars(require)
-    drawn = {value.name for value in checked.task.parameters if value.typed.type.stage is not Stage.FIXED}
+    drawn = {value.name for value in checked.program.parameters if value.typed.type.stage is not Stage.FIXED}
     facts = [fact for fact in book.unfold(node) if isinstance(fact, World)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
-    placements = [place for place in _placements(checked.task) if place.body in bodies]
+    placements = [place for place in _placements(checked.program) if place.body in bodies]
     told = sorted((book.told(node) | {name for place in placements for name in _names(place)}) & drawn)
-    bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(checked.task, fact) for subject in fact.subjects}
-    if told and not _is_drawn_again(checked.task, placements, bent) and AtStart(book).of(node) != ALWAYS:
+    bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(checked.program, fact) for subject in fact.subjects}
+    if told and not _is_drawn_again(checked.program, placements, bent) and AtStart(book).of(node) != ALWAYS:
         headline = f"drawing again does not change what is required: `{told[0]}` is drawn once per episode"
         yield Finding("DB812", require.span, headline, help=f"draw `{told[0]}` so that it fits, or draw places under `reset.place`")
 
 
-def _is_of_root(task: Task, fact: World) -> bool:
+def _is_of_root(program: Program, fact: World) -> bool:
     """Whether it is about the place of an object or of a root link, which no joint moves."""
-    roots = {f"{robot.name}.{robot.model.root}" for robot in task.world.robots} | {thing.name for thing in task.world.objects}
+    roots = {f"{robot.name}.{robot.model.root}" for robot in program.world.robots} | {thing.name for thing in program.world.objects}
     return fact.function in ("position", "orientation") and roots.issuperset(fact.subjects)
 
 
-def _placements(task: Task) -> list[Placement]:
-    begins = task.beginnings
-    return [*begins.placements, *(place for layout in begins.layouts for place in layout.placements)]
+def _placements(program: Program) -> list[Placement]:
+    reset = program.reset
+    return [*reset.placements, *(place for layout in reset.layouts for place in layout.placements)]
 
 
 def _names(place: Placement) -> Iterator[str]:
     """What its coordinates are made of."""
-    waiting = [coordinate.typed for coordinate in place.coordinates.values() if coordinate.typed is not None]
+    waiting = [coordinate.typed for coordinate in place.coordinates.values()]
     while waiting:
         node = waiting.pop()
         if isinstance(node, Reference):
@@ -70,15 +71,15 @@ def _names(place: Placement) -> Iterator[str]:
         waiting += children(node)
 
 
-def _is_drawn_again(task: Task, placements: list[Placement], bent: set[str]) -> bool:
+def _is_drawn_again(program: Program, placements: list[Placement], bent: set[str]) -> bool:
     """Whether something is another at the next attempt: the place of a body, the layout, or a joint of a robot that is `bent`."""
-    joints = any(start.robot in bent and _draws(start.position.typed) for start in task.joint_starts)
-    return joints or any(_moves(place) for place in placements) or (bool(placements) and len(task.beginnings.layouts) > 1)
+    joints = any(start.robot in bent and _draws(start.position.typed) for start in program.reset.joint_starts)
+    return joints or any(_moves(place) for place in placements) or (bool(placements) and len(program.reset.layouts) > 1)
 
 
 def _moves(place: Placement) -> bool:
     coordinates = place.coordinates.values()
-    is_drawn = any(coordinate.typed is None or _draws(coordinate.typed) for coordinate in coordinates)
+    is_drawn = any(_draws(coordinate.typed) for coordinate in coordinates)
     return is_drawn or place.spot is not None or place.at_most is not None
 
 

@@ -8,9 +8,9 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import INF, Interval
+from deepbots_cli.program import Program
 from deepbots_cli.rules.payments import payments_of, versions
 from deepbots_cli.rules.reach import reach_of
-from deepbots_cli.task import Task
 
 _ROUNDING = 1e-9
 
@@ -32,16 +32,16 @@ def nothing_to_learn(checked: Checked) -> Iterator[Finding]:
         reward: {alive: 1}
         termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
     """
-    if checked.task is None or checked.task.training is None or not all(_worth(task).single for task in versions(checked)):
+    if checked.program is None or checked.program.training is None or not all(_worth(program).single for program in versions(checked)):
         return
-    worth = _worth(checked.task).low
+    worth = _worth(checked.program).low
     headline = f"every episode is worth {worth:.4g}, whatever the policy does"
-    help = "pay for the goal, as `1 when goal_reached` does" if checked.task.goal else "pay for what the policy shall do"
+    help = "pay for the goal, as `1 when goal_reached` does" if checked.program.goal else "pay for what the policy shall do"
     if worth > 0.0:
         help += ", or let a failure end a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
         help += ", or let a success end a good episode early"
-    yield Finding("DB711", checked.task.reward[0].span, headline, help=help)
+    yield Finding("DB711", checked.program.reward[0].span, headline, help=help)
 
 
 def return_out_of_reach(checked: Checked) -> Iterator[Finding]:
@@ -59,10 +59,10 @@ def return_out_of_reach(checked: Checked) -> Iterator[Finding]:
 
         solved: {mean_return: 195, episodes: 100}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    for task, wanted, path in _wanted(checked.task):
-        known = _worth(task)
+    for program, wanted, path in _wanted(checked.program):
+        known = _worth(program)
         if wanted > known.high + _ROUNDING * abs(known.high):
             headline, help = f"no episode is worth {wanted:g}: it comes to {known.high:.4g} at most", "ask for less"
             yield Finding("DB810", _span(checked, path), headline, help=help)
@@ -76,25 +76,25 @@ def _span(checked: Checked, path: Path) -> Span:
     return checked.namespace.values.span(path)
 
 
-def _wanted(task: Task) -> Iterator[tuple[Task, float, Path]]:
+def _wanted(program: Program) -> Iterator[tuple[Program, float, Path]]:
     """The mean returns that are asked for, each with the task that it is asked of and its place."""
-    if task.solved is not None and task.solved.mean_return is not None:
-        yield task, task.solved.mean_return, ("solved", "mean_return")
-    for place, stage in enumerate(task.curriculum):
+    if program.solved is not None and program.solved.mean_return is not None:
+        yield program, program.solved.mean_return, ("solved", "mean_return")
+    for place, stage in enumerate(program.curriculum):
         if stage.until is not None and stage.until.metric == "mean_return":
-            yield stage.task, stage.until.threshold, ("curriculum", place, "until")
+            yield stage.program, stage.until.threshold, ("curriculum", place, "until")
 
 
-def _worth(task: Task) -> Interval:
+def _worth(program: Program) -> Interval:
     """Of an episode, by the least and the most that a step and an end can pay; infinite where that is not known."""
-    payments = payments_of(task)
+    payments = payments_of(program)
     terms = list(payments.terms)
     if not payments.is_whole:
         return Interval(-INF, INF)
     step = payments.total(terms, payments.running())
     end = payments.total(terms, reach_of(payments.book, (1.0, float(payments.book.last))))  # whichever endings hold, several at once too
-    ticks = payments.book.last * task.agent.repeat - 1
-    fewest = 0 if task.endings else ticks
+    ticks = payments.book.last * program.agent.repeat - 1
+    fewest = 0 if program.endings else ticks
     best = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
     least = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
     return Interval(least, best)

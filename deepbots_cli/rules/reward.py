@@ -11,12 +11,13 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.intervals import INF, TRUTH, Interval, absolute
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of, versions
 from deepbots_cli.rules.precedence import forestalled
 from deepbots_cli.rules.reach import NEVER, Kept, Reach, Supposing, reach_of
 from deepbots_cli.rules.thresholds import Threshold, is_clock, thresholds
-from deepbots_cli.task import TaskEnding, Valued
 
 _DWARFED = 100.0
 """A term that is so many times what an ending pays makes that invisible."""
@@ -30,7 +31,7 @@ _DISCOUNT = 0.99
 class Singular(NamedTuple):
     """What makes a term boundless: an expression in the text of a value."""
 
-    value: Valued
+    value: Expression
     node: Typed
     is_divisor: bool
 
@@ -50,12 +51,12 @@ def reward_unbounded(checked: Checked) -> Iterator[Finding]:
 
         reward: {near: exp(-abs(x) / 10 cm)}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     reach = reach_of(book, (1.0, float(book.last)))
     guarded = _guarded(book, reach)
-    for term in checked.task.reward:
+    for term in checked.program.reward:
         if term.foreign is None and not reach.of(book.scalars(term)[0]).finite:
             found = _singular(term, term.typed, book, reach, guarded, set())
             if found is not None:
@@ -64,12 +65,12 @@ def reward_unbounded(checked: Checked) -> Iterator[Finding]:
 
 def _guarded(book: Book, reach: Reach) -> set[int]:
     """Quantities that end the episode before they come near zero."""
-    endings = [ending.value for ending in book.task.endings]
+    endings = [ending.value for ending in book.program.endings]
     asked = [asked for value in endings for entry in book.comparisons(value) for asked in thresholds(entry, book, reach)]
     return {book.identity(entry.quantity) for entry in asked if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)}
 
 
-def _singular(value: Valued, node: Typed, book: Book, reach: Reach, guarded: set[int], met: set[str]) -> Singular | None:
+def _singular(value: Expression, node: Typed, book: Book, reach: Reach, guarded: set[int], met: set[str]) -> Singular | None:
     """The first part that is infinite for no other reason than a pole or an exponential; branches of `where` are left alone."""
     if node.type.boolean or all(reach.of(part).finite for part in book.lowered(node, value.owner)):
         return None
@@ -93,7 +94,7 @@ def _singular(value: Valued, node: Typed, book: Book, reach: Reach, guarded: set
     return next((entry for entry in found if entry is not None), None)
 
 
-def _may_vanish(value: Valued, node: Typed, book: Book, reach: Reach, guarded: set[int]) -> bool:
+def _may_vanish(value: Expression, node: Typed, book: Book, reach: Reach, guarded: set[int]) -> bool:
     """Whether a divisor may be zero; one that is known to lie between two finite ends is DB405."""
     for part in book.lowered(node, value.owner):
         known = reach.of(part)
@@ -103,7 +104,7 @@ def _may_vanish(value: Valued, node: Typed, book: Book, reach: Reach, guarded: s
     return False
 
 
-def _boundless(checked: Checked, term: Valued, found: Singular) -> Finding:
+def _boundless(checked: Checked, term: Expression, found: Singular) -> Finding:
     assert checked.namespace is not None  # as the caller found
     text = checked.namespace.values.text(tuple(found.value.owner.split(".")))
     place = text.part(found.node.start, found.node.end)
@@ -134,17 +135,17 @@ def term_dominates(checked: Checked) -> Iterator[Finding]:
 
         reward: {time: -1 / 200, fallen_over: -1 when fallen}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    payments = payments_of(checked.task)
+    payments = payments_of(checked.program)
     ordinary, final = payments.split()
-    prizes = [absolute(payments.total(final, payments.at(ending))).high for ending in (*checked.task.endings, None)]
+    prizes = [absolute(payments.total(final, payments.at(ending))).high for ending in (*checked.program.endings, None)]
     most = max(prizes, default=0.0)
     if not 0.0 < most < INF:
         return
     for term, node in ordinary:
         known = payments.running().of(node)
-        largest = max(abs(known.low), abs(known.high)) * payments.book.last * payments.task.agent.repeat
+        largest = max(abs(known.low), abs(known.high)) * payments.book.last * payments.program.agent.repeat
         if known.single or largest <= _DWARFED * most:  # what it adds up to block by block is no more than that
             continue
         least = _least(payments, node)
@@ -165,7 +166,7 @@ def _least(payments: Payments, node: Scalar) -> float:
         if side == 0.0 or side == -sign:
             return 0.0
         sign = side
-        total += min(abs(known.low), abs(known.high)) * (end - first + 1) * payments.task.agent.repeat
+        total += min(abs(known.low), abs(known.high)) * (end - first + 1) * payments.program.agent.repeat
         first = end + 1
     return total
 
@@ -185,17 +186,17 @@ def inactive_term(checked: Checked) -> Iterator[Finding]:
 
         reward: {alive: 1, upright: 1 when abs(cart.pole_angle) < 5 deg}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
     silent: set[str] | None = None
-    for task in versions(checked):
-        book = book_of(task)
-        given = {ending.value.name: Interval(0.0, 1.0) for ending in task.endings}  # one that never holds is DB801
+    for program in versions(checked):
+        book = book_of(program)
+        given = {ending.value.name: Interval(0.0, 1.0) for ending in program.endings}  # one that never holds is DB801
         reach = Supposing(book, given, (1.0, float(book.last)))
-        zero = {term.name for term in task.reward if term.foreign is None and reach.of(book.scalars(term)[0]) == NEVER}
+        zero = {term.name for term in program.reward if term.foreign is None and reach.of(book.scalars(term)[0]) == NEVER}
         silent = zero if silent is None else silent & zero
-    book = book_of(checked.task)
-    for term in checked.task.reward:
+    book = book_of(checked.program)
+    for term in checked.program.reward:
         if term.name in (silent or ()) and not is_turned_down(term.typed, book):
             headline = f"`{term.name}` is zero in every step"
             yield Finding("DB704", term.span, headline, help="take it out, or mend its condition")
@@ -239,40 +240,40 @@ def rewards_early_death(checked: Checked) -> Iterator[Finding]:
 
         reward: {alive: 1, crash: -10 when off_track}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    payments = payments_of(checked.task)
+    payments = payments_of(checked.program)
     ordinary, final = payments.split()
     running = _short_of_the_goal(payments)
     step = payments.total(ordinary, running)
     if not payments.is_whole or step.high >= 0.0:
         return
-    successes = [ending for ending in checked.task.endings if ending.outcome == "success"]
+    successes = [ending for ending in checked.program.endings if ending.outcome == "success"]
     if any(payments.total(final, payments.at(ending)).high > 0.0 for ending in successes):
         return
-    if checked.task.goal is not None:  # no term can name the failure, so whatever may be paid as it happens is its price
+    if checked.program.goal is not None:  # no term can name the failure, so whatever may be paid as it happens is its price
         if payments.total(ordinary, payments.running()).high > 0.0:
             return
         final = [*ordinary, *final]
-    ahead = step.high * checked.task.agent.repeat * (payments.book.last - 1)
-    for ending in checked.task.endings:
+    ahead = step.high * checked.program.agent.repeat * (payments.book.last - 1)
+    for ending in checked.program.endings:
         cost = payments.total(final, payments.at(ending)).low
         if ending.outcome == "failure" and cost > ahead:
             dearest = min((term for term in ordinary), key=lambda term: running.of(term[1]).high)[0]
-            yield _cheap(dearest, ending, ahead, cost, has_goal=checked.task.goal is not None)
+            yield _cheap(dearest, ending, ahead, cost, has_goal=checked.program.goal is not None)
             return
 
 
 def _short_of_the_goal(payments: Payments) -> Reach:
     """In a step that ends nothing, and, where there is a goal, does not reach it."""
-    goal, running = payments.task.goal, payments.running()
+    goal, running = payments.program.goal, payments.running()
     reached = payments.book.meaning(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
     return Kept(running, payments.book.identity(reached.args[0]), Interval(nextafter(goal.within, INF), INF))
 
 
-def _cheap(dearest: Valued, ending: TaskEnding, ahead: float, cost: float, *, has_goal: bool) -> Finding:
+def _cheap(dearest: Expression, ending: Ending, ahead: float, cost: float, *, has_goal: bool) -> Finding:
     price = "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
     headline = f"an episode that goes on costs {-ahead:.3g} or more, and `{ending.value.name}` {price}"
     help = "let a good step pay instead, such as `alive: 1`, or let failing cost more than all steps together"
@@ -317,11 +318,11 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
         termination: {success: {arrived: left < 5 cm}}
         remove: [reward.alive]
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    payments = payments_of(checked.task)
+    payments = payments_of(checked.program)
     ordinary, _ = payments.split()
-    successes = [ending for ending in checked.task.endings if ending.outcome == "success"]
+    successes = [ending for ending in checked.program.endings if ending.outcome == "success"]
     if not payments.is_whole or len(successes) != 1 or not ordinary:
         return
     success, running = successes[0], payments.running()
@@ -330,7 +331,7 @@ def hovering_pays(checked: Checked) -> Iterator[Finding]:
         if success.value.foreign is None
         else TRUTH
     )
-    if possible == NEVER or success in forestalled(checked.task):
+    if possible == NEVER or success in forestalled(checked.program):
         return  # DB801, DB804
     for entry in payments.book.comparisons(success.value):
         for asked in thresholds(entry, payments.book, running):
@@ -359,11 +360,11 @@ def _just_outside(asked: Threshold) -> Interval:
 
 def horizon(payments: Payments) -> float:
     """The ticks that count: half an episode, or as far as the discount of the training lets an agent see."""
-    training = payments.task.training
+    training = payments.program.training
     found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
     gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
     seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
-    return min(payments.book.last / 2, seen) * payments.task.agent.repeat
+    return min(payments.book.last / 2, seen) * payments.program.agent.repeat
 
 
 RULES = (reward_unbounded, term_dominates, inactive_term, rewards_early_death, hovering_pays)

@@ -13,6 +13,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import Interval, exact
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book, Comparison, book_of
 from deepbots_cli.rules.observation import Seen, another_range, numbers_seen, once, range_span
 from deepbots_cli.rules.precedence import forestalled
@@ -20,7 +21,6 @@ from deepbots_cli.rules.reach import Kept, Reach, reach_of
 from deepbots_cli.rules.start import AtStart
 from deepbots_cli.rules.thresholds import Threshold, thresholds
 from deepbots_cli.rules.wording import between, figure, span_of
-from deepbots_cli.task import Valued
 
 _ROUNDING = 1e-6
 """How far, as a share, a value may be beyond a bound by rounding alone."""
@@ -48,14 +48,14 @@ def saturates_before_termination(checked: Checked) -> Iterator[Finding]:
         observation: {cart.pole_angle: -20 .. 20 deg}
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    book = book_of(checked.task, ideal=True)
+    book = book_of(checked.program, ideal=True)
     reach = reach_of(book)
     shown = [(seen, _made_of(book, seen.node)) for seen in numbers_seen(book)]
     met = set()
-    for ending in checked.task.endings:
-        is_meant = ending.outcome == "failure" and ending not in forestalled(checked.task)
+    for ending in checked.program.endings:
+        is_meant = ending.outcome == "failure" and ending not in forestalled(checked.program)
         for comparison in book.comparisons(ending.value) if is_meant else ():
             asked = [threshold for threshold in thresholds(comparison, book, reach) if _can_be_met(threshold, reach)]
             for sight in _blind(shown, asked, reach):
@@ -136,7 +136,7 @@ def _edge(seen: Seen, threshold: Threshold, reach: Reach) -> float:
     return near
 
 
-def _unseen(checked: Checked, book: Book, sight: Sight, ending: Valued, comparison: Comparison) -> Finding:
+def _unseen(checked: Checked, book: Book, sight: Sight, ending: Expression, comparison: Comparison) -> Finding:
     assert checked.namespace is not None  # as the caller found
     seen, name = sight.seen, sight.seen.entry.value.name
     help, fix = "let it go on beyond the limit: widen its range, or what it is clamped to", None
@@ -182,9 +182,9 @@ def observation_saturates(checked: Checked) -> Iterator[Finding]:
         robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
         observation: {cart.accel: -15 .. 15 m/s^2}
     """
-    if checked.task is None:
+    if checked.program is None:
         return
-    book = book_of(checked.task)
+    book = book_of(checked.program)
     start, reach = AtStart(book), reach_of(book)
     for seen in once(seen for seen in numbers_seen(book) if seen.entry.clip):
         first = start.of(seen.node)
@@ -206,7 +206,7 @@ def observation_saturates(checked: Checked) -> Iterator[Finding]:
 
 def _goal(checked: Checked, book: Book, start: AtStart) -> Iterator[Finding]:
     """Goals that are drawn from more than their range: the policy, reward and endings know what is left of them within."""
-    goal = book.task.goal
+    goal = book.program.goal
     if goal is None:
         return
     for node, low, high in zip(book.scalars(goal.desired), goal.low, goal.high, strict=True):
@@ -245,12 +245,12 @@ def _at_rest(book: Book, leaf: Scalar) -> float | None:
     if found is None or found[1].kind != "accelerometer" or not isinstance(leaf, Name):
         return None
     robot, sensor = found
-    model = next(body.model for body in book.task.world.robots if body.name == robot)
+    model = next(body.model for body in book.program.world.robots if body.name == robot)
     if held(model, sensor.subjects[0])[0] != model.root or not _stands(book, robot):
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]
     turn = frames.inside(link, frames.frame(sensor.mount))[1]
-    gravity = book.task.world.gravity
+    gravity = book.program.world.gravity
     up = frames.rotate_back(turn, (-gravity[0], -gravity[1], -gravity[2]))
     return up["xyz".index(leaf.component or "x")]
 
@@ -258,7 +258,7 @@ def _at_rest(book: Book, leaf: Scalar) -> float | None:
 def _stands(book: Book, robot: str) -> bool:
     """Whether a robot begins neither rolled nor pitched."""
     start = AtStart(book)
-    body = next(body for body in book.task.world.robots if body.name == robot)
+    body = next(body for body in book.program.world.robots if body.name == robot)
     leaning = (World("orientation", (f"{robot}.{body.model.root}",), axis) for axis in "xy")
     return all(start.of(part) == exact(0.0) or start.of(part) == Interval(-1.0, 1.0) for part in leaning)
 

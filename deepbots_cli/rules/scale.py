@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from math import hypot
 
-from deepbots_cli import footprint, ir
+from deepbots_cli import footprint
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Span
@@ -14,6 +14,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, MASS
 from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.footprint import sides
+from deepbots_cli.program.world import ObjectBody, RobotBody, Variant
 from deepbots_cli.robots.inertia import volume
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, RobotModel, Shape, Sphere
 from deepbots_cli.rules.meaning import book_of
@@ -31,7 +32,7 @@ _OUTWEIGHS = 1e5
 _WATER = 1000.0
 """kg/m^3"""
 _METRES = re.compile(r"([\d.]+(?: [\d.]+)*)(?: *m)?")
-_Robots = list[tuple[ir.RobotBody, float]]
+_Robots = list[tuple[RobotBody, float]]
 """With the size of each, m."""
 
 
@@ -51,11 +52,11 @@ def odd_scale(checked: Checked) -> Iterator[Finding]:
 
         objects: {puck: {shape: cylinder, radius: 4 cm, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    world, values = checked.task.world, checked.namespace.values
+    world, values = checked.program.world, checked.namespace.values
     robots = [(robot, size) for robot in world.robots if (size := _size_of_robot(robot.model)) > 0.0]
-    start = AtStart(book_of(checked.task))
+    start = AtStart(book_of(checked.program))
     met: set[Path] = set()
     for thing in world.objects:
         for path, kind in _forms(thing):
@@ -67,13 +68,13 @@ def odd_scale(checked: Checked) -> Iterator[Finding]:
                 yield found
 
 
-def _forms(thing: ir.ObjectBody) -> Iterator[tuple[Path, ir.Variant]]:
+def _forms(thing: ObjectBody) -> Iterator[tuple[Path, Variant]]:
     """Each form that a body may take, and where the scenario tells of it."""
     path: Path = ("objects", thing.name.partition("#")[0])
     if thing.variants:
         yield from (((*path, "one_of", kind.name), kind) for kind in thing.variants)
     else:
-        yield path, ir.Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
+        yield path, Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
 
 
 def _size_of_robot(model: RobotModel) -> float:
@@ -84,7 +85,7 @@ def _size_of_robot(model: RobotModel) -> float:
 # Size
 
 
-def _around(start: AtStart, thing: ir.ObjectBody, kind: ir.Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
+def _around(start: AtStart, thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
     """An object with a small robot inside of it, wherever both are put."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None
@@ -96,7 +97,7 @@ def _around(start: AtStart, thing: ir.ObjectBody, kind: ir.Variant, robots: _Rob
     return None
 
 
-def _is_within(start: AtStart, robot: ir.RobotBody, thing: ir.ObjectBody, shape: Shape) -> bool:
+def _is_within(start: AtStart, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
     """Whether the origin of a robot is within the outline of an object, seen from above, and part of the robot at the same height."""
     reach, half = _core(shape)
     high = footprint.bounds(footprint.without_meshes(robot.model))[1][2]
@@ -128,7 +129,7 @@ def _core(shape: Shape) -> tuple[float, float]:
 # Mass
 
 
-def _heavy_or_light(thing: ir.ObjectBody, kind: ir.Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
+def _heavy_or_light(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
     """A movable object that is of no material, or that outweighs all robots by far."""
     size = volume(kind.shape)
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import cos, sin
 
-from deepbots_cli import ir
 from deepbots_cli.expressions import intervals as iv
-from deepbots_cli.expressions.intervals import EVERYTHING, TURN, Interval, exact, hull
-from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact, hull
 from deepbots_cli.expressions.scalar import State, World
+from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.rules.meaning import Book
 from deepbots_cli.rules.reach import NEVER, Reach
-from deepbots_cli.task import Placement
 
 _PLANE = ("x", "y")
 _TURNS = ("roll", "pitch", "yaw")
@@ -24,10 +22,10 @@ class AtStart(Reach):
 
     def __init__(self, book: Book) -> None:
         super().__init__(book, _BEFORE, (0.0, 0.0))
-        task = book.task
-        self._is_placed = not task.settle and task.agent.each is None
-        self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in task.world.robots}
-        self._bodies |= {thing.name: thing.name for thing in task.world.objects}
+        program = book.program
+        self._is_placed = not program.reset.settle and program.agent.each is None
+        self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
+        self._bodies |= {thing.name: thing.name for thing in program.world.objects}
 
     def _world(self, node: World) -> Interval:
         found = self.standing(node)
@@ -57,18 +55,16 @@ class AtStart(Reach):
     def joint(self, joint: str) -> Interval | None:
         """Where a joint is set; None for one that nothing sets."""
         robot, _, name = joint.partition(".")
-        for start in self.book.task.joint_starts:
+        for start in self.book.program.reset.joint_starts:
             if start.robot == robot and name in start.joints:
-                parts = lower(start.position.typed, start.position.owner)
-                return self.of(parts[start.joints.index(name)] if len(parts) > 1 else parts[0])
+                return self.of(start.position.scalars[start.joints.index(name)])
         return None
 
     def _joint_speed(self, joint: str) -> Interval:
         robot, _, name = joint.partition(".")
-        for start in self.book.task.joint_starts:
+        for start in self.book.program.reset.joint_starts:
             if start.robot == robot and name in start.joints and start.velocity is not None:
-                parts = lower(start.velocity.typed, start.velocity.owner)
-                return self.of(parts[start.joints.index(name)] if len(parts) > 1 else parts[0])
+                return self.of(start.velocity.scalars[start.joints.index(name)])
         return NEVER
 
     def _speed(self, subject: str, way: str, axis: int) -> Interval | None:
@@ -76,18 +72,20 @@ class AtStart(Reach):
         body = self._bodies.get(subject)
         places = list(self._places(body or subject.partition(".")[0].partition("#")[0]))
         moved = [valued for place in places for valued in (place.velocity, place.angular_velocity) if valued is not None]
-        swinging = any(start.robot == subject.partition(".")[0] and start.velocity is not None for start in self.book.task.joint_starts)
+        swinging = any(
+            start.robot == subject.partition(".")[0] and start.velocity is not None for start in self.book.program.reset.joint_starts
+        )
         if not moved and (body is not None or not swinging):
             return NEVER
         if body is None or (way == "velocity" and any(place.angular_velocity is not None for place in places)):
             return None
         given = [place.velocity if way == "velocity" else place.angular_velocity for place in places]
-        trees = [() if valued is None else lower(valued.typed, valued.owner) for valued in given]
+        trees = [() if value is None else value.scalars for value in given]
         return hull([self.of(parts[axis if len(parts) > 1 else 0]) if parts else NEVER for parts in trees])
 
     def _places(self, body: str) -> Iterator[Placement]:
-        begins = self.book.task.beginnings
-        placements = (*begins.placements, *(place for layout in begins.layouts for place in layout.placements))
+        reset = self.book.program.reset
+        placements = (*reset.placements, *(place for layout in reset.layouts for place in layout.placements))
         return (place for place in placements if place.body == body)
 
     def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
@@ -99,24 +97,20 @@ class AtStart(Reach):
             yield place, {key: self._coordinate(place, key) for key in (*_PLANE, "z", *_TURNS)}
 
     def _coordinate(self, place: Placement, key: str) -> Interval:
-        if key == "z" and isinstance(place.spot, ir.Top):
+        if key == "z" and isinstance(place.spot, Top):
             return EVERYTHING
         if key in _PLANE and place.spot is not None:
             axis = _PLANE.index(key)
-            region = place.spot.region if isinstance(place.spot, ir.Top) else place.spot
+            region = place.spot.region if isinstance(place.spot, Top) else place.spot
             if region is None:
                 return EVERYTHING
-            if isinstance(region, ir.Region):
+            if isinstance(region, Region):
                 return Interval(region.low[axis], region.high[axis])
             return hull([exact(spot[axis]) for spot in region.spots])
         coordinate = place.coordinates.get(key)
         if coordinate is None:
             return EVERYTHING if key == "z" and place.rests else exact(0.0)
-        if coordinate.typed is None:
-            return TURN
-        owner, _, index = coordinate.owner.partition("[")
-        parts = lower(coordinate.typed, owner)
-        return self.of(parts[int(index.rstrip("]"))] if index and len(parts) > 1 else parts[0])
+        return self.of(coordinate.scalar)
 
     def _attitude(self, place: Placement) -> tuple[Interval, ...]:
         """The quaternion of a body turned by roll, pitch and yaw, about fixed axes in this order."""

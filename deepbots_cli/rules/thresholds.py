@@ -10,9 +10,9 @@ from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State
 from deepbots_cli.expressions.types import Stage
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.meaning import Book, Comparison
 from deepbots_cli.rules.reach import Reach
-from deepbots_cli.task import Valued
 
 FOLLOWING = frozenset({"running_max", "running_min", "smooth", "hold"})
 """Functions with a memory that rise where their argument does."""
@@ -60,7 +60,7 @@ def thresholds(comparison: Comparison, book: Book, reach: Reach) -> Iterator[Thr
                 yield from _asked(Threshold(side, above, bound, dimension), book, reach)
 
 
-def has_choice(book: Book, condition: Valued) -> bool:
+def has_choice(book: Book, condition: Expression) -> bool:
     """Whether one part of the condition may hold without the others."""
     met: set[int] = set()
     waiting = [book.scalars(condition)[0]]

@@ -9,9 +9,10 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, Stage, Typed, children
+from deepbots_cli.program.robots import Robot
+from deepbots_cli.program.values import Expression
 from deepbots_cli.rules.equality import judged
 from deepbots_cli.rules.meaning import Book, book_of
-from deepbots_cli.task import TaskRobot, Valued
 
 _ROUND = frozenset({"yaw", "bearing", "atan2", "wrap"})
 """They go from 180 deg to -180 deg in one tick."""
@@ -36,11 +37,11 @@ def angle_jumps(checked: Checked) -> Iterator[Finding]:
         signals: {turned: wrap(delta(yaw(cart)))}
         reward: {still: -abs(turned) / rad}
     """
-    if checked.task is None or checked.namespace is None:
+    if checked.program is None or checked.namespace is None:
         return
-    book = book_of(checked.task)
-    texts: list[tuple[Valued, TaskRobot | None]] = [(value, None) for value in judged(checked.task)]
-    for body in checked.task.robots:
+    book = book_of(checked.program)
+    texts: list[tuple[Expression, Robot | None]] = [(value, None) for value in judged(checked.program)]
+    for body in checked.program.robots:
         texts += [(value, body) for value in (*body.emit, *(command.target for command in body.commands))]
     for value, robot in texts:
         for node in Turns(book, robot).jumping(value.typed):
@@ -53,7 +54,7 @@ def angle_jumps(checked: Checked) -> Iterator[Finding]:
 class Turns:
     """Which angles of the supervisor's expressions, or of those on board of a robot, go round."""
 
-    def __init__(self, book: Book, robot: TaskRobot | None, known: dict[str, bool] | None = None) -> None:
+    def __init__(self, book: Book, robot: Robot | None, known: dict[str, bool] | None = None) -> None:
         self._book = book
         self._robot = robot
         self._known: dict[str, bool] = {} if known is None else known
@@ -93,7 +94,7 @@ class Turns:
 
     def _is_named_round(self, name: str) -> bool:
         if name not in self._known:
-            robot = next((robot for robot in self._book.task.robots if name.startswith(f"{robot.name}.")), None)
+            robot = next((robot for robot in self._book.program.robots if name.startswith(f"{robot.name}.")), None)
             meant = self._book.named(name)
             asked = Turns(self._book, robot, self._known)
             self._known[name] = meant is not None and meant.foreign is None and asked._is_round(meant.typed)

@@ -10,8 +10,9 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Invocation, Typed, children
-from deepbots_cli.ir import Sensor
-from deepbots_cli.task import JointStart, Placement, Task, TaskRoute
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import JointStart, Placement
+from deepbots_cli.program.robots import Route, Sensor
 
 
 def identical_episodes(checked: Checked) -> Iterator[Finding]:
@@ -30,50 +31,49 @@ def identical_episodes(checked: Checked) -> Iterator[Finding]:
 
         reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
-    task = checked.task
-    if task is None or checked.namespace is None or task.training is None or task.evaluation.episodes < 2:
+    program = checked.program
+    if program is None or checked.namespace is None or program.training is None or program.evaluation.episodes < 2:
         return
-    if task.cases or task.curriculum or _differs(task):
+    if program.cases or program.curriculum or _differs(program):
         return
     values = checked.namespace.values
     if any(_draws(tree) for reading in values.readings for tree in reading.trees):
         return
-    headline = f"nothing is drawn, so that the {task.evaluation.episodes} episodes of an evaluation are one and the same"
+    headline = f"nothing is drawn, so that the {program.evaluation.episodes} episodes of an evaluation are one and the same"
     section = next((key for key in ("reset", "evaluation", "train") if values.stands((key,))), "train")
-    if task.joint_starts:
-        start = task.joint_starts[0]
-        yield Finding("DB809", start.position.span, headline, help=f"draw it, as in `uniform({_spread(task, start)})`")
+    if program.reset.joint_starts:
+        start = program.reset.joint_starts[0]
+        yield Finding("DB809", start.position.span, headline, help=f"draw it, as in `uniform({_spread(program, start)})`")
     else:
-        help = f"draw where it begins, as in `{task.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
+        help = f"draw where it begins, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
         yield Finding("DB809", values.key_span((section,)), headline, help=help)
 
 
-def _differs(task: Task) -> bool:
+def _differs(program: Program) -> bool:
     """Whether anything is random that no function of the language draws."""
-    begins = task.beginnings
-    places = [*begins.placements, *(place for layout in begins.layouts for place in layout.placements)]
-    valued = [*task.order, *task.reward, *(ending.value for ending in task.endings)]
+    reset = program.reset
+    places = [*reset.placements, *(place for layout in reset.layouts for place in layout.placements)]
+    valued = [*program.signals, *program.reward, *(ending.value for ending in program.endings)]
     return bool(
-        task.variations
-        or task.colours
-        or task.disturbances
-        or any(thing.variants for thing in task.world.objects)
-        or len(begins.layouts) > 1
+        program.reset.variations
+        or program.disturbances
+        or any(thing.variants for thing in program.world.objects)
+        or len(reset.layouts) > 1
         or any(map(_is_found, places))
-        or any(_loses(route) for route in (task.to_robot, task.from_robot))
-        or any(entry.noise for entry in task.observation)
-        or any(value.noise for value in (*task.order, *([task.goal.achieved] if task.goal else [])))
-        or any(_errs(sensor) for robot in task.robots for sensor in robot.sensors)
+        or any(_loses(route) for robot in program.robots for route in (robot.to_route, robot.from_route))
+        or any(entry.noise for entry in program.observation)
+        or any(value.noise for value in (*program.signals, *([program.goal.achieved] if program.goal else [])))
+        or any(_errs(sensor) for robot in program.robots for sensor in robot.sensors)
         or any(value.foreign for value in valued)
     )
 
 
 def _is_found(place: Placement) -> bool:
     """Whether a spot or a turn is looked for anew."""
-    return place.spot is not None or any(coordinate.anywhere for coordinate in place.coordinates.values())
+    return place.spot is not None or any(_draws(coordinate.typed) for coordinate in place.coordinates.values())
 
 
-def _loses(route: TaskRoute) -> bool:
+def _loses(route: Route) -> bool:
     return route.loss is not None or route.burst is not None or route.latency is not None
 
 
@@ -89,9 +89,9 @@ def _draws(tree: Typed) -> bool:
     return any(map(_draws, children(tree)))
 
 
-def _spread(task: Task, start: JointStart) -> str:
+def _spread(program: Program, start: JointStart) -> str:
     """An example of a draw for a joint."""
-    model = next(body.model for body in task.world.robots if body.name == start.robot)
+    model = next(body.model for body in program.world.robots if body.name == start.robot)
     return "-1 .. 1 deg" if joint_dimension(model.joint(start.joints[0])) == ANGLE else "-1 .. 1 cm"
 
 

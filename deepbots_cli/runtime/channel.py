@@ -6,8 +6,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from deepbots_cli.ir import CompiledScenario, Direction, Robot
 from deepbots_cli.port import Engine
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Direction, Robot
 from deepbots_cli.runtime.messages import codec, zeros
 from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.streams import Streams
@@ -40,7 +41,7 @@ class Channel:
         return len(self._queue)
 
 
-def channel(scenario: CompiledScenario, robot: Robot, direction: Direction, engine: Engine) -> Channel | Radio:
+def channel(scenario: Program, robot: Robot, direction: Direction, engine: Engine) -> Channel | Radio:
     """The path between the supervisor and one robot; `paper` timing makes either direction a tick longer."""
     late = scenario.timing == "paper"
     route, layout = (robot.to_route, robot.to_robot) if direction == "to_robot" else (robot.from_route, robot.from_robot)

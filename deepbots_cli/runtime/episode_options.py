@@ -17,13 +17,14 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.functions import FUNCTIONS, operation
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact, hull
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
-from deepbots_cli.ir import CompiledScenario, NamedValues
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import NamedScalars
 
 _ROUNDING = 1e-6
 """Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is 0.60000002."""
 
 
-def episode_values(scenario: CompiledScenario, options: Mapping[str, Any], fixed: Collection[str] = ()) -> dict[str, float]:
+def episode_values(scenario: Program, options: Mapping[str, Any], fixed: Collection[str] = ()) -> dict[str, float]:
     """The numbers (SI units) that an episode takes in place of draws, by full names such as `mark.x`.
 
     Args:
@@ -47,7 +48,7 @@ def episode_values(scenario: CompiledScenario, options: Mapping[str, Any], fixed
     return found
 
 
-def _why_not(name: str, scenario: CompiledScenario, known: list[str], fixed: Collection[str]) -> str:
+def _why_not(name: str, scenario: Program, known: list[str], fixed: Collection[str]) -> str:
     if name in fixed:
         return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by sets=['{name}=...']"
     if any(name == entry.name for entry in scenario.parameters):
@@ -57,7 +58,7 @@ def _why_not(name: str, scenario: CompiledScenario, known: list[str], fixed: Col
     return f"{hint}{scenario.name} draws {', '.join(map(repr, known)) or 'nothing that has a name'}"
 
 
-def _numbers(entry: NamedValues, value: Any) -> list[float]:
+def _numbers(entry: NamedScalars, value: Any) -> list[float]:
     wanted = f"{len(entry.components)} numbers ({', '.join(entry.components)})" if entry.components else "a single number"
     try:
         array = np.asarray(value)
@@ -68,7 +69,7 @@ def _numbers(entry: NamedValues, value: Any) -> list[float]:
     return [float(number) for number in array.ravel()]
 
 
-def _checked(full: str, number: float, expression: Scalar, scenario: CompiledScenario) -> float:
+def _checked(full: str, number: float, expression: Scalar, scenario: Program) -> float:
     """The number, moved to the limit that it lies beyond by rounding."""
     if not math.isfinite(number):
         raise UsageError(f"reset cannot set {full!r} to {number}: it is not finite")
@@ -94,7 +95,7 @@ def _options(expression: Scalar) -> list[float]:
     return []
 
 
-def _interval(node: Scalar, scenario: CompiledScenario) -> Interval:
+def _interval(node: Scalar, scenario: Program) -> Interval:
     """How far the values of an expression reach, whatever is drawn."""
     match node:
         case Const(value):

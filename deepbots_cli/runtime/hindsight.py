@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.expressions.scalar import Name
-from deepbots_cli.ir import CompiledScenario, Goal
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Goal
 
 Goals = NDArray[np.floating[Any]]
 
 
-def recomputed(scenario: CompiledScenario, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
+def recomputed(scenario: Program, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
     """The reward of each row; `achieved` and `desired` are (n, k), as the policy sees them.
 
     Raises:
@@ -32,7 +33,7 @@ def recomputed(scenario: CompiledScenario, achieved: Goals, desired: Goals) -> N
     values[Name("goal_reached")] = evaluate(goal.reached, values)
     total = np.zeros(len(achieved))
     for term in scenario.reward:
-        reward = np.broadcast_to(np.asarray(evaluate(term.value, values), float), total.shape)
+        reward = np.broadcast_to(np.asarray(evaluate(term.scalar, values), float), total.shape)
         if not np.isfinite(reward).all():
             raise EvaluationError(f"the reward term '{term.name}' is not finite for every goal")
         total = total + reward

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from math import floor, hypot, sqrt
 from typing import NamedTuple
 
-from deepbots_cli.ir import Line
+from deepbots_cli.program.world import Line
 
 _CELL = 0.1  # m, at least; the mesh in which `Paint` sorts the pieces
 _MOST_CELLS = 100_000

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from deepbots_cli.errors import MessageError
-from deepbots_cli.ir import Field, MessageFormat, MessageLayout
+from deepbots_cli.program.robots import MessageField, MessageFormat, MessageLayout
 
 Value = float | bool | bytes
 
@@ -41,7 +41,7 @@ def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
     return [(name, field.dtype) for field in layout.fields for name in _scalar_names(field)]
 
 
-def _scalar_names(field: Field) -> list[str]:
+def _scalar_names(field: MessageField) -> list[str]:
     return [f"{field.name}.{c}" for c in field.components] if field.components else [field.name]
 
 
@@ -57,7 +57,7 @@ def zeros(layout: MessageLayout) -> list[Any]:
 
 def codec(layout: MessageLayout, format: MessageFormat) -> Codec:
     """The codec of `format` for `layout`; `none` has no messages and no codec (KeyError)."""
-    made = _CODECS[format](layout.stamp, struct_codes(layout))
+    made = _CODECS[format](layout.layout_hash, struct_codes(layout))
     pictures = {index: value.shape for index, value in enumerate(zeros(layout)) if isinstance(value, np.ndarray)}
     return _with_pictures(made, pictures) if pictures else made
 
@@ -161,8 +161,10 @@ def explain(layout: MessageLayout, format: MessageFormat, message: object, step:
         values = _loose(format, message, layout)
     except MALFORMED:
         return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}")
-    if not values or values[0] != layout.stamp:
-        return MessageError(f"{place}: a foreign message (stamp {excerpt(values[0] if values else None)}, not {layout.stamp}); {wanted}")
+    if not values or values[0] != layout.layout_hash:
+        return MessageError(
+            f"{place}: a foreign message (stamp {excerpt(values[0] if values else None)}, not {layout.layout_hash}); {wanted}"
+        )
     if len(values) - 1 != len(expected):
         missing = [name for name, _ in expected[len(values) - 1 :]]
         detail = f"the message is short, field '{missing[0]}' is missing" if missing else "the message has values too many"

@@ -18,8 +18,9 @@ from deepbots_cli import footprint
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, Spot
 from deepbots_cli.frames import Triple, quaternion
-from deepbots_cli.ir import CompiledScenario, ObjectBody, Variant, WorldModel
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.program import Program
+from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.terrain.relief import height
@@ -43,7 +44,7 @@ class NoPlaceError(Exception):
 class Arrangement:
     """The places of one episode. `present` counts the copies of each group that take part."""
 
-    def __init__(self, scenario: CompiledScenario, engine: Engine) -> None:
+    def __init__(self, scenario: Program, engine: Engine) -> None:
         world, placed = scenario.world, _placed(scenario)
         self._engine = engine
         self._height = height(world.terrain)
@@ -225,10 +226,10 @@ class Arrangement:
         self._poses[body] = ((x, y, z), rpy, *((velocity, angular_velocity) if moving else ()))
 
 
-def _placed(scenario: CompiledScenario) -> set[str]:
+def _placed(scenario: Program) -> set[str]:
     """The bodies that some layout places."""
     reset = scenario.reset
-    return {place.body for places in (reset.places, *(layout.places for layout in reset.layouts)) for place in places}
+    return {place.body for places in (reset.placements, *(layout.placements for layout in reset.layouts)) for place in places}
 
 
 def _complaint(lacking: Counter[str], attempts: int) -> str:

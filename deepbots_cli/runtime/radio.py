@@ -9,7 +9,7 @@ from typing import Any
 
 from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.frames import Triple
-from deepbots_cli.ir import Route, Setting
+from deepbots_cli.program.robots import Route
 from deepbots_cli.runtime.streams import Streams
 
 _ROUNDING = 1e-9
@@ -51,10 +51,11 @@ class Radio:
         self._delay = float(delay)
         self._where = where
         self._zeros = zeros
-        self._loses = route.loss != Setting(Const(0.0))
+        self._loses = route.loses
         self.range = inf
-        for figure, setting in route.settings:
-            setattr(self, figure, float(setting.value.value) if isinstance(setting.value, Const) else 0.0)
+        self.latency = self.loss = 0.0
+        for name, value in route.settings:
+            setattr(self, name, float(value.scalar.value) if isinstance(value.scalar, Const) else 0.0)
         self._timestep = timestep
         self._queue: list[tuple[float, int, int, Any]] = []
         self.begin(Streams(0))

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from deepbots_cli.errors import MessageError
-from deepbots_cli.ir import CompiledScenario, Robot
 from deepbots_cli.port import Engine
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot
 from deepbots_cli.runtime.actuation import Drive, hold
 from deepbots_cli.runtime.messages import codec, explain
 from deepbots_cli.runtime.sensing import Device, instrument, sees
@@ -22,7 +23,7 @@ class RobotController:
     sensors and encodes. Without messages (`format: none`) the pair is `apply(...)` and `sense()`.
     """
 
-    def __init__(self, spec: Robot, scenario: CompiledScenario, engine: Engine, clock: Callable[[], int]) -> None:
+    def __init__(self, spec: Robot, scenario: Program, engine: Engine, clock: Callable[[], int]) -> None:
         """`clock` tells the number of the present step."""
         self.spec = spec
         self.format = scenario.format

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli.frames import Frame, Quaternion, Triple
-from deepbots_cli.ir import Copies
 from deepbots_cli.port import (
     STILL,
     CameraReader,
@@ -27,17 +26,18 @@ from deepbots_cli.port import (
     VelocityReader,
     View,
 )
+from deepbots_cli.program.task import RobotCopies
 
 if TYPE_CHECKING:
     from deepbots_cli.port import Image
 
 
-def copy_name(copies: Copies, number: int) -> str:
+def copy_name(copies: RobotCopies, number: int) -> str:
     """The name of a copy in the world, numbered from 1."""
     return f"{copies.robot}#{number}"
 
 
-def offset(copies: Copies, number: int) -> Triple:
+def offset(copies: RobotCopies, number: int) -> Triple:
     """Where a copy stands in the row, from its middle (m)."""
     steps = number - (copies.count + 1) / 2
     x, y, z = (steps * step for step in copies.spacing)
@@ -55,7 +55,7 @@ class Share:
     how far the world shall go on after the reset.
     """
 
-    def __init__(self, engine: Engine, copies: Copies, number: int) -> None:
+    def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
         self._engine = engine
         self._robot = copies.robot
         self._copy = copy_name(copies, number)

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
-from deepbots_cli.ir import Choices, CompiledScenario, MessageLayout
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import MessageLayout
+from deepbots_cli.program.task import Choices
 from deepbots_cli.runtime.actions import alike, composed, usual
 from deepbots_cli.runtime.album import Album
 from deepbots_cli.runtime.channel import channel
@@ -58,7 +60,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     tick_count: int
     _viewed: tuple[float, float] | None  # where the robot was that pictures follow
 
-    def __init__(self, scenario: CompiledScenario, engine: Engine, render_mode: str | None = None) -> None:
+    def __init__(self, scenario: Program, engine: Engine, render_mode: str | None = None) -> None:
         """Takes over `engine`, which holds the scenario's world, and closes it with itself.
 
         Raises:
@@ -78,11 +80,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.observation_space = observation_space(scenario)
         self.action_space = action_space(scenario)
         self.streams = Streams(None)
-        self.observed = np.zeros(len(scenario.observation), np.float32)
+        self.observed = np.zeros(len(scenario.numbers), np.float32)
         self.views = views(scenario)
         self.depth = len(self.views)
-        self.albums = {entry.key: Album(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.pictures}
-        self.frames = np.zeros(self.depth * len(scenario.observation), np.float32)
+        self.albums = {entry.key: Album(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.images}
+        self.frames = np.zeros(self.depth * len(scenario.numbers), np.float32)
         self.goal = np.zeros(2 * len(scenario.goal.low) if scenario.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None

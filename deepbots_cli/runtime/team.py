@@ -11,8 +11,10 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli.frames import Triple
-from deepbots_cli.ir import CompiledScenario, Copies, WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import RobotCopies
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.share import Share, copy_name
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
@@ -20,7 +22,7 @@ from deepbots_cli.runtime.supervisor import Info, Supervisor
 _FINISHED = object()
 
 
-def populated(world: WorldModel, copies: Copies) -> WorldModel:
+def populated(world: WorldModel, copies: RobotCopies) -> WorldModel:
     """The world with the copies in place of the robot."""
     one = next(robot for robot in world.robots if robot.name == copies.robot)
     others = tuple(robot for robot in world.robots if robot is not one)
@@ -28,7 +30,7 @@ def populated(world: WorldModel, copies: Copies) -> WorldModel:
 
 
 def assemble(
-    kind: type[Supervisor], scenario: CompiledScenario, create: Callable[[WorldModel], Engine], render_mode: str | None = None
+    kind: type[Supervisor], scenario: Program, create: Callable[[WorldModel], Engine], render_mode: str | None = None
 ) -> Supervisor:
     """The environment of a scenario whose generated supervisor is `kind`: one of these, or a team of them."""
     copies = scenario.agent.each
@@ -46,7 +48,7 @@ class Team(Supervisor):
     """
 
     def __init__(
-        self, kind: type[Supervisor], scenario: CompiledScenario, copies: Copies, engine: Engine, render_mode: str | None = None
+        self, kind: type[Supervisor], scenario: Program, copies: RobotCopies, engine: Engine, render_mode: str | None = None
     ) -> None:
         self.copies = copies
         shares = [Share(engine, copies, number + 1) for number in range(copies.count)]

@@ -8,8 +8,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
-from deepbots_cli.ir import CompiledScenario, ObjectBody, Picture, Pit, Place, Region, Top, WorldModel
 from deepbots_cli.port import STILL, View
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Placement, Region, Top
+from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
 from deepbots_cli.runtime.share import offset
 
 _FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the front right, above
@@ -18,11 +20,11 @@ _MARGIN = 1.12
 _LEAST = 0.05  # m; half the side of the smallest scene
 
 
-def overview(scenario: CompiledScenario, width: int = 480, height: int = 320) -> View:
+def overview(scenario: Program, width: int = 480, height: int = 320) -> View:
     """A view on the arena or the ground that matters, on objects, and on robots wherever an episode may begin."""
-    places = {place.body: place for place in scenario.reset.places}
+    places = {place.body: place for place in scenario.reset.placements}
     for layout in scenario.reset.layouts:
-        places = {place.body: place for place in layout.places} | places
+        places = {place.body: place for place in layout.placements} | places
     around_all = [*_surroundings(scenario.world), *_robots(scenario, places), *_objects(scenario.world, places)]
     arena = scenario.world.arena
     if arena is None:
@@ -59,7 +61,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
         xs, ys = zip(*line.points, strict=True)
         yield (min(xs), min(ys), 0.0), (max(xs), max(ys), 0.0)
     if world.terrain is not None:
-        match world.terrain.relief:
+        match world.terrain.shape:
             case Pit(height=height, radius=radius):
                 yield (-1.1 * radius, -1.1 * radius, 0.0), (1.1 * radius, 1.1 * radius, height / 4)
             case Picture(size=(x, y), height=height):
@@ -69,7 +71,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
                 yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, 0.0)
 
 
-def _robots(scenario: CompiledScenario, places: dict[str, Place]) -> Iterator[Bounds]:
+def _robots(scenario: Program, places: dict[str, Placement]) -> Iterator[Bounds]:
     """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
     copies = scenario.agent.each
     shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
@@ -78,13 +80,13 @@ def _robots(scenario: CompiledScenario, places: dict[str, Place]) -> Iterator[Bo
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
 
 
-def _objects(world: WorldModel, places: dict[str, Place]) -> Iterator[Bounds]:
+def _objects(world: WorldModel, places: dict[str, Placement]) -> Iterator[Bounds]:
     """Objects, wherever they may stand when an episode begins."""
     for thing in world.objects:
         yield from _object(thing, world, places)
 
 
-def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Place]) -> Iterator[Bounds]:
+def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Placement]) -> Iterator[Bounds]:
     """An object in each of its forms, wherever it may stand."""
     place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
@@ -99,7 +101,7 @@ def _all_round(box: Bounds) -> Bounds:
     return (-reach, -reach, low[2]), (reach, reach, high[2])
 
 
-def _placed(box: Bounds, home: Triple, place: Place | None, world: WorldModel, places: dict[str, Place]) -> Bounds:
+def _placed(box: Bounds, home: Triple, place: Placement | None, world: WorldModel, places: dict[str, Placement]) -> Bounds:
     low, high = box
     if place is None:
         return add(low, home), add(high, home)
@@ -113,7 +115,7 @@ def _placed(box: Bounds, home: Triple, place: Place | None, world: WorldModel, p
         ends[:2] = list(zip(place.spot.low, place.spot.high, strict=True))
     elif place.spot is not None:
         ends[:2] = [(min(along), max(along)) for along in zip(*place.spot.spots, strict=True)]
-    if place.rests:
+    if place.seeks_height:
         ends[2] = (ends[2][0] - low[2], ends[2][1] - low[2])
     (x, x_end), (y, y_end), (z, z_end) = ends
     return add(low, (x, y, z)), add(high, (x_end, y_end, z_end))

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from deepbots_cli.footprint import Patch, Spot
 from deepbots_cli.frames import Quaternion, Triple, roll_pitch_yaw
-from deepbots_cli.ir import CompiledScenario, ObjectBody
 from deepbots_cli.port import Engine, Part, PoseReader
+from deepbots_cli.program import Program
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.runtime.placement import Area, Arrangement, Forms
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ class Ways:
     A body moves as a disc as wide as its narrower side, since it can turn.
     """
 
-    def __init__(self, scenario: CompiledScenario, engine: Engine, bodies: Arrangement | None = None) -> None:
+    def __init__(self, scenario: Program, engine: Engine, bodies: Arrangement | None = None) -> None:
         """`bodies` holds the copies that take part; None in a world without groups."""
         world = scenario.world
         self._engine = engine

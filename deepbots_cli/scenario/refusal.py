@@ -6,7 +6,7 @@ from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.document.nodes import Path
 
 
-class Refusal(Exception):  # noqa: N818 - a complaint about a value, and no error of ours
+class Refusal(Exception):  # noqa: N818
     """A complaint about the value at `path`, or about its key.
 
     A `headline` is taken as it is. Without one, DB101 is an unknown key, DB102 a `missing` one, and DB103 a value other than

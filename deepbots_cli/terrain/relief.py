@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepbots_cli import ir
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.geometry import triangles
+from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.terrain.png import MAX_BYTES, fault
 
@@ -88,18 +88,18 @@ class Grid:
         return at
 
 
-def grid(relief: ir.Relief) -> Grid | None:
+def grid(relief: TerrainShape) -> Grid | None:
     """The heights of a relief; None for a mesh, which is not a grid.
 
     Raises:
         EngineError: A picture has gone or changed; a formula has no height somewhere.
     """
     match relief:
-        case ir.Pit():
+        case Pit():
             found = _pit(relief)
-        case ir.Picture():
+        case Picture():
             found = _picture(relief)
-        case ir.Formula():
+        case Formula():
             found = _formula(relief)
         case _:
             return None
@@ -108,18 +108,18 @@ def grid(relief: ir.Relief) -> Grid | None:
     return found
 
 
-def height(terrain: ir.Terrain | None) -> Height:
+def height(terrain: Terrain | None) -> Height:
     """Of the ground: 0 where it is a plane."""
     if terrain is None:
         return lambda x, y: 0.0
-    found = grid(terrain.relief)
+    found = grid(terrain.shape)
     if found is not None:
         return found.height()
-    assert isinstance(terrain.relief, Mesh)  # all others are grids
-    return _over(triangles(terrain.relief))
+    assert isinstance(terrain.shape, Mesh)  # all others are grids
+    return _over(triangles(terrain.shape))
 
 
-def _pit(pit: ir.Pit) -> Grid:
+def _pit(pit: Pit) -> Grid:
     """A ring around a hollow: the share g (1 - g) of `height`, with g a bell around the origin, and nothing beyond 3 of its widths.
 
     So the rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the same in
@@ -144,7 +144,7 @@ def _lumps() -> NDArray[np.float64]:
     return np.asarray(along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None])
 
 
-def _picture(picture: ir.Picture) -> Grid:
+def _picture(picture: Picture) -> Grid:
     try:
         path = Path(picture.path)
         data = path.read_bytes() if path.is_file() and path.stat().st_size <= MAX_BYTES else b""
@@ -173,7 +173,7 @@ def pixels(data: bytes) -> NDArray[np.integer]:
         raise EngineError(f"the picture cannot be read: {error}") from error
 
 
-def _formula(formula: ir.Formula) -> Grid:
+def _formula(formula: Formula) -> Grid:
     """As fine as a pit along the longer side, and square cells as far as they go."""
     longer = max(formula.size)
     columns, rows = (max(2, round(_PIT_CELLS * side / longer)) + 1 for side in formula.size)

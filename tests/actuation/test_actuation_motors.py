@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.ir import Motor
+from deepbots_cli.program.robots import Motor
 from deepbots_cli.runtime import Supervisor
 
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"

@@ -8,10 +8,10 @@ from itertools import groupby
 from math import erfc, exp, gamma, sqrt
 from typing import Any
 
-from deepbots_cli.expressions.scalar import Const
-from deepbots_cli.ir import Route, Setting
+from deepbots_cli.program.robots import Route
 from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.streams import Streams
+from tests.named import constant
 
 MESSAGES = 100_000
 TICK = 0.01
@@ -20,7 +20,7 @@ SINGLE = ((0.05, 1), (0.3, 2), (0.9, 3))  # share, seed
 
 
 def radio(*, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any) -> Radio:
-    made = Radio(name, Route(Setting(Const(latency)), Setting(Const(loss)), **others), TICK, zeros="zeros")
+    made = Radio(name, Route(constant(latency), constant(loss), **others), TICK, zeros="zeros")
     made.begin(Streams(seed))
     return made
 

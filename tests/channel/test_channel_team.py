@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from deepbots_cli import api
-from deepbots_cli.canonical import CanonicalError, from_json, to_json
-from deepbots_cli.compiler.emit import emit
 from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
-from deepbots_cli.ir import Copies
 from deepbots_cli.runtime.team import Team
 
 TEAM = Path(__file__).parent / "team.yaml"
@@ -226,23 +222,6 @@ def test_a_team_can_be_filmed(base: str) -> None:
     with closing(api.make(TEAM, sets=[f"robots.cart.base={base}"], render_mode="rgb_array")) as environment:
         environment.reset(seed=0)
         assert environment.render().shape == (320, 480, 3)
-
-
-@pytest.mark.parametrize(
-    "copies",
-    [
-        Copies("cart", 0, (0.0, 1.0, 0.0)),
-        Copies("cart", 10**6, (0.0, 1.0, 0.0)),
-        Copies("x", 2, (0.0, 1.0, 0.0)),
-        Copies("cart", 2, (1e300, 0.0, 0.0)),
-    ],
-    ids=str,
-)
-def test_odd_copies_in_a_forged_scenario_are_refused(copies: Copies) -> None:
-    ir = api.compile(TEAM).ir
-    forged = from_json(to_json(replace(ir, agent=replace(ir.agent, each=copies))))
-    with pytest.raises(CanonicalError):
-        emit(forged)
 
 
 def test_a_team_of_one_is_a_team(team: Make) -> None:

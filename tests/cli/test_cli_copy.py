@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from deepbots_cli import api, canonical
+from deepbots_cli import api
 from deepbots_cli.cli import copying
 from deepbots_cli.document import shipped
 
@@ -97,7 +97,7 @@ def test_an_ejected_project_runs_on_its_own(deepbots, tmp_path):
     assert ran.code == 0
     assert "python run.py" in ran.err
     assert (project / "environment.py").read_text() == deepbots("compile", "cartpole", "--set", "truncation.max_steps=7").out
-    assert canonical.from_json((project / "scenario.json").read_text()).truncation.max_steps == 7
+    assert api.compile(project / "resolved.yaml").ir.truncation.max_steps == 7
     done = subprocess.run([sys.executable, "run.py"], cwd=project, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("return") == 3

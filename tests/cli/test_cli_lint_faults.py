@@ -22,7 +22,7 @@ from deepbots_cli.rules import endings
 
 def breaking(checked: Checked) -> Iterator[Finding]:
     """DB801: fails on the scenario that is named Broken."""
-    if checked.task is not None and checked.task.name == "Broken":
+    if checked.program is not None and checked.program.name == "Broken":
         raise IndexError("tuple index\nout of range")
     yield from ()
 

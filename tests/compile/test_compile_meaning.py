@@ -13,9 +13,9 @@ from deepbots_cli.expressions.scalar import Draw, Name, walk
 def draws(compiled) -> list[str]:
     """The streams of all draws of a scenario."""
     reset = compiled.ir.reset
-    values = [value for parameter in compiled.ir.parameters for value in parameter.values]
-    values += [value for place in reset.places for value in (*place.xyz, *place.rpy)]
-    values += [value for joint in reset.joints for value in (joint.position, joint.velocity)]
+    values = [value for parameter in compiled.ir.parameters for value in parameter.scalars]
+    values += [value for place in reset.placements for value in (*place.xyz, *place.rpy)]
+    values += [value for start in reset.joint_starts for _, *state in start.states for value in state]
     return [node.stream for value in values for node in walk(value) if isinstance(node, Draw)]
 
 
@@ -86,7 +86,7 @@ def test_a_draw_is_shared_through_a_parameter(workshop, cartpole) -> None:
     )
     compiled = workshop.compile(text)
     assert draws(compiled) == ["parameters.turn#0"]
-    assert {joint.position for joint in compiled.ir.reset.joints} == {Name("turn")}
+    assert {position for start in compiled.ir.reset.joint_starts for _, position, _ in start.states} == {Name("turn")}
 
 
 def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
@@ -110,7 +110,7 @@ def test_the_same_seed_draws_the_same_and_another_seed_does_not(workshop, rail) 
 
 def test_any_yaw_is_drawn_from_the_whole_circle(workshop, cartpole) -> None:
     compiled = workshop.compile(cartpole(("{z: 0.04 m}", "{z: 0.04 m, yaw: any}")))
-    (yaw,) = (place.rpy[2] for place in compiled.ir.reset.places)
+    (yaw,) = (place.rpy[2] for place in compiled.ir.reset.placements)
     assert isinstance(yaw, Draw)
     assert [argument.value for argument in yaw.args] == [-math.pi, math.pi]
 
@@ -209,7 +209,7 @@ def test_what_is_asked_for_may_stand_in_for_an_action_variable(workshop, rail) -
     text = rail(("    emit:", "    receive: {drive: drive / 2}\n    emit:"))
     (robot,) = workshop.compile(text).ir.robots
     assert [field.name for field in robot.to_robot.fields] == ["drive"]
-    assert robot.receive[0].values != (Name("drive"),)
+    assert robot.received[0].scalars != (Name("drive"),)
 
 
 @pytest.mark.parametrize("emit", ["rate, place, lean, turn", "place, rate, lean, turn, joints"])
@@ -217,4 +217,4 @@ def test_the_stamp_of_a_message_changes_with_its_fields(workshop, rail, emit: st
     sensors = ("    actuators:", "      joints: {type: joint_position, joints: [slider]}\n    actuators:")
     plain = workshop.compile(rail(sensors)).ir.robots[0].from_robot
     other = workshop.compile(rail(sensors, ("emit: [place, rate, lean, turn]", f"emit: [{emit}]"))).ir.robots[0].from_robot
-    assert plain.stamp != other.stamp
+    assert plain.layout_hash != other.layout_hash

@@ -13,7 +13,7 @@ REWARD = "  alive: 1"
 
 def facts(compiled, name: str) -> set[World]:
     signal = next(signal for signal in compiled.ir.signals if signal.name == name)
-    return {node for value in signal.values for node in walk(value) if isinstance(node, World)}
+    return {node for value in signal.scalars for node in walk(value) if isinstance(node, World)}
 
 
 def test_a_name_that_a_joint_and_a_link_share_means_what_the_function_needs(workshop, cartpole) -> None:

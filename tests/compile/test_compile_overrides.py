@@ -30,7 +30,7 @@ def test_a_joint_takes_range_and_limits_from_the_scenario(workshop, cartpole) ->
 
 def test_the_range_of_a_joint_bounds_what_its_sensor_can_read(workshop, cartpole) -> None:
     text = cartpole(with_cart("joints: {pole_hinge: {range: -30 .. 30 deg}}"), ("-20 .. 20 deg", "auto"))
-    lean = next(entry for entry in workshop.compile(text).ir.observation if entry.name == "cart.pole_angle")
+    lean = next(entry for entry in workshop.compile(text).ir.numbers if entry.name == "cart.pole_angle")
     assert (lean.low, lean.high) == pytest.approx((-math.pi / 6, math.pi / 6))
 
 
@@ -64,7 +64,7 @@ def test_a_drawn_figure_is_drawn_for_each_link_that_a_pattern_means(workshop, ca
     assert [(v.what, v.of) for v in varied.reset.variations] == [
         ("mass", ("cart", f"wheel_{end}_{side}")) for end in ("front", "rear") for side in ("left", "right")
     ]
-    assert len({str(v.values) for v in varied.reset.variations}) == 4
+    assert len({str(v.scalars) for v in varied.reset.variations}) == 4
     assert varied.world.robots[0].model.link("wheel_rear_left").inertial.mass == pytest.approx(0.1005)
 
 

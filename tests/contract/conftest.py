@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from deepbots_cli import api, engines
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
@@ -40,7 +40,7 @@ class Case:
     source: str
     sets: tuple[str, ...]
     engine: str
-    ir: CompiledScenario = field(repr=False)
+    ir: Program = field(repr=False)
 
     def __str__(self) -> str:
         return "-".join([Path(self.source).stem, *(text.split("=")[1] for text in self.sets), self.engine])
@@ -49,7 +49,7 @@ class Case:
         return api.build(self.ir, engine=self.engine, render_mode=render_mode)
 
 
-def can_hold(engine: str, ir: CompiledScenario) -> bool:
+def can_hold(engine: str, ir: Program) -> bool:
     try:
         engines.create(engine, ir.world).close()
     except EngineError:

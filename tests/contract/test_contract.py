@@ -22,7 +22,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.ir import CompiledScenario, viewed
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import viewed
 from deepbots_cli.runtime import Supervisor
 
 Make = Callable[..., Supervisor]
@@ -126,10 +127,10 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
         np.testing.assert_array_equal(kept[index], copies[index])
 
 
-def constant(scenario: CompiledScenario, rollouts: list[list[Any]]) -> set[str]:
+def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     """The numbers of the observation that never change; a bumper may well touch nothing in so short a time."""
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
-    entries = [scenario.observation[index] for index, _ in viewed(scenario.observation, scenario.agent.stack)]
+    entries = [scenario.numbers[index] for index, _ in viewed(scenario.numbers, scenario.agent.stack)]
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
     return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.truth}
 

@@ -8,8 +8,8 @@ import struct
 import sys
 
 from deepbots_cli.engines import create
-from deepbots_cli.ir import WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.program.world import WorldModel
 
 WHEELS = [f"wheel_{i}" for i in range(4)]
 

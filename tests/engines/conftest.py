@@ -9,8 +9,8 @@ from math import cos, pi, sin
 import pytest
 
 from deepbots_cli.engines import create
-from deepbots_cli.ir import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
 
 

@@ -4,9 +4,10 @@ from contextlib import closing
 
 import pytest
 
-from deepbots_cli import engines, ir
+from deepbots_cli import engines
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import UPRIGHT
+from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
 TENSOR = {"ixx": 0.02, "iyy": 0.05, "izz": 0.06}
@@ -23,7 +24,7 @@ def robot(bare: bool) -> RobotModel:
 
 
 def tumble(model: RobotModel) -> list[float]:
-    world = ir.WorldModel(0.01, 40, robots=(ir.RobotBody("robot", model),))
+    world = WorldModel(0.01, 40, robots=(RobotBody("robot", model),))
     with closing(engines.create("pybullet", world)) as engine:
         read, found = engine.pose("robot"), []
         engine.place("robot", (0.0, 0.0, 0.5), UPRIGHT, (1.0, 0.0, 2.0), (1.0, 2.0, 3.0))
@@ -40,4 +41,4 @@ def test_a_root_without_mass_moves_with_what_is_fixed_to_it() -> None:
 def test_a_free_robot_without_any_mass_is_refused() -> None:
     massless = RobotModel("robot", (Link("frame"), Link("hull")), (HELD,), "frame")
     with pytest.raises(EngineError, match="has no mass"):
-        engines.create("pybullet", ir.WorldModel(0.01, 1, robots=(ir.RobotBody("robot", massless),)))
+        engines.create("pybullet", WorldModel(0.01, 1, robots=(RobotBody("robot", massless),)))

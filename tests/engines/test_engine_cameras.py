@@ -10,8 +10,8 @@ import pytest
 
 from deepbots_cli import frames
 from deepbots_cli.frames import quaternion
-from deepbots_cli.ir import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import SIGHT, View
+from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 
 RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)

@@ -7,7 +7,7 @@ from math import inf, pi, sqrt
 
 import pytest
 
-from deepbots_cli.ir import ObjectBody, WorldModel
+from deepbots_cli.program.world import ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Pose, Sphere
 
 STAYS = {"fixed": True}

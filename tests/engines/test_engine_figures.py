@@ -13,8 +13,8 @@ from deepbots_cli import frames
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
-from deepbots_cli.ir import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import STILL, View
+from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 
 BOTH = pytest.mark.parametrize("engine_name", sorted(ENGINES))

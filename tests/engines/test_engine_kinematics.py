@@ -11,7 +11,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import HERE, quaternion
-from deepbots_cli.ir import RobotBody, WorldModel
+from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
 
 BULK = Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)

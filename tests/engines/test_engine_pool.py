@@ -10,8 +10,8 @@ from math import inf
 import pytest
 
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import ObjectBody, Variant, WorldModel
 from deepbots_cli.port import View
+from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Box, Pose, Sphere
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)

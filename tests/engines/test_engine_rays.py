@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import frames
 from deepbots_cli.frames import quaternion
-from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 
 

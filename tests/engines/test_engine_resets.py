@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.ir import ObjectBody, Pit, RobotBody, Terrain, WorldModel
 from deepbots_cli.port import STILL, Engine
+from deepbots_cli.program.world import ObjectBody, Pit, RobotBody, Terrain, WorldModel
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.model import Box, Pose, RobotModel, Sphere
 

@@ -39,7 +39,7 @@ import sys
 sys.modules["pybullet"] = None
 from deepbots_cli.engines import create
 from deepbots_cli.errors import MissingExtraError
-from deepbots_cli.ir import WorldModel
+from deepbots_cli.program.world import WorldModel
 create("exact", WorldModel(0.02, 1, ground=None))
 try:
     create("pybullet", WorldModel(0.02, 1))

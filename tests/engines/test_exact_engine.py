@@ -14,8 +14,8 @@ from deepbots_cli.engines.lump import joined
 from deepbots_cli.engines.motion import CartPole, RigidBody
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
-from deepbots_cli.ir import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
 
 DOWN = (0.0, 0.0, -9.81)

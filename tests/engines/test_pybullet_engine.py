@@ -17,8 +17,8 @@ import pytest
 
 from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.port import View
+from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
 
 EPISODE = Path(__file__).with_name("arena_episode.py")

@@ -1,4 +1,4 @@
-"""A small world to learn in: a cart-pole by its equations, and the compiled scenario that describes it.
+"""A small world to learn in: a cart-pole by its equations, and the scenario that describes it.
 
 It stands in for the generated supervisor, with the same observation, action, info and endings, at a few microseconds a step.
 """
@@ -6,117 +6,116 @@ It stands in for the generated supervisor, with the same observation, action, in
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from deepbots_cli import canonical
-from deepbots_cli.expressions.scalar import Const, Name
-from deepbots_cli.ir import (
-    Choices,
-    CompiledScenario,
-    Ending,
-    Evaluation,
-    Field,
-    Interval,
-    MessageLayout,
-    Observed,
-    Option,
-    Reset,
-    Robot,
-    Solved,
-    Term,
-    Training,
-    Truncation,
-    WorldModel,
-)
+from deepbots_cli import api
+from deepbots_cli.compiler import check
+from deepbots_cli.document.load import loads
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Choices
+from deepbots_cli.program.training import Schedule, Solved, Training
 
 FALL = math.radians(15)
 TRACK = 0.39
+TEXT = """\
+deepbots: 1
+name: {name}
+summary: Keep a pole upright.
+world: {{timestep: 32 ms, substeps: 4}}
+robots:
+  cart:
+    urdf: cartpole
+    sensors: {{pole_angle: {{type: joint_position, joint: pole_hinge}}}}
+    actuators: {{wheels: {{type: velocity_motor, joints: [wheel_*], max_torque: 10 N*m}}}}
+    emit: [pole_angle]
+    apply: {{wheels: drive * 5 rad/s}}
+messages: {{format: csv}}
+action: {{drive: {action}}}
+augment:
+  x: position(cart).x
+  speed: velocity(cart).x
+  tip_speed: velocity(cart.tip).x
+observation:
+  x: -0.4 .. 0.4 m
+  speed: {{range: -{speed_range} .. {speed_range} m/s}}
+  cart.pole_angle: -0.35 .. 0.35 rad
+  tip_speed: -2 .. 2 m/s
+reward: {{alive: 1, centre: 0}}
+termination: {{failure: {{fallen: abs(cart.pole_angle) > 15 deg, off_track: abs(x) > 0.39 m}}{success}}}
+truncation: {{max_steps: {max_steps}}}
+evaluation: {{episodes: 20{cases}}}
+"""
 
 
-def scenario(
+def compiled(
     *,
     training: Training | None = None,
     solved: Solved | None = None,
     continuous: bool = False,
     speed_range: float = 0.8,
-    name: str = "Stand In",
+    name: str = "stand_in",
     max_steps: int = 200,
-) -> CompiledScenario:
-    """The task; `speed_range` is the range of the observed speed in m/s."""
-    fields = (Field("pole_angle", "rad"),)
-    robot = Robot(
-        name="cart",
-        sensors=(),
-        actuators=(),
-        receive=(),
-        emit=(),
-        apply=(),
-        to_robot=MessageLayout("cart", "to_robot", (Field("drive", ""),), 1),
-        from_robot=MessageLayout("cart", "from_robot", fields, 2),
-    )
-    drive = (
-        Interval("drive", (), -1.0, 1.0, "")
-        if continuous
-        else Choices("drive", ("drive",), (Option("forward", (1.0,)), Option("backward", (-1.0,))))
-    )
-    return CompiledScenario(
+    success: bool = False,
+    cases: str = "",
+    more: str = "",
+) -> api.Compiled:
+    """The task; `speed_range` is the range of the observed speed in m/s; an episode may end in success,
+    if `success`; `cases` of the evaluation and `more` sections are YAML."""
+    action = "-1 .. 1" if continuous else "{choices: {forward: 1, backward: -1}}"
+    text = TEXT.format(
         name=name,
-        summary="Keep a pole upright.",
-        language=1,
-        world=WorldModel(timestep=0.032, substeps=4),
-        robots=(robot,),
-        format="csv",
-        timing="immediate",
-        parameters=(),
-        action=(drive,),
-        signals=(),
-        observation=(
-            Observed("x", None, Name("x"), -0.4, 0.4, "m"),
-            Observed("speed", None, Name("speed"), -speed_range, speed_range, "m/s"),
-            Observed("cart.pole_angle", None, Name("cart.pole_angle"), -0.35, 0.35, "rad"),
-            Observed("tip_speed", None, Name("tip_speed"), -2.0, 2.0, "m/s"),
-        ),
-        reward=(Term("alive", Const(1.0)), Term("centre", Const(0.0))),
-        endings=(Ending("fallen", "failure", Const(False)), Ending("off_track", "failure", Const(False))),
-        truncation=Truncation(max_steps=max_steps),
-        reset=Reset(),
-        solved=solved,
-        training=training or Training("PPO", 1_000, environments=2),
-        evaluation=Evaluation(20),
+        action=action,
+        speed_range=speed_range,
+        max_steps=max_steps,
+        success=", success: {balanced: time > 1 h}" if success else "",
+        cases=f", cases: {{{cases}}}" if cases else "",
     )
+    text += f"train: {_train(training or Training('PPO', 1_000, environments=2))}\n"
+    if solved is not None:
+        given = {"mean_return": solved.mean_return, "success_rate": solved.success_rate, "episodes": solved.episodes}
+        text += f"solved: {json.dumps({key: value for key, value in given.items() if value is not None})}\n"
+    return _compiled(text + more)
 
 
-@dataclass(frozen=True)
-class CompiledStandIn:
-    """What compiling would have given."""
-
-    ir: CompiledScenario
-    code: str = "# generated\n"
-    inputs: Mapping[str, bytes] = field(default_factory=lambda: {"stand_in.yaml": b"deepbots: 1\n", "../robots/cart.urdf": b"<robot/>\n"})
-    resolved: str = "deepbots: 1\n"
-    source: Path = Path("stand_in.yaml")
-    allow_code: bool = False
-
-    @property
-    def digest(self) -> str:
-        return canonical.digest(self.ir)
+@cache
+def _compiled(text: str) -> api.Compiled:
+    return api.compile(check(loads(text, "stand_in.yaml", Path(__file__).parent)))
 
 
-def compiled(**settings: Any) -> CompiledStandIn:
-    return CompiledStandIn(scenario(**settings))
+def _train(training: Training) -> str:
+    """The section in YAML."""
+    section: dict[str, Any] = {name: getattr(training, name) for name in ("algorithm", "total_timesteps", "environments")}
+    section |= {entry.name: _figure(entry.value) for entry in training.hyperparameters}
+    section["policy"] = {"hidden": list(training.policy.hidden), "activation": training.policy.activation}
+    if training.action_noise is not None:
+        noise = training.action_noise
+        section["action_noise"] = {"type": noise.type, "sigma": _figure(noise.sigma)}
+    if training.replay is not None:
+        section["replay"] = "her"
+    return json.dumps(section)
+
+
+def _figure(value: object) -> object:
+    return f"{value.start!r} -> {value.end!r}" if isinstance(value, Schedule) else value
+
+
+def scenario(**settings: Any) -> Program:
+    """The same, as what it is compiled to."""
+    return compiled(**settings).ir
 
 
 class CartPole(gym.Env[Any, Any]):
     """The cart follows its speed command within a tick; the pole is a uniform rod of 1 m on a moving hinge."""
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         self.ir = ir
         self.render_mode = render_mode
         self.observation_space = gym.spaces.Box(-1, 1, (4,), np.float32)
@@ -161,7 +160,7 @@ class CartPole(gym.Env[Any, Any]):
         self.closed += 1
 
 
-def build(ir: CompiledScenario, *, render_mode: str | None = None) -> CartPole:
+def build(ir: Program, *, render_mode: str | None = None) -> CartPole:
     return CartPole(ir, render_mode)
 
 
@@ -175,7 +174,8 @@ class Failing(CartPole):
         return observation, math.nan, terminated, truncated, {**info, "reward_terms": {"alive": 1.0, "centre": math.nan}}
 
 
-def altered(base: CompiledStandIn, **changes: Any) -> CompiledStandIn:
+def altered(base: api.Compiled, **changes: Any) -> api.Compiled:
+    """The task with changes that no file says; a run of it would be loaded without them."""
     return replace(base, ir=replace(base.ir, **changes))
 
 

@@ -15,16 +15,17 @@ import pytest
 import stand_in
 
 from deepbots_cli.errors import MissingExtraError, UsageError, installing
-from deepbots_cli.ir import ActionNoise, CompiledScenario, Hindsight, Hyperparameter, Policy, Schedule, Training
 from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, resume, train, weights
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
 
 SMALL = Policy((8,))
 
 
-def learned(world: Any, tmp_path: Path, training: Training, *, continuous: bool = False) -> TrainingResult:
-    return train(stand_in.compiled(training=training, continuous=continuous), run=tmp_path / "run", build=world)
+def learned(world: Any, tmp_path: Path, training: Training, **settings: Any) -> TrainingResult:
+    return train(stand_in.compiled(training=training, **settings), run=tmp_path / "run", build=world)
 
 
 def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
@@ -78,7 +79,7 @@ def test_noise_fades_while_the_training_goes_on(tmp_path: Path, algorithm: str, 
 class Reach(stand_in.CartPole):
     """A point on a line that has to get to another; its reward follows from the two."""
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         super().__init__(ir, render_mode)
         one = gym.spaces.Box(-1, 1, (1,), np.float32)
         self.observation_space = gym.spaces.Dict({"observation": one, "achieved_goal": one, "desired_goal": one})
@@ -105,6 +106,11 @@ class Reach(stand_in.CartPole):
         return -(np.abs(achieved - desired)[..., 0] > 0.1).astype(np.float32)
 
 
+GOAL: dict[str, Any] = {
+    "continuous": True,
+    "max_steps": 10,
+    "more": "goal: {achieved: x, desired: 0.1 m, within: 2 cm, range: -0.4 .. 0.4 m}\n",
+}
 REACH = Training(
     "SAC", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Policy((32,)), None, Hindsight()
 )
@@ -112,7 +118,7 @@ REACH = Training(
 
 @pytest.fixture(scope="module")
 def reached(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
-    return learned(Reach, tmp_path_factory.mktemp("reach"), REACH)
+    return learned(Reach, tmp_path_factory.mktemp("reach"), REACH, **GOAL)
 
 
 def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) -> None:
@@ -120,7 +126,7 @@ def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) 
 
 
 def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(reached: TrainingResult) -> None:
-    ir = stand_in.scenario(training=REACH)
+    ir = stand_in.scenario(training=REACH, **GOAL)
     worlds = copies_of(ir)
     model = algorithms.create(REACH, worlds, seed=0, total_timesteps=1_500)
     weights.put(model, weights.read(reached.run / "checkpoint.npz", model))
@@ -133,7 +139,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
     assert result.steps >= 1_600
 
 
-def copies_of(ir: CompiledScenario, world: Any = Reach) -> Any:
+def copies_of(ir: Program, world: Any = Reach) -> Any:
     from deepbots_cli.learning.environments import Copies
 
     return Copies([world(ir), world(ir)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
@@ -141,7 +147,7 @@ def copies_of(ir: CompiledScenario, world: Any = Reach) -> Any:
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
     training = replace(REACH, total_timesteps=100, hyperparameters=())
-    base = stand_in.compiled(training=training, max_steps=700)
+    base = stand_in.compiled(training=training, **{**GOAL, "max_steps": 700})
     model = algorithms.create(training, copies_of(base.ir), seed=0, total_timesteps=100, longest_episode=700)
     assert model.learning_starts == 1_400
     assert train(base, run=tmp_path / "run", build=Reach).steps == 100
@@ -240,7 +246,7 @@ class Seeing(stand_in.CartPole):
 
     SIZE = 36
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         super().__init__(ir, render_mode)
         picture = gym.spaces.Box(0, 255, (self.SIZE, self.SIZE, 3), np.uint8)
         self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "cart_camera": picture})

@@ -4,42 +4,49 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import stand_in
 
-from deepbots_cli import canonical
+from deepbots_cli.api import Compiled
 from deepbots_cli.errors import EngineError, RunError, UsageError
-from deepbots_cli.ir import CompiledScenario, Criterion, Hyperparameter, Solved, Stage, Training
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.report import evaluation_text, to_json, training_text
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Criterion, Hyperparameter, Solved, Training
 
 PPO = Training("PPO", 1_500, 3, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
 
 
-def staged(*untils: Criterion | None, lengths: tuple[int, ...] = (5, 8, 11, 14), **settings: Any) -> stand_in.CompiledStandIn:
+def staged(*untils: Criterion | None, lengths: tuple[int, ...] = (5, 8, 11, 14), **settings: Any) -> Compiled:
     """A scenario with a stage for each criterion; an episode of the stages `a`, `b`, ... has so many steps."""
-    base = stand_in.compiled(training=PPO, **settings)
-    stages = tuple(
-        Stage(name, until, replace(base.ir, truncation=replace(base.ir.truncation, max_steps=length)))
+    stages = [
+        f"  - {{name: {name}, set: {{truncation.max_steps: {length}}}{until_text(until)}}}\n"
         for name, until, length in zip("abcd", untils, lengths, strict=False)
-    )
-    return stand_in.altered(base, curriculum=stages)
+    ]
+    return stand_in.compiled(training=PPO, more="".join(["curriculum:\n", *stages]) if stages else "", **settings)
+
+
+def until_text(until: Criterion | None) -> str:
+    if until is None:
+        return ""
+    if until.metric == "steps":
+        return f", until: {until.threshold:g} steps"
+    return f", until: {until.metric} >= {until.threshold:g} over {until.episodes} episodes"
 
 
 def rows(run: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
 
 
-def learned(tmp_path: Path, compiled: stand_in.CompiledStandIn, build: Any = stand_in.build, **settings: Any) -> TrainingResult:
+def learned(tmp_path: Path, compiled: Compiled, build: Any = stand_in.build, **settings: Any) -> TrainingResult:
     return train(compiled, run=tmp_path / "run", build=build, **settings)
 
 
@@ -56,7 +63,7 @@ def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(tmp_path
 
 
 def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
-    ir = staged(Criterion("success_rate", 0.5, 4), None).ir
+    ir = staged(Criterion("success_rate", 0.5, 4), None, success=True).ir
     curriculum = Curriculum(ir)
     outcomes = [True, True, False, False, True]  # two of four at the fourth
     begun = [curriculum.add(Episode(0.0, 10, good, None), 10 * n, n) for n, good in enumerate(outcomes[:4], 1)]
@@ -123,7 +130,7 @@ def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp
 
 
 def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: Path) -> None:
-    def build(ir: CompiledScenario, *, render_mode: str | None = None) -> Any:
+    def build(ir: Program, *, render_mode: str | None = None) -> Any:
         if ir.truncation.max_steps == 11:
             raise EngineError("no such world")
         return stand_in.build(ir)
@@ -151,9 +158,7 @@ def test_a_checkpoint_that_does_not_fit_is_refused(state: dict[str, Any]) -> Non
 
 def test_a_forged_run_whose_stages_never_end_is_refused(tmp_path: Path) -> None:
     run = learned(tmp_path, staged(SHORT, None), total_timesteps=96).run
-    forged = staged(None, None)
-    record = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps(record | {"digest": forged.digest}))
-    (run / "scenario.ir.json").write_text(canonical.to_json(forged.ir))
-    with pytest.raises(RunError, match="figures or bodies"):
+    resolved = run / "resolved.yaml"
+    resolved.write_text(resolved.read_text().replace("until:", "nothing:", 1))
+    with pytest.raises(RunError, match="does not compile"):
         Run.open(run)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import stand_in
 
-from deepbots_cli.ir import CompiledScenario, Hyperparameter, Policy, Training
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.environments import copies_over
 from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Hyperparameter, Policy, Training
 
 SIZE = 3
 
@@ -47,7 +48,7 @@ class Member(stand_in.CartPole):
 class Team(gym.Env[Any, Any]):
     """Three of them; the episode ends for all when it ends for one."""
 
-    def __init__(self, ir: CompiledScenario, render_mode: str | None = None) -> None:
+    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
         self.members = [Member(ir) for _ in range(SIZE)]
         self.observation_space = gym.spaces.Box(-1, 1, (SIZE, 4), np.float32)
         self.action_space = gym.spaces.MultiDiscrete([2] * SIZE)

@@ -22,21 +22,18 @@ import stand_in
 from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
-from deepbots_cli.expressions.scalar import Const
-from deepbots_cli.ir import Ending, Hyperparameter, Policy, Schedule, Solved, Training
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
 from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.progress import Lines, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
+from deepbots_cli.program.training import Hyperparameter, Policy, Schedule, Solved, Training
 
 
 def short(tmp_path: Path, **settings: Any) -> TrainingResult:
     """A training of 300 steps or so."""
     training = Training("PPO", settings.pop("total", 300), environments=2, hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1))
-    return train(
-        stand_in.compiled(training=settings.pop("training", training), solved=settings.pop("solved", None)), runs=tmp_path, **settings
-    )
+    return train(stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings)
 
 
 def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
@@ -101,9 +98,7 @@ def test_tensorboard_shows_returns_terms_and_simulated_time(trained: TrainingRes
 def test_tensorboard_shows_a_success_rate_where_episodes_may_end_in_success(tmp_path: Path) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    task = stand_in.scenario()
-    task = replace(task, endings=(*task.endings, Ending("balanced", "success", Const(False))))
-    result = train(stand_in.CompiledStandIn(task), runs=tmp_path, build=stand_in.build, total_timesteps=1_000)
+    result = train(stand_in.compiled(success=True), runs=tmp_path, build=stand_in.build, total_timesteps=1_000)
     events = EventAccumulator(str(result.run / "tensorboard"))
     events.Reload()
     assert "rollout/success_rate" in events.Tags()["scalars"]
@@ -202,9 +197,9 @@ def test_training_works_outside_the_main_thread(tmp_path: Path) -> None:
 
 
 def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path: Path) -> None:
-    training = Training("PPO", 20_000, environments=2, hyperparameters=hyper(learning_rate=1e30, n_steps=32, batch_size=32))
+    training = Training("PPO", 20_000, environments=2, hyperparameters=hyper(learning_rate=9e29, n_steps=32, batch_size=32))
     with pytest.raises(RunError, match="diverged"):
-        short(tmp_path, training=training, build=stand_in.build)
+        train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
     run = next(tmp_path.iterdir())
     assert json.loads((run / "run.json").read_text())["status"] == "failed"
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
@@ -261,7 +256,7 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
 )
 def test_settings_that_cannot_be_trained_with_are_refused(tmp_path: Path, training: Training, reason: str) -> None:
     with pytest.raises(UsageError, match=reason) as caught:
-        short(tmp_path, training=training, build=stand_in.build)
+        train(stand_in.altered(stand_in.compiled(), training=training), runs=tmp_path, build=stand_in.build)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -273,7 +268,6 @@ def test_a_world_that_cannot_be_built_leaves_no_run_behind(tmp_path: Path) -> No
 
 
 def test_a_scenario_without_a_train_section_is_refused() -> None:
-    from dataclasses import replace
 
     with pytest.raises(UsageError, match="no 'train' section"):
         _training_of(replace(stand_in.scenario(), training=None), None)

@@ -8,11 +8,12 @@ import pytest
 import stand_in
 import torch
 
-from deepbots_cli.ir import CompiledScenario, Hyperparameter, Solved, Training
 from deepbots_cli.learning import TrainingResult, algorithms, callbacks, evaluate, resume, train, trials, weights
 from deepbots_cli.learning.environments import copies_over
 from deepbots_cli.learning.interruption import Interruption
 from deepbots_cli.learning.trials import Trials
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Hyperparameter, Solved, Training
 from deepbots_cli.runtime.streams import derive
 
 TRIAL_SEEDS = [derive(0, "trial", k) for k in range(trials.EPISODES)]
@@ -23,9 +24,7 @@ EASY = Solved(2, mean_return=5.0)
 class Paying(stand_in.CartPole):
     """Pays 1 per step and calls every episode a success; in trials, `wage` and `success` say so for the trial's number."""
 
-    def __init__(
-        self, ir: CompiledScenario, wage: Callable[[int], float], success: Callable[[int], bool], render_mode: str | None = None
-    ) -> None:
+    def __init__(self, ir: Program, wage: Callable[[int], float], success: Callable[[int], bool], render_mode: str | None = None) -> None:
         super().__init__(ir, render_mode)
         self.wage = wage
         self.success = success
@@ -53,7 +52,7 @@ class Builder:
         self.success = success
         self.worlds: list[Paying] = []
 
-    def __call__(self, ir: CompiledScenario, *, render_mode: str | None = None) -> Paying:
+    def __call__(self, ir: Program, *, render_mode: str | None = None) -> Paying:
         self.worlds.append(Paying(ir, self.wage, self.success, render_mode))
         return self.worlds[-1]
 
@@ -66,7 +65,7 @@ class Builder:
 def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, solved: Solved = EASY) -> TrainingResult:
     figures = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
     hyperparameters = tuple(Hyperparameter(name, figure) for name, figure in figures.items())
-    task = stand_in.compiled(training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=solved)
+    task = stand_in.compiled(training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=solved, success=True)
     return train(task, runs=folder, build=build)
 
 
@@ -130,7 +129,7 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
 
     worlds = []
 
-    def build(ir: CompiledScenario, *, render_mode: str | None = None) -> Late:
+    def build(ir: Program, *, render_mode: str | None = None) -> Late:
         worlds.append(Late(ir, lambda trial: 9.0 if trial == 0 else 1.0, lambda trial: True, render_mode))
         return worlds[-1]
 

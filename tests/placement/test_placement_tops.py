@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.canonical import from_json, to_json
-from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.view import overview
 
@@ -158,10 +156,3 @@ def test_the_same_seed_gives_the_same_places_on_a_top(make: Callable[..., Superv
 def test_a_picture_holds_what_stands_on_a_table(make: Callable[..., Supervisor]) -> None:
     """The eye looks at the middle of the scene, which reaches up to the top of the mug."""
     assert overview(make("objects.mug.height=2 m").scenario).target[2] == pytest.approx((0.4 + 2.0) / 2, abs=0.01)
-
-
-def test_a_compiled_scenario_with_a_top_is_read_back_and_checked(make: Callable[..., Supervisor]) -> None:
-    scenario = make().scenario
-    again = from_json(to_json(scenario))
-    assert again == scenario
-    check_printable(again)

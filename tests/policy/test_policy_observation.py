@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deepbots_cli.canonical import CanonicalError, from_json, to_json
-from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.runtime import Supervisor
 
@@ -179,19 +176,6 @@ def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Sma
     sections = "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact: position(cart.cart).x\nreward: {pay: drive}\n"
     seen = observe(small, "{cart.place: -1 .. 1 m, exact: -1 .. 1 m, at: -1 .. 1 m}", sections=sections)
     assert all(place == exact != at for place, exact, at in seen)
-
-
-def test_a_scenario_with_noisy_measurements_survives_its_file(small: Small) -> None:
-    goal = "goal: {achieved: at, desired: 0.1 m, within: 1 cm, range: -1 .. 1 m, noise: 1 %}\n"
-    scenario = small("augment: {at: {value: position(cart.cart).x, noise: 5 cm}}\nreward: {pay: 1 when goal_reached}\n" + goal).scenario
-    assert from_json(to_json(scenario)) == scenario
-
-
-def test_a_measurement_without_the_noise_of_each_component_is_not_printed(small: Small) -> None:
-    scenario = small("augment: {at: {value: position(cart.cart).xy, noise: 5 cm}}\nreward: {pay: drive}\n").scenario
-    (at,) = scenario.signals
-    with pytest.raises(CanonicalError, match="'at' has 1 values where 2 are wanted"):
-        check_printable(replace(scenario, signals=(replace(at, noise=at.noise[:1]),)))
 
 
 def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Small) -> None:

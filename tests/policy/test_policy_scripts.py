@@ -169,7 +169,7 @@ def test_the_age_of_a_reading_is_known_to_a_script(small: Small) -> None:
 def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
     sections = REWARD + "scripts: {go: {drive: 1}}\nevaluation: {cases: {back: {set: {scripts.go.drive: -1}}}}\n"
     environment = small(sections)
-    with closing(api.build(environment.scenario.case("back").scenario, engine="exact")) as other:
+    with closing(api.build(environment.scenario.case("back").program, engine="exact")) as other:
         for world, expected in ((environment, [1.0]), (other, [-1.0])):
             world.reset(seed=0)
             assert world.script("go").tolist() == expected

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.probing import probe
@@ -95,12 +94,12 @@ def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Pr
 
 
 def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_zero() -> None:
-    assert idle(lower(api.load("cartpole").task)) is None
-    assert idle(lower(api.load("find_and_avoid").task)) == ((4,), ())
-    assert idle(lower(api.load("cartpole_continuous").task)) == ((), (0.0,))
+    assert idle(api.load("cartpole").program) is None
+    assert idle(api.load("find_and_avoid").program) == ((4,), ())
+    assert idle(api.load("cartpole_continuous").program) == ((), (0.0,))
 
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
-    usual, costly = (planned(lower(api.load("pit_escape", sets=sets).task)) for sets in ([], ["world.substeps=100"]))
+    usual, costly = (planned(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
     assert costly.enough < usual.enough
     assert max(roll.steps for roll in costly.rolls) < max(roll.steps for roll in usual.rolls)

@@ -16,7 +16,6 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.probing import Limits, Probe, probe
@@ -104,9 +103,9 @@ def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
 
 
 def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked) -> None:
-    """Here a compiled scenario whose name is no text."""
-    scenario = replace(lower(checked().task), name=3)
-    report = measured(scenario, TIGHT)
+    """Here the process is given an empty scenario, which does not compile."""
+    inputs = checked().inputs
+    report = measured(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
     assert report.fault is not None
     assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault)
 

@@ -15,16 +15,17 @@ from pathlib import PurePath
 from typing import Any
 
 from deepbots_cli import api, canonical
+from deepbots_cli.canonical import members
 from deepbots_cli.expressions.scalar import Scalar
-from deepbots_cli.ir import CompiledScenario, Evaluation
-from deepbots_cli.ir.records import members
+from deepbots_cli.program import Program
+from deepbots_cli.program.training import Evaluation
 from tests.results.experiment import Baseline, Training
 from tests.results.experiment import Evaluation as HeldOut
 from tests.results.places import ROOT
 
 
 @cache
-def compiled(scenario: str, sets: tuple[str, ...] = ()) -> CompiledScenario:
+def compiled(scenario: str, sets: tuple[str, ...] = ()) -> Program:
     """A shipped scenario by name, or one by its path from the root of the repository."""
     file = ROOT / scenario
     return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, sets=sets).ir
@@ -38,25 +39,25 @@ def of_training(scenario: str, training: Training) -> str:
 
 def of_evaluation(scenario: str, training: Training, evaluation: HeldOut) -> str:
     ir = compiled(evaluation.scenario) if evaluation.scenario else compiled(scenario, training.sets)
-    chosen = ir if evaluation.case is None else ir.case(evaluation.case).scenario
+    chosen = ir if evaluation.case is None else ir.case(evaluation.case).program
     return digest(_with(chosen, scripts=(), training=None, curriculum=()))
 
 
 def of_baseline(scenario: str, baseline: Baseline) -> str:
     ir = compiled(scenario)
-    chosen = ir if baseline.case is None else ir.case(baseline.case).scenario
+    chosen = ir if baseline.case is None else ir.case(baseline.case).program
     scripts = ir.scripts if "--script" in baseline.options else ()
     return digest(_with(chosen, scripts=scripts, training=None, curriculum=(), cases=(), evaluation=Evaluation()))
 
 
-def _with(ir: CompiledScenario, **changes: Any) -> CompiledScenario:
+def _with(ir: Program, **changes: Any) -> Program:
     """The scenario with other fields, in its cases and stages too."""
-    cases = tuple(replace(case, scenario=_with(case.scenario, **changes)) for case in ir.cases)
-    curriculum = tuple(replace(stage, scenario=_with(stage.scenario, **changes)) for stage in ir.curriculum)
+    cases = tuple(replace(case, program=_with(case.program, **changes)) for case in ir.cases)
+    curriculum = tuple(replace(stage, program=_with(stage.program, **changes)) for stage in ir.curriculum)
     return replace(ir, **{"cases": cases, "curriculum": curriculum, **changes})
 
 
-def digest(ir: CompiledScenario) -> str:
+def digest(ir: Program) -> str:
     """SHA-256, in hexadecimal, of all that differs from a default."""
     placeless = canonical.with_files(_with(ir, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
     return hashlib.sha256(json.dumps(_told(placeless), sort_keys=True).encode()).hexdigest()

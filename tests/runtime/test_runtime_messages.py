@@ -11,14 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.errors import MessageError
-from deepbots_cli.ir import Field, MessageFormat, MessageLayout
+from deepbots_cli.program.robots import MessageField, MessageFormat, MessageLayout
 from deepbots_cli.runtime.messages import MALFORMED, Codec, codec, explain
 
 FORMATS: tuple[MessageFormat, ...] = tuple(name for name in get_args(MessageFormat) if name != "none")
 LAYOUT = MessageLayout(
-    "cart", "from_robot", (Field("angle", "rad"), Field("gyro", "rad/s", ("x", "y", "z")), Field("touch", "", dtype="bool")), 0xFFFFFFFE
+    "cart",
+    "from_robot",
+    (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", dtype="bool")),
+    0xFFFFFFFE,
 )
-FLOATS_ONLY = MessageLayout("cart", "from_robot", (Field("angle", "rad"), Field("gyro", "rad/s", ("x", "y", "z"))), 7)
+FLOATS_ONLY = MessageLayout("cart", "from_robot", (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z"))), 7)
 EMPTY = MessageLayout("cart", "to_robot", (), 12345)
 OTHER = MessageLayout("drone", "from_robot", LAYOUT.fields, 0xFFFFFFFD)
 VALUES = (0.125, -0.0, 1e308, 5e-324, True)
@@ -36,7 +39,7 @@ def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, .
     count = sum(len(field.components) or 1 for field in layout.fields)
     try:
         stamp, *values = made.decode(message)
-        if stamp != layout.stamp or len(values) != count:
+        if stamp != layout.layout_hash or len(values) != count:
             raise ValueError(stamp)
     except MALFORMED:
         return None
@@ -51,7 +54,7 @@ def test_every_format_carries_every_finite_number_to_the_last_bit(
 ) -> None:
     made = codec(LAYOUT, format)
     stamp, *values = made.decode(made.encode(angle, *gyro, touch))
-    assert stamp == LAYOUT.stamp
+    assert stamp == LAYOUT.layout_hash
     assert bits(values) == bits((angle, *gyro, touch))
 
 
@@ -85,7 +88,7 @@ def test_an_error_names_the_robot_its_direction_and_the_step(format: MessageForm
 
 @every_format
 def test_a_short_message_is_told_by_its_first_missing_field(format: MessageFormat) -> None:
-    partial = MessageLayout("cart", "from_robot", LAYOUT.fields[:1], LAYOUT.stamp)
+    partial = MessageLayout("cart", "from_robot", LAYOUT.fields[:1], LAYOUT.layout_hash)
     message = codec(partial, format).encode(0.5)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert "field 'gyro.x' is missing" in str(explain(LAYOUT, format, message, 1))
@@ -93,7 +96,7 @@ def test_a_short_message_is_told_by_its_first_missing_field(format: MessageForma
 
 @every_format
 def test_a_message_with_values_too_many_is_refused(format: MessageFormat) -> None:
-    longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, Field("more", "m")), LAYOUT.stamp)
+    longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, MessageField("more", "m")), LAYOUT.layout_hash)
     message = codec(longer, format).encode(*VALUES, 1.0)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert "values too many" in str(explain(LAYOUT, format, message, 1))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from deepbots_cli.cli.anatomy import message_size
-from deepbots_cli.ir import Field, MessageFormat, MessageLayout
+from deepbots_cli.program.robots import MessageField, MessageFormat, MessageLayout
 from deepbots_cli.runtime.messages import MALFORMED, codec, explain, zeros
 
 FORMATS: tuple[MessageFormat, ...] = tuple(name for name in get_args(MessageFormat) if name != "none")
-FIELDS = (Field("speed", "m/s"), Field("camera", "", (), "uint8", (4, 6, 3)), Field("touch", "", dtype="bool"))
+FIELDS = (MessageField("speed", "m/s"), MessageField("camera", "", (), "uint8", (4, 6, 3)), MessageField("touch", "", dtype="bool"))
 LAYOUT = MessageLayout("rover", "from_robot", FIELDS, 99)
 PICTURE = np.arange(72, dtype=np.uint8).reshape(4, 6, 3) * 3
 
@@ -31,7 +31,7 @@ def test_every_format_carries_every_byte(format: MessageFormat) -> None:
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_picture_of_another_size_is_refused(format: MessageFormat) -> None:
-    fields = (FIELDS[0], Field("camera", "", (), "uint8", (4, 5, 3)), FIELDS[2])
+    fields = (FIELDS[0], MessageField("camera", "", (), "uint8", (4, 5, 3)), FIELDS[2])
     made, other = codec(LAYOUT, format), codec(MessageLayout("rover", "from_robot", fields, 99), format)
     message = other.encode(0.5, PICTURE[:, :5], True)
     with pytest.raises(MALFORMED):

@@ -9,8 +9,9 @@ from math import pi
 import pytest
 
 from deepbots_cli.engines import create
-from deepbots_cli.ir import Faults, Ground, ObjectBody, RobotBody, Sensor, WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.program.robots import NoiseModel, Sensor
+from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Joint, Link, Pose, RobotModel
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
@@ -85,7 +86,9 @@ def scene() -> Iterator[Callable[..., Scene]]:
         engine.close()
 
 
-def on(kind: str, link: str, components: tuple[str, ...] = ("x", "y", "z"), mount: Pose = ORIGIN, faults: Faults | None = None) -> Sensor:
+def on(
+    kind: str, link: str, components: tuple[str, ...] = ("x", "y", "z"), mount: Pose = ORIGIN, faults: NoiseModel | None = None
+) -> Sensor:
     return Sensor(kind, kind, (link,), components, "", mount=mount, faults=faults)
 
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from deepbots_cli.ir import ObjectBody, Sensor
+from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import Box, Pose
 from tests.sensing.conftest import Scene, brick
 

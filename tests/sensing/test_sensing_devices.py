@@ -9,14 +9,14 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from deepbots_cli.ir import Faults, Sensor
+from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.sensing.device import Device, Instrument
 from deepbots_cli.runtime.streams import Streams
 
 TIMESTEP = 0.01
 
 
-def device(faults: Faults, read: Callable[[], list[float]], components: tuple[str, ...] = ()) -> Device:
+def device(faults: NoiseModel, read: Callable[[], list[float]], components: tuple[str, ...] = ()) -> Device:
     made = Device(Sensor("s", "position", ("base",), components, "m", faults=faults), "r", Instrument(read), TIMESTEP)
     made.reset(Streams(7))
     return made
@@ -37,17 +37,17 @@ def run(sensor: Device, ticks: int) -> list[float]:
 
 
 def test_a_reading_is_held_between_two_samples() -> None:
-    assert run(device(Faults(period=3), counting()), 8) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert run(device(NoiseModel(period=3), counting()), 8) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
 def test_a_late_reading_is_delivered_at_the_first_tick_at_or_after_its_time() -> None:
-    assert run(device(Faults(latency=2 * TIMESTEP), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
-    assert run(device(Faults(latency=1.1 * TIMESTEP), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
-    assert run(device(Faults(latency=2 * TIMESTEP * (1 + 1e-12)), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
+    assert run(device(NoiseModel(latency=2 * TIMESTEP), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
+    assert run(device(NoiseModel(latency=1.1 * TIMESTEP), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
+    assert run(device(NoiseModel(latency=2 * TIMESTEP * (1 + 1e-12)), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
 
 
 def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() -> None:
-    sensor = device(Faults(period=2, latency=3 * TIMESTEP), counting())
+    sensor = device(NoiseModel(period=2, latency=3 * TIMESTEP), counting())
     seen = []
     for _ in range(10):
         sensor()
@@ -56,14 +56,14 @@ def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() ->
 
 
 def test_a_reset_forgets_what_is_under_way() -> None:
-    sensor = device(Faults(latency=5 * TIMESTEP), counting())
+    sensor = device(NoiseModel(latency=5 * TIMESTEP), counting())
     run(sensor, 4)
     sensor.reset(Streams(7))
     assert run(sensor, 5)[:5] == [5, 5, 5, 5, 5]
 
 
 def test_latency_may_differ_between_episodes() -> None:
-    sensor = device(Faults(latency=0.05), counting())
+    sensor = device(NoiseModel(latency=0.05), counting())
     sensor.vary("latency", (0.0,))
     sensor.reset(Streams(7))
     assert run(sensor, 3) == [1, 2, 3, 4]
@@ -71,16 +71,16 @@ def test_latency_may_differ_between_episodes() -> None:
 
 def test_steps_and_ends_of_the_range_are_exact() -> None:
     values = iter([0.0, 0.26, 0.24, 7.0, -7.0])
-    sensor = device(Faults(low=(-1.0,), high=(1.0,), quantise=(0.5,)), lambda: [next(values)])
+    sensor = device(NoiseModel(low=(-1.0,), high=(1.0,), quantise=(0.5,)), lambda: [next(values)])
     assert run(sensor, 4) == [0.0, 0.5, 0.0, 1.0, -1.0]
 
 
 def test_bias_and_drift_add_to_the_value_and_a_relative_bias_scales_it() -> None:
-    faults = Faults(bias=(0.1,), drift=(2.0,), relative_bias=(0.5,))
+    faults = NoiseModel(bias=(0.1,), drift=(2.0,), relative_bias=(0.5,))
     assert run(device(faults, lambda: [4.0]), 100) == pytest.approx([4.0 * 1.5 + 0.1 + 2.0 * TIMESTEP * k for k in range(101)])
 
 
-def figures(faults: Faults, value: float, number: int = 20_000) -> np.ndarray:
+def figures(faults: NoiseModel, value: float, number: int = 20_000) -> np.ndarray:
     sensor = device(faults, lambda: [value])
     return np.array(run(sensor, number))
 
@@ -93,16 +93,16 @@ def worst_gap(sample: np.ndarray, mean: float, deviation: float) -> float:
 
 
 def test_absolute_noise_is_normal_about_the_value() -> None:
-    assert worst_gap(figures(Faults(noise=(0.2,)), 3.0), 3.0, 0.2) < 1.95
+    assert worst_gap(figures(NoiseModel(noise=(0.2,)), 3.0), 3.0, 0.2) < 1.95
 
 
 def test_relative_noise_is_a_share_of_the_value() -> None:
-    assert worst_gap(figures(Faults(relative_noise=(0.02,)), -5.0), -5.0, 0.1) < 1.95
-    assert set(figures(Faults(relative_noise=(0.02,)), 0.0, 10)) == {0.0}
+    assert worst_gap(figures(NoiseModel(relative_noise=(0.02,)), -5.0), -5.0, 0.1) < 1.95
+    assert set(figures(NoiseModel(relative_noise=(0.02,)), 0.0, 10)) == {0.0}
 
 
 def test_noise_of_one_tick_says_nothing_of_the_next_or_of_another_component() -> None:
-    sensor = device(Faults(noise=(1.0, 1.0)), lambda: [0.0, 0.0], ("a", "b"))
+    sensor = device(NoiseModel(noise=(1.0, 1.0)), lambda: [0.0, 0.0], ("a", "b"))
     rows = []
     for _ in range(20_000):
         sensor()
@@ -115,7 +115,7 @@ def test_noise_of_one_tick_says_nothing_of_the_next_or_of_another_component() ->
 
 def test_a_deviation_that_changes_within_an_episode_scales_the_same_draws() -> None:
     """Whatever other faults there are beside the noise, and wherever in a block of draws the change falls."""
-    plain, biased = device(Faults(noise=(1.0,)), lambda: [0.0]), device(Faults(noise=(1.0,), bias=(4.0,)), lambda: [0.0])
+    plain, biased = device(NoiseModel(noise=(1.0,)), lambda: [0.0]), device(NoiseModel(noise=(1.0,), bias=(4.0,)), lambda: [0.0])
     for deviation in (0.25, 8.0, 0.0, 2.0):
         for sensor in (plain, biased):
             sensor.vary("noise", (deviation,))
@@ -123,7 +123,7 @@ def test_a_deviation_that_changes_within_an_episode_scales_the_same_draws() -> N
 
 
 def test_the_same_seed_gives_the_same_noise_whatever_came_before() -> None:
-    sensor = device(Faults(noise=(1.0,)), lambda: [0.0])
+    sensor = device(NoiseModel(noise=(1.0,)), lambda: [0.0])
     first = run(sensor, 300)
     sensor.reset(Streams(7))
     again = run(sensor, 300)
@@ -133,7 +133,7 @@ def test_the_same_seed_gives_the_same_noise_whatever_came_before() -> None:
 
 def test_two_sensors_never_share_their_noise() -> None:
     first, second = (
-        Device(Sensor(name, "position", ("base",), (), "m", faults=Faults(noise=(1.0,))), "r", Instrument(lambda: [0.0]), TIMESTEP)
+        Device(Sensor(name, "position", ("base",), (), "m", faults=NoiseModel(noise=(1.0,))), "r", Instrument(lambda: [0.0]), TIMESTEP)
         for name in ("a", "b")
     )
     streams = Streams(7)

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from deepbots_cli.ir import Beams, Line, Sensor
+from deepbots_cli.program.robots import RayConfig, Sensor
+from deepbots_cli.program.world import Line
 from deepbots_cli.robots.model import Pose
 from tests.sensing.conftest import DEGREE, Scene, brick
 
@@ -22,7 +23,7 @@ def watched(scene: Build, *places: tuple[float, float], turn: tuple[float, float
     world.world = replace(world.world, lines=(TRACK,))
     rays = tuple(Pose((x, y, -0.1)) for x, y in places)
     names = tuple(f"r{index}" for index in range(len(rays)))
-    world.sensor(Sensor("s", "reflectance", ("brick",), names, "1", beams=Beams(rays, 0.0, spot=SPOT)))
+    world.sensor(Sensor("s", "reflectance", ("brick",), names, "1", beams=RayConfig(rays, 0.0, spot=SPOT)))
     world.begin()
     return world
 

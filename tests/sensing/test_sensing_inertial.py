@@ -9,7 +9,8 @@ from math import cos, hypot, pi, sin
 import pytest
 
 from deepbots_cli.frames import quaternion
-from deepbots_cli.ir import Faults, ObjectBody
+from deepbots_cli.program.robots import NoiseModel
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import Box, Pose
 from tests.sensing.conftest import DEGREE, TIMESTEP, Scene, arm, brick, on
 
@@ -96,7 +97,7 @@ def test_what_it_sums_up_is_the_change_of_velocity(scene: Build) -> None:
 def test_a_knock_within_a_tick_is_felt_however_seldom_the_sensor_is_read(scene: Build) -> None:
     """A push in one of 20 physics steps, and a reading for every 5 ticks: nothing of it is lost."""
     world = scene(brick(), gravity=(0, 0, 0))
-    accelerometer = world.sensor(on("accelerometer", "brick", faults=Faults(period=5)))
+    accelerometer = world.sensor(on("accelerometer", "brick", faults=NoiseModel(period=5)))
     push, steps = world.engine.pusher(("robot", "brick")), count()
     world.engine.before_substep(lambda: push((0.0, 20.0 if next(steps) == 6 else 0.0, 0.0), (0, 0, 0)))
     world.begin()
@@ -109,7 +110,7 @@ def test_a_knock_within_a_tick_is_felt_however_seldom_the_sensor_is_read(scene: 
 def test_a_sensor_that_is_seldom_read_feels_the_centre_of_its_circle_along_its_own_axes(scene: Build) -> None:
     """Between two readings the arm turns by 4 rad, through which the axes are followed tick by tick."""
     world = scene(arm(), fixed=True)
-    accelerometer = world.sensor(on("accelerometer", "arm", mount=Pose((0.5, 0, 0)), faults=Faults(period=50)))
+    accelerometer = world.sensor(on("accelerometer", "arm", mount=Pose((0.5, 0, 0)), faults=NoiseModel(period=50)))
     drive = world.engine.velocity_motor("robot", ["hinge"], [1e6])
     world.engine.reset()
     world.engine.set_joint("robot", "hinge", 0.0, 4.0)

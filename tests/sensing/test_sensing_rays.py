@@ -9,7 +9,8 @@ from math import asin, cos, pi, sin, sqrt
 import numpy as np
 import pytest
 
-from deepbots_cli.ir import Beams, Lookup, ObjectBody, Sensor
+from deepbots_cli.program.robots import CalibrationTable, RayConfig, Sensor
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import Box, Pose, Sphere
 from deepbots_cli.runtime.sensing.ranging import Table
 from deepbots_cli.runtime.streams import Streams
@@ -19,11 +20,17 @@ Build = Callable[..., Scene]
 ATTITUDE = Pose((0, 0, 1), (0, 0, 0))
 
 
-def ranger(*turns: float, reach: float = 5.0, combined: str = "each", mount: Pose = Pose(), lookup: Lookup | None = None) -> Sensor:  # noqa: B008
+def ranger(
+    *turns: float,
+    reach: float = 5.0,
+    combined: str = "each",
+    mount: Pose = Pose(),  # noqa: B008
+    lookup: CalibrationTable | None = None,
+) -> Sensor:
     """Rays at these yaw angles (deg)."""
     rays = tuple(Pose(rpy=(0, 0, turn * DEGREE)) for turn in turns)
     names = tuple(f"r{index}" for index in range(len(turns))) if combined == "each" else ()
-    return Sensor("s", "sonar", ("brick",), names, "m", mount, None, Beams(rays, reach, combined, lookup))  # type: ignore[arg-type]
+    return Sensor("s", "sonar", ("brick",), names, "m", mount, None, RayConfig(rays, reach, combined, lookup))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("angle", [0, 20, 45])
@@ -65,7 +72,7 @@ def test_several_rays_may_give_one_figure(scene: Build) -> None:
     assert mean.reading == pytest.approx([3.0], abs=1e-6)
 
 
-TABLE = Lookup((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
+TABLE = CalibrationTable((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
 
 
 def test_a_lookup_is_straight_between_its_rows_and_flat_beyond_them() -> None:
@@ -74,7 +81,7 @@ def test_a_lookup_is_straight_between_its_rows_and_flat_beyond_them() -> None:
 
 
 def test_the_noise_of_a_lookup_is_a_share_of_the_reading_interpolated_between_rows() -> None:
-    noisy = Lookup(TABLE.distance, TABLE.value, (0.002, 0.04, 0.01, 0.03))
+    noisy = CalibrationTable(TABLE.distance, TABLE.value, (0.002, 0.04, 0.01, 0.03))
     distances = [0.0, 0.01, 0.015, 0.03, 0.07, 0.2]
     table = Table(noisy, len(distances))
     table.restart(Streams(3)["lookup"])

@@ -11,7 +11,6 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler import check
-from deepbots_cli.compiler.lower import lower
 from deepbots_cli.document import loads
 from deepbots_cli.runtime import Supervisor
 
@@ -47,8 +46,8 @@ def make() -> Iterator[Make]:
 
         def build(sensor: str, range: str = METRE) -> Supervisor:
             checked = check(loads(TEXT % (sensor, range), base=Path.cwd()))
-            assert checked.task is not None, [finding.headline for finding in checked.findings]
-            return opened.enter_context(closing(api.build(lower(checked.task), engine="exact")))
+            assert checked.program is not None, [finding.headline for finding in checked.findings]
+            return opened.enter_context(closing(api.build(checked.program, engine="exact")))
 
         yield build
 

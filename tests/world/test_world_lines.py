@@ -6,7 +6,7 @@ from contextlib import closing
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.ir import Line
+from deepbots_cli.program.world import Line
 from deepbots_cli.runtime.lines import Follower, Paint
 
 SQUARE = Line("square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1)
@@ -132,7 +132,7 @@ def scenario(tmp_path):
 
 def test_a_scenario_tells_the_place_beside_and_along_a_line_from_the_true_pose(scenario) -> None:
     compiled = api.compile(scenario)
-    assert [(entry.name, entry.low, entry.high) for entry in compiled.ir.observation] == [("offset", -1.0, 1.0), ("driven", 0.0, 4.0)]
+    assert [(entry.name, entry.low, entry.high) for entry in compiled.ir.numbers] == [("offset", -1.0, 1.0), ("driven", 0.0, 4.0)]
     with closing(api.make(compiled)) as environment:
         for _ in range(2):
             observation, _ = environment.reset(seed=1)

@@ -12,16 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli import api, engines, ir
+from deepbots_cli import api, engines
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import UPRIGHT, about
+from deepbots_cli.program.world import Formula, ObjectBody, Pit, Terrain, TerrainShape, WorldModel
 from deepbots_cli.robots.model import Sphere
 from deepbots_cli.terrain import png
 from deepbots_cli.terrain.relief import CREST, grid, height, pixels
 
-PIT = ir.Pit(3.2, 2.7 * CREST, 0.15)
-SLOPE = ir.Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
+PIT = Pit(3.2, 2.7 * CREST, 0.15)
+SLOPE = Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
 
 
 def grey_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes:
@@ -55,37 +56,37 @@ def stl(triangles: list[list[tuple[float, float, float]]]) -> bytes:
     return bytes(80) + struct.pack("<I", len(triangles)) + body
 
 
-def world(relief: ir.Relief, **more: object) -> ir.WorldModel:
-    ball = ir.ObjectBody("ball", Sphere(0.25), mass=5.0)
-    return ir.WorldModel(0.032, 8, ground=None, objects=(ball,), terrain=ir.Terrain(relief), **more)
+def world(relief: TerrainShape, **more: object) -> WorldModel:
+    ball = ObjectBody("ball", Sphere(0.25), mass=5.0)
+    return WorldModel(0.032, 8, ground=None, objects=(ball,), terrain=Terrain(relief), **more)
 
 
 @pytest.mark.parametrize(("radius", "expected"), [(0.5, 0.0569), (1.0, 0.2106), (1.5, 0.4168), (2.0, 0.6199), (2.7, 0.8115)])
 def test_a_pit_has_the_profile_of_its_formula(radius: float, expected: float) -> None:
-    at = height(ir.Terrain(ir.Pit(0.85 * 4.0, 2.7 * CREST)))
+    at = height(Terrain(Pit(0.85 * 4.0, 2.7 * CREST)))
     for angle in (0.0, 1.0, 2.5):
         assert at(radius * math.cos(angle), radius * math.sin(angle)) == pytest.approx(expected, abs=2e-3)
 
 
 def test_the_rim_of_a_pit_is_where_its_radius_says_and_a_quarter_of_its_height_high() -> None:
     for radius in (1.0, 3.0):
-        at = height(ir.Terrain(ir.Pit(2.0, radius)))
+        at = height(Terrain(Pit(2.0, radius)))
         assert at(radius, 0.0) == pytest.approx(0.5, rel=1e-3)
         assert at(0.9 * radius, 0.0) < at(radius, 0.0) > at(1.1 * radius, 0.0)
         assert at(0.0, 0.0) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_lumps_take_away_up_to_their_share_and_are_the_same_in_every_world() -> None:
-    plain, rough = grid(ir.Pit(3.2, 3.0)).heights, grid(ir.Pit(3.2, 3.0, 0.15)).heights
+    plain, rough = grid(Pit(3.2, 3.0)).heights, grid(Pit(3.2, 3.0, 0.15)).heights
     assert np.all(rough <= plain + 1e-12)
     assert np.all(rough >= 0.85 * plain - 1e-12)
     assert np.ptp(rough[plain > 0.1] / plain[plain > 0.1]) > 0.1
-    assert np.array_equal(rough, grid(ir.Pit(3.2, 3.0, 0.15)).heights)
+    assert np.array_equal(rough, grid(Pit(3.2, 3.0, 0.15)).heights)
 
 
 @pytest.mark.parametrize("relief", [PIT, SLOPE], ids=["pit", "slope"])
-def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: ir.Relief) -> None:
-    at, rng = height(ir.Terrain(relief)), random.Random(0)
+def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: TerrainShape) -> None:
+    at, rng = height(Terrain(relief)), random.Random(0)
     with closing(engines.create("pybullet", world(relief))) as engine:
         down = [((0.0, 0.0, 0.0), about((0.0, 1.0, 0.0), math.pi / 2))]
         read = engine.rays(("ball", None), down, 10.0)
@@ -97,7 +98,7 @@ def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: ir.Relief)
 
 
 def test_a_ball_comes_to_rest_on_the_bottom_of_a_pit_and_touches_the_ground_there() -> None:
-    with closing(engines.create("pybullet", world(ir.Pit(3.2, 2.0)))) as engine:
+    with closing(engines.create("pybullet", world(Pit(3.2, 2.0)))) as engine:
         engine.place("ball", (0.1, 0.0, 0.3), UPRIGHT)
         touches = engine.contact(("ball", None), [("ground", None)])
         engine.set_friction("ground", None, lateral=0.5)
@@ -267,6 +268,6 @@ def test_ground_that_cannot_be_is_a_finding_before_an_engine_sees_it(tmp_path: P
 
 def test_a_compiled_scenario_with_another_formula_than_of_place_has_no_heights() -> None:
     with pytest.raises(EngineError, match="cannot be computed"):
-        grid(ir.Formula(Name("secret"), (1.0, 1.0)))
+        grid(Formula(Name("secret"), (1.0, 1.0)))
     with pytest.raises(EngineError, match="no height"):
-        grid(ir.Formula(Op("div", (Const(1.0), Const(0.0))), (1.0, 1.0)))
+        grid(Formula(Op("div", (Const(1.0), Const(0.0))), (1.0, 1.0)))

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from deepbots_cli import canonical
+from deepbots_cli.canonical import members
 from deepbots_cli.cli.comparison.items import LOOK, VALUE, Group, Item, items
 from deepbots_cli.cli.comparison.sides import Side
 from deepbots_cli.cli.tables import cell, formula
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, State, World
-from deepbots_cli.ir import CompiledScenario
-from deepbots_cli.ir.records import members
+from deepbots_cli.program import Program
 
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
@@ -50,7 +50,7 @@ def changes(one: Side, other: Side) -> list[Change]:
     return list(gravest.values())
 
 
-def _shuffled(scenario: CompiledScenario) -> object:
+def _shuffled(scenario: Program) -> object:
     """Everything of a scenario, without a regard for order: that which means something is compared before."""
     return _bag(json.loads(canonical.to_json(canonical.with_files(scenario, lambda file: replace(file, path="")))))
 
@@ -136,11 +136,11 @@ def _of_settings(one: Side, other: Side) -> Iterator[Change]:
             yield Change(f"order of {section}", Group.training, "changed", ", ".join(before), ", ".join(after))
 
 
-def _settings(scenario: CompiledScenario, section: Literal["cases", "curriculum"]) -> dict[str, object]:
+def _settings(scenario: Program, section: Literal["cases", "curriculum"]) -> dict[str, object]:
     base = items(scenario)
     found: dict[str, object] = {}
     for entry in getattr(scenario, section):
-        made = items(entry.scenario)
+        made = items(entry.program)
         different = {
             path: (item.value if (item := made.get(path)) else None) for path in {**base, **made} if base.get(path) != made.get(path)
         }

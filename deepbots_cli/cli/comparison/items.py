@@ -11,9 +11,12 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from deepbots_cli import canonical, interface
+from deepbots_cli.canonical import members
 from deepbots_cli.expressions.scalar import Draw, Scalar
-from deepbots_cli.ir import CompiledScenario, MeasuredGoal, MessageLayout, Robot, RobotBody, Variation, WorldModel
-from deepbots_cli.ir.records import members
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.robots import MessageLayout, Robot
+from deepbots_cli.program.world import RobotBody, WorldModel
 
 
 class Group(StrEnum):
@@ -43,7 +46,7 @@ LOOK = "look of "
 _LOOKS = frozenset({"colour", "visuals"})
 
 
-def items(scenario: CompiledScenario) -> dict[str, Item]:
+def items(scenario: Program) -> dict[str, Item]:
     """Everything that a scenario means, its cases and stages apart; a path stands once."""
     placeless = canonical.with_files(scenario, lambda file: replace(file, path=""))
     found: dict[str, Item] = {}
@@ -59,7 +62,7 @@ def _rank(group: Group) -> int:
     return list(Group).index(group)
 
 
-def _policy(scenario: CompiledScenario) -> Iterator[Item]:
+def _policy(scenario: Program) -> Iterator[Item]:
     """What a policy and a world have agreed on."""
     agreed = interface.interface(scenario)
     for name, text in agreed.items():
@@ -67,7 +70,7 @@ def _policy(scenario: CompiledScenario) -> Iterator[Item]:
     yield Item("order of what is observed, done and sent", Group.policy, tuple(agreed))
 
 
-def _where(name: str, scenario: CompiledScenario) -> str:
+def _where(name: str, scenario: Program) -> str:
     """The path of an agreed item: a field that a robot sends stands under its `emit`."""
     for robot in scenario.robots:
         for prefix, section in ((f"message to robot {robot.name}.", "receive"), (f"message from robot {robot.name}.", "emit")):
@@ -76,26 +79,26 @@ def _where(name: str, scenario: CompiledScenario) -> str:
     return "goal.range" if name.partition(".")[0] == "goal" else name
 
 
-def _task(scenario: CompiledScenario) -> Iterator[Item]:
+def _task(scenario: Program) -> Iterator[Item]:
     """What is sensed, done, paid for and ended."""
     task = Group.task
-    for observed in scenario.observation:
-        yield Item(f"observation.{observed.full_name}{VALUE}", task, observed.value)
+    for observed in scenario.numbers:
+        yield Item(f"observation.{observed.full_name}{VALUE}", task, observed.scalar)
         if observed.noise is not None:
             yield Item(f"observation.{observed.name}.noise", task, observed.noise)
-    yield from (Item(f"observation.{picture.name}{VALUE}", task, picture.value) for picture in scenario.pictures)
+    yield from (Item(f"observation.{picture.name}{VALUE}", task, picture.value.scalar) for picture in scenario.images)
     for part in scenario.action:
-        forbidden = tuple((option.name, option.forbidden) for option in getattr(part, "options", ()) if option.forbidden)
+        forbidden = tuple((option.name, option.forbidden.scalar) for option in getattr(part, "options", ()) if option.forbidden)
         if forbidden:
             yield Item(f"action.{part.name}.forbid", task, forbidden)
     yield from (Item(f"signals.{entry.name}", task, entry) for entry in scenario.signals)
     if scenario.goal is not None:
         goal = scenario.goal
-        if isinstance(goal, MeasuredGoal):
-            yield Item("goal.noise", task, goal.noise)
+        if goal.achieved.noise is not None:
+            yield Item("goal.noise", task, goal.achieved.noise)
         yield from (
             Item(f"goal.{key}", task, value)
-            for key, value in (("achieved", goal.achieved), ("desired", goal.desired), ("within", goal.within))
+            for key, value in (("achieved", goal.achieved.scalars), ("desired", goal.targets), ("within", goal.within))
         )
     yield from (Item(f"reward.{term.name}", task, term) for term in scenario.reward)
     yield from (Item(f"termination.{ending.outcome}.{ending.name}", task, ending) for ending in scenario.endings)
@@ -111,9 +114,9 @@ def _controller(robot: Robot) -> Iterator[Item]:
     named = (
         ("sensors", robot.sensors),
         ("actuators", robot.actuators),
-        ("receive", robot.receive),
-        ("emit", robot.emit),
-        ("apply", robot.apply),
+        ("receive", robot.received),
+        ("emit", robot.emitted),
+        ("apply", robot.commands),
     )
     yield from (Item(f"{here}.{section}.{entry.name}{VALUE}", Group.task, entry) for section, entries in named for entry in entries)
     layouts: tuple[MessageLayout, ...] = (robot.to_robot, robot.from_robot)
@@ -122,7 +125,7 @@ def _controller(robot: Robot) -> Iterator[Item]:
     )
 
 
-def _world(scenario: CompiledScenario) -> Iterator[Item]:
+def _world(scenario: Program) -> Iterator[Item]:
     """World, bodies, messages on their way, and starts: what makes a task easy or hard."""
     world, reset = scenario.world, scenario.reset
     seen = any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
@@ -143,22 +146,26 @@ def _world(scenario: CompiledScenario) -> Iterator[Item]:
         yield Item(f"robots.{scenario.agent.each.robot}.count", Group.world, scenario.agent.each)
     yield from (Item(f"parameters.{entry.name}", Group.world, entry) for entry in scenario.parameters)
     yield from (Item(f"disturbances.{entry.name}", Group.world, entry) for entry in scenario.disturbances)
-    yield from (Item(f"reset.place.{place.body}", Group.world, place) for place in reset.places)
-    yield Item("order of reset.place", Group.world, tuple(place.body for place in reset.places))
-    yield from (Item(f"reset.set.{joint.robot}.{joint.joint}", Group.world, joint) for joint in reset.joints)
-    yield from (Item(_drawn(entry, world), Group.world, entry.values) for entry in reset.variations)
+    yield from (Item(f"reset.place.{place.body}", Group.world, place) for place in reset.placements)
+    yield Item("order of reset.place", Group.world, tuple(place.body for place in reset.placements))
+    yield from (
+        Item(f"reset.set.{start.robot}.{joint}", Group.world, (position, velocity))
+        for start in reset.joint_starts
+        for joint, position, velocity in start.states
+    )
+    yield from (Item(_drawn(entry, world), Group.world, entry.scalars) for entry in reset.variations)
     yield from (Item(f"objects.{group.name}.count", Group.world, group) for group in reset.groups)
     yield from (Item(f"reset.layouts.{layout.name}", Group.world, layout) for layout in reset.layouts)
     yield from (Item(f"reset.{name}", Group.world, getattr(reset, name)) for name in ("settle", "require", "attempts"))
 
 
-def _drawn(entry: Variation, world: WorldModel) -> str:
+def _drawn(entry: RandomizedParameter, world: WorldModel) -> str:
     """The path of a figure that is drawn per episode: where the draw is written; a colour goes with the look of what has it."""
     if entry.what == "colour":
         body, link = entry.of
         is_robot = any(robot.name == body for robot in world.robots)
         return f"{LOOK}robots.{body}.links.{link}" if is_robot else f"{LOOK}objects.{body.partition('#')[0]}"
-    first = entry.values[0]
+    first = entry.scalars[0]
     if isinstance(first, Draw):
         return first.stream.partition("#")[0].partition(":")[0]
     return f"drawn {entry.what} of {'.'.join(filter(None, entry.of))}"
@@ -202,7 +209,7 @@ def _looks(value: object) -> Iterator[object]:
             yield from _looks(item)
 
 
-def _training(scenario: CompiledScenario) -> Iterator[Item]:
+def _training(scenario: Program) -> Iterator[Item]:
     """How a policy is trained and judged, what it is compared with; and what a scenario is called."""
     yield Item("name", Group.cosmetic, scenario.name)
     yield Item("summary", Group.cosmetic, scenario.summary)

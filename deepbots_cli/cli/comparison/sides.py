@@ -7,22 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
+from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.document import Mapping, Node, descend, one_line, shipped
 from deepbots_cli.document.parse import parse
-from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.run import Run
-
-_MOST_TEXT = 4_000_000
+from deepbots_cli.program import Program
 
 
 @dataclass(frozen=True)
 class Side:
-    """`root` is the text, after includes and settings; None where it is lost. `run` is the run that it comes from, if any."""
+    """`root` is the text, after includes and settings. `run` is the run that it comes from, if any."""
 
     name: str
-    ir: CompiledScenario
+    ir: Program
     root: Node | None
     run: Run | None = None
     findings: Sequence[Finding] = ()
@@ -67,12 +66,5 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
 
 
 def _of_run(path: Path) -> Side:
-    try:
-        run = Run.open(path)
-    except RunError as error:
-        raise UsageError(str(error)) from error
-    resolved, text = path / "resolved.yaml", ""
-    if resolved.is_file() and not resolved.is_symlink():
-        with resolved.open(encoding="utf-8", errors="replace") as file:
-            text = file.read(_MOST_TEXT)
-    return Side(str(path), run.ir, parse(Source(str(resolved), text), Findings()) if text else None, run)
+    run, resolved = Run.open(path), path / RESOLVED
+    return Side(str(path), run.ir, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)

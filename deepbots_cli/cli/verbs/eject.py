@@ -23,8 +23,8 @@ def command(
 ) -> None:
     """Write a scenario out as a small Python project of its own.
 
-    It holds the generated classes to edit, the compiled scenario, and scripts to run and to train. It needs deepbots as a library.
-    There is no way back to YAML: what can be said in the scenario is better changed there.
+    It holds the generated classes to edit, the scenario with its files, and scripts to run and to train. It needs deepbots as a library.
+    What can be said in the scenario is better changed there.
 
     \b
       deepbots eject cartpole my_cartpole

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
+from deepbots_cli.canonical import task_digest
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
 from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
-from deepbots_cli.errors import UsageError
+from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.learning import report
+from deepbots_cli.learning.run import Run
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
@@ -66,9 +68,11 @@ def command(
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
     """
+    known = Run.open(run)
     compiled = None
     if scenario is not None or sets:
-        compiled = api.compile(scenario or _text_of(run), sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+        options: dict[str, Any] = {"sets": sets or (), "allow_paths": allow_paths or (), "allow_code": allow_code}
+        compiled = api.compile(api.load(scenario, **options) if scenario is not None else api.load(run / RESOLVED, project=run, **options))
         if scenario is not None:
             terminal.mention(compiled.findings, scenario)
     chosen: dict[str, Any] = {
@@ -81,33 +85,20 @@ def command(
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
     with on_terminal() as meter:
-        result = evaluate(run, case=case, video_to=video, on_episode=meter, **chosen)
-        cases = evaluate_cases(run, on_episode=meter, **chosen) if case is None else ()
+        result = evaluate(known, case=case, video_to=video, on_episode=meter, **chosen)
+        cases = evaluate_cases(known, on_episode=meter, **chosen) if case is None else ()
     if as_json:
         terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:
-        show(result, cases, elsewhere=_elsewhere(run, scenario, sets or (), compiled))
+        show(result, cases, elsewhere=_elsewhere(known, scenario, sets or (), compiled))
     _require(result, require_solved=require_solved, min_success=min_success)
 
 
-def _text_of(run: Path) -> Path:
-    """The file in a run that compiles to the scenario of its training."""
-    from deepbots_cli.learning.run import Run
-
-    path = Run.open(run).path / "resolved.yaml"
-    if path.is_symlink() or not path.is_file():
-        raise UsageError(f"{path} is lost, so --set has nothing to change; name the scenario with --scenario")
-    return path
-
-
-def _elsewhere(run: Path, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
+def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
     """The words for a scenario that was asked for in place of the run's."""
     if compiled is None:
         return None
-    from deepbots_cli.canonical import task_digest
-    from deepbots_cli.learning.run import Run
-
-    same = task_digest(compiled.ir) == task_digest(Run.open(run).ir)
+    same = task_digest(compiled.ir) == task_digest(run.ir)
     changed = "".join(f" --set {quote(text)}" for text in sets)
     return f"{scenario or 'of the run'}{changed}, {'the same as in' if same else 'not the one of'} the training"
 

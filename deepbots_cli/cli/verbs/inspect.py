@@ -18,7 +18,7 @@ from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import Mapping
 from deepbots_cli.document.load import under
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.program import Program
 
 _CAPTIONS = {
     "observation": "low .. high becomes what the policy sees; values beyond are clipped",
@@ -83,7 +83,7 @@ def command(
         terminal.note(f"the world is drawn in {picture}")
 
 
-def _start(ir: CompiledScenario, picture: Path | None, *, allow_code: bool) -> anatomy.Sections:
+def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> anatomy.Sections:
     """Where the ends of robots are at the start of an episode, if the simulator is installed; draws the world if a picture is asked for."""
     links = anatomy.end_links(ir)
     if picture is None and not links:

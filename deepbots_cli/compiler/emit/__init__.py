@@ -11,32 +11,38 @@ supervisor.py  the supervisor class, whose methods are printed by
   scripts.py     hand-written policies
 workspace.py   what these share: names and readers
 reads.py       which engine readers are bound, and how each number is taken from them
-guard/         what may be printed at all
 printer.py     statements and the memory of stateful functions; names.py identifiers; text.py, wrap.py layout
 
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
-match `[a-z_][a-z0-9_]*` and quoted strings.
+match `[a-z_][a-z0-9_]*` and quoted strings. The scenario comes from the compiler, which has checked it.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from typing import Any
+
 from deepbots_cli.canonical import digest
-from deepbots_cli.compiler.emit.guard import check_printable
 from deepbots_cli.compiler.emit.names import RUNTIME, class_name
 from deepbots_cli.compiler.emit.robot import RobotPrinter
 from deepbots_cli.compiler.emit.supervisor import supervisor
 from deepbots_cli.compiler.emit.wrap import wrapped
 from deepbots_cli.expressions.functions import math_names
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.program import Program
+
+_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
-def emit(scenario: CompiledScenario) -> str:
+def emit(scenario: Program) -> str:
     """The module that runs `scenario`: one controller class per robot and the supervisor class.
 
     Raises:
-        CanonicalError: A name is no identifier of the language; such a scenario never came from the compiler.
+        ValueError: A name is no identifier of the language, which is a fault of the compiler.
     """
-    check_printable(scenario)
+    for name in _names(scenario):
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"{name[:40]!r} cannot be a name in the code")
     classes: list[str] = []
     for robot in scenario.robots:
         classes += ["", "", *RobotPrinter(scenario, robot).text()]
@@ -45,7 +51,18 @@ def emit(scenario: CompiledScenario) -> str:
     return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
 
 
-def _head(scenario: CompiledScenario, body: list[str]) -> list[str]:
+def _names(scenario: Program) -> Iterator[str]:
+    """What the scenario defines and the code is made with."""
+    robots = scenario.robots
+    parts: list[tuple[Any, ...]] = [
+        part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
+    ]
+    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action]
+    yield from (robot.name for robot in robots)
+    yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.scripts) for entry in entries)
+
+
+def _head(scenario: Program, body: list[str]) -> list[str]:
     words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
     used_math = sorted(math_names() & words)
     runtime = [name for name in RUNTIME if name in words]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import action_variables, targets_code, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import Choices, Interval
+from deepbots_cli.program.task import ActionRange, Choices
 
 
 def choice_tables(space: Workspace) -> list[str]:
@@ -63,6 +63,6 @@ def _own_action(space: Workspace) -> dict[str, list[str]]:
     return {part: [space.local(*next(names)) for _ in range(size)] for part, size in sizes.items()} if space.taken else {}
 
 
-def _parts(space: Workspace) -> tuple[list[Choices], list[Interval]]:
+def _parts(space: Workspace) -> tuple[list[Choices], list[ActionRange]]:
     action = space.scenario.action
-    return [part for part in action if isinstance(part, Choices)], [part for part in action if isinstance(part, Interval)]
+    return [part for part in action if isinstance(part, Choices)], [part for part in action if isinstance(part, ActionRange)]

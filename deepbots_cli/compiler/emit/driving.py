@@ -7,18 +7,19 @@ from collections.abc import Sequence
 from deepbots_cli import frames
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
 from deepbots_cli.compiler.joints import held
-from deepbots_cli.ir import Actuator, Cartesian, CompiledScenario, Motor, Robot, Thrust
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Thrust
 
 
 class Driving:
     """The actuators of one robot that have a command."""
 
-    def __init__(self, scenario: CompiledScenario, robot: Robot) -> None:
+    def __init__(self, scenario: Program, robot: Robot) -> None:
         self._robot = robot
         self._model = next(body.model for body in scenario.world.robots if body.name == robot.name)
         self._substep = scenario.world.timestep / scenario.world.substeps
         self._varied = {(*variation.of[1:], variation.what) for variation in scenario.reset.variations if variation.of[:1] == (robot.name,)}
-        commanded = {entry.name for entry in robot.apply}
+        commanded = {entry.name for entry in robot.commands}
         self._actuators = [actuator for actuator in robot.actuators if actuator.name in commanded]
 
     def bind_lines(self) -> list[str]:

@@ -14,7 +14,7 @@ from deepbots_cli.compiler.emit.printer import Printer, outer_states
 from deepbots_cli.compiler.emit.text import flat, quoted
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.scalar import names_in
-from deepbots_cli.ir import Ending
+from deepbots_cli.program.task import Ending
 
 _SUMMANDS = 100
 
@@ -23,7 +23,7 @@ def print_evaluation(space: Workspace, printer: Printer) -> None:
     """Everything; right after a reset without limits and rewards, which need a step."""
     printer.lines += space.reads.call_lines(space.evaluated)
     for entry in space.scenario.signals:
-        for component, value in zip(entry.components or (None,), entry.values, strict=True):
+        for component, value in zip(entry.components or (None,), entry.scalars, strict=True):
             printer.assign(space.local(entry.name, component), value)
         print_noise(space, printer, f"augment.{entry.name}", [space.local(*name) for name in flat([entry])])
     print_goal(space, printer)
@@ -58,7 +58,7 @@ def _print_endings(space: Workspace, printer: Printer) -> None:
     if not endings:
         return
     for ending in _after_what_they_use(endings):
-        code = printer.value(ending.condition) if ending.foreign is None else f"{called(space, 'ending', ending.name)}(self)"
+        code = printer.value(ending.value.scalar) if ending.foreign is None else f"{called(space, 'ending', ending.name)}(self)"
         printer.line(f"{space.local(ending.name)} = {code}")
     failures = [ending for ending in endings if ending.outcome == "failure"]
     successes = [ending for ending in endings if ending.outcome == "success"]
@@ -96,7 +96,7 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
     if space.repeats:
         names = [space.names(f"{term.name} term") for term in terms]
     for name, term in zip(names, terms, strict=True):
-        code = printer.value(term.value) if term.foreign is None else f"{called(space, 'reward term', term.name)}(self)"
+        code = printer.value(term.scalar) if term.foreign is None else f"{called(space, 'reward term', term.name)}(self)"
         printer.line(f"{name} = {code}")
     # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
@@ -115,11 +115,11 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
 def _print_first_rewards(space: Workspace, printer: Printer) -> None:
     """Before the first step there is no reward, but what its terms remember begins."""
     terms = space.scenario.reward
-    remembered = {leaf.name for term in terms for state in outer_states(term.value) for leaf in names_in(state)}
+    remembered = {leaf.name for term in terms for state in outer_states(term.scalar) for leaf in names_in(state)}
     for flag in ("terminated", "truncated", "ended"):
         if flag in remembered:
             printer.line(f"{space.local(flag)} = False")
-    printer.remember([term.value for term in terms])
+    printer.remember([term.scalar for term in terms])
     for term in terms:
         printer.line(f"self.term_{term.name} = 0.0")
 
@@ -130,7 +130,7 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
     order: dict[str, Ending] = {}
 
     def add(ending: Ending) -> None:
-        for leaf in names_in(ending.condition):
+        for leaf in names_in(ending.value.scalar):
             if leaf.name in by_name and leaf.name not in order:
                 add(by_name[leaf.name])
         order[ending.name] = ending

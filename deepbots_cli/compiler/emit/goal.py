@@ -11,7 +11,6 @@ from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block, docstring, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.printer import operand
-from deepbots_cli.ir import MeasuredGoal
 
 
 def compute_reward(space: Workspace) -> list[str]:
@@ -29,11 +28,11 @@ def print_goal(space: Workspace, printer: Printer) -> None:
     if goal is None:
         return
     locals_, back = [], []
-    noisy = [space.local(name.name, name.component) for name in goal.names("achieved")] if isinstance(goal, MeasuredGoal) else []
-    for local, value in zip(noisy, goal.achieved, strict=False):
+    noisy = [space.local(name.name, name.component) for name in goal.names("achieved")] if goal.achieved.noise else []
+    for local, value in zip(noisy, goal.achieved.scalars, strict=False):
         printer.assign(local, value)
     print_noise(space, printer, "goal.achieved", noisy)
-    for names, values in ((goal.names("achieved"), goal.achieved), (goal.names("desired"), goal.desired)):
+    for names, values in ((goal.names("achieved"), goal.achieved.scalars), (goal.names("desired"), goal.targets)):
         for name, value, low, high in zip(names, values, goal.low, goal.high, strict=True):
             half, middle = (high - low) / 2, (high + low) / 2
             local = space.local(name.name, name.component)

@@ -6,7 +6,7 @@ from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.printer import operand
-from deepbots_cli.ir import Choices, Option
+from deepbots_cli.program.task import Choices, Option
 
 
 def print_masks(space: Workspace, printer: Printer) -> None:
@@ -39,4 +39,4 @@ def allowed(space: Workspace) -> list[str]:
 
 
 def _allowed(printer: Printer, option: Option) -> str:
-    return "True" if option.forbidden is None else f"not {operand(printer.value(option.forbidden))}"
+    return "True" if option.forbidden is None else f"not {operand(printer.value(option.forbidden.scalar))}"

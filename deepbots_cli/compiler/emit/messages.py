@@ -8,12 +8,12 @@ from deepbots_cli.compiler.emit.robot import decode_lines, observes
 from deepbots_cli.compiler.emit.text import flat, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.scalar import names_in
-from deepbots_cli.ir import Robot
+from deepbots_cli.program.robots import Robot
 
 
 def print_sending(space: Workspace, printer: Printer, robot: Robot) -> None:
     """The message of this step; where its way has no surprises, it is acted on here."""
-    values = [printer.value(value) for entry in robot.receive for value in entry.values]
+    values = [printer.value(value) for entry in robot.received for value in entry.scalars]
     controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
     if space.scenario.format == "none":
         printer.line(f"{controller}.apply({', '.join(values)})")
@@ -40,7 +40,7 @@ def print_delivering(space: Workspace, printer: Printer, robot: Robot) -> None:
 def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: bool) -> None:
     """Messages of one robot into local variables; the first of an episode arrives at once."""
     controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
-    targets = [space.local(f"{robot.name}.{name}", component) for name, component in flat(robot.emit)]
+    targets = [space.local(f"{robot.name}.{name}", component) for name, component in flat(robot.emitted)]
     if observes(space.scenario, robot) and not first:
         printer.line(f"{controller}.observe()")
     if space.scenario.format == "none":
@@ -55,7 +55,7 @@ def print_receiving(space: Workspace, printer: Printer, robot: Robot, *, first: 
         printer.line(f"{channel}.send({controller}.create_message())")
         printer.line(f"message = {channel}.receive()")
     error = f"self._rejected({controller}.spec.from_robot, message)"
-    printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.stamp, error)
+    printer.lines += decode_lines(f"self.decode_from_{robot.name}(message)", targets, robot.from_robot.layout_hash, error)
 
 
 def _print_imperfect(printer: Printer, robot: Robot, *, first: bool) -> None:

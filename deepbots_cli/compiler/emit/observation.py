@@ -10,22 +10,25 @@ from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, targets_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.printer import operand
-from deepbots_cli.expressions.scalar import Const, Name
-from deepbots_cli.ir import CompiledScenario, Measured, MeasuredGoal, Noise, Observed, Pictured
+from deepbots_cli.expressions.scalar import Const, Name, Scalar
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ImageObservation, ObservedNumber
 
 
 def print_observation(space: Workspace, printer: Printer) -> None:
     noise = _print_noise(space, printer)
     packed = []
-    for entry in space.scenario.observation:
+    for entry in space.scenario.numbers:
         name = space.names(f"seen {entry.name}", entry.component)  # the blank keeps it apart from a signal called `seen`
         if entry.truth:
-            packed.append(f"1.0 if {printer.value(entry.value)} else 0.0")
+            packed.append(f"1.0 if {printer.value(entry.scalar)} else 0.0")
             continue
         code = _value(printer, entry)
         if entry.noise is not None:
             printer.line(f"{name} = {code}")
-            code = f"{name} + {_scale(space, entry.noise, entry.name, entry.component, name)} * {noise[entry.full_name]}"
+            code = (
+                f"{name} + {_scale(space, (entry.std, entry.noise.relative), entry.name, entry.component, name)} * {noise[entry.full_name]}"
+            )
         printer.line(f"{name} = {_normalised(code, entry)}")
         if entry.clip:
             printer.line(f"if not -1.0 <= {name} <= 1.0:")
@@ -39,13 +42,13 @@ def print_observation(space: Workspace, printer: Printer) -> None:
         printer.line(f"self.pack({', '.join(['self.frames', place, *packed])})")
     elif packed:
         printer.line(f"self.pack({', '.join(['self.observed', '0', *packed])})")
-    for pictured in space.scenario.pictures:
-        printer.line(f"{album(space, pictured)}[{'0' if printer.starting else 'self.newest'}] = {printer.value(pictured.value)}")
+    for pictured in space.scenario.images:
+        printer.line(f"{album(space, pictured)}[{'0' if printer.starting else 'self.newest'}] = {printer.value(pictured.value.scalar)}")
     if space.remembers and printer.starting:
         printer.line("self.fill_frames()")
 
 
-def album(space: Workspace, pictured: Pictured) -> str:
+def album(space: Workspace, pictured: ImageObservation) -> str:
     """The attribute that holds the last pictures of one kind, a ring as that of the numbers."""
     return f"self.{space.names('album', pictured.key)}"
 
@@ -58,31 +61,35 @@ def print_next_frame(space: Workspace, printer: Printer) -> None:
 
 def print_deviations(space: Workspace, printer: Printer) -> None:
     """Draw the standard deviations that differ between episodes."""
-    observed = [(entry.name, entry.component, entry.noise) for entry in space.scenario.observation if entry.noise is not None]
-    measured = [(path, *part) for path, parts in _measured(space.scenario).items() for part in parts]
-    for name, component, noise in (*observed, *measured):
-        if not isinstance(noise.deviation, Const):
-            printer.assign(_deviation(space, name, component), noise.deviation)
+    observed = [(entry.name, entry.component, entry.std) for entry in space.scenario.numbers]
+    measured = [(path, part, std) for path, (parts, _) in _measured(space.scenario).items() for part, std in parts]
+    for name, component, std in (*observed, *measured):
+        if std is not None and not isinstance(std, Const):
+            printer.assign(_deviation(space, name, component), std)
 
 
 def print_noise(space: Workspace, printer: Printer, path: str, targets: list[str]) -> None:
     """Add noise to the local variables of the value at `path`; nothing where the scenario gives it none."""
-    parts = _measured(space.scenario).get(path, [])
+    if path not in (measured := _measured(space.scenario)):
+        return
+    parts, relative = measured[path]
     normals = [space.names(f"noise {path.partition('.')[2]}", component) for component, _ in parts]
-    if parts:
-        _print_normals(printer, path, normals)
-    for target, (component, noise), normal in zip(targets, parts, normals, strict=False):
-        printer.line(f"{target} += {_scale(space, noise, path, component, target)} * {normal}")
+    _print_normals(printer, path, normals)
+    for target, (component, std), normal in zip(targets, parts, normals, strict=True):
+        printer.line(f"{target} += {_scale(space, (std, relative), path, component, target)} * {normal}")
 
 
-def _measured(scenario: CompiledScenario) -> dict[str, list[tuple[str | None, Noise]]]:
-    """What the supervisor measures with noise: by path, which also names the random stream, the noise of each component."""
-    found: dict[str, Measured | MeasuredGoal] = {
-        f"augment.{entry.name}": entry for entry in scenario.signals if isinstance(entry, Measured)
+def _measured(scenario: Program) -> dict[str, tuple[list[tuple[str | None, Scalar]], bool]]:
+    """What the supervisor measures with noise: by path, which also names the random stream, the standard deviation of each component,
+    and whether they are relative to the value.
+    """
+    values = {f"augment.{value.name}": value for value in scenario.signals}
+    values |= {"goal.achieved": scenario.goal.achieved} if scenario.goal else {}
+    return {
+        path: (list(zip(value.components or (None,), value.noise.std.scalars, strict=True)), value.noise.relative)
+        for path, value in values.items()
+        if value.noise is not None
     }
-    if isinstance(scenario.goal, MeasuredGoal):
-        found["goal.achieved"] = scenario.goal
-    return {path: list(zip(value.components or (None,), value.noise, strict=True)) for path, value in found.items()}
 
 
 def _deviation(space: Workspace, name: str, component: str | None) -> str:
@@ -90,15 +97,15 @@ def _deviation(space: Workspace, name: str, component: str | None) -> str:
     return f"self.{space.names('deviation', name, component)}"
 
 
-def _value(printer: Printer, entry: Observed) -> str:
+def _value(printer: Printer, entry: ObservedNumber) -> str:
     # the reward of this step is known here; everywhere else the name means that of the step before
-    return "self.reward" if entry.value == Name("previous_reward") else printer.value(entry.value)
+    return "self.reward" if entry.scalar == Name("previous_reward") else printer.value(entry.scalar)
 
 
 def _print_noise(space: Workspace, printer: Printer) -> dict[str, str]:
     """Standard normal numbers for all entries that want them, from one stream per name; the local of each full name."""
-    groups: dict[str, list[Observed]] = {}
-    for entry in space.scenario.observation:
+    groups: dict[str, list[ObservedNumber]] = {}
+    for entry in space.scenario.numbers:
         if entry.noise is not None:
             groups.setdefault(entry.name, []).append(entry)
     locals_: dict[str, str] = {}
@@ -114,13 +121,14 @@ def _print_normals(printer: Printer, stream: str, targets: list[str]) -> None:
     printer.line(f"{targets_code(targets)} = self.streams[{quoted(stream)}].standard_normal({len(targets)}).tolist()")
 
 
-def _scale(space: Workspace, noise: Noise, name: str, component: str | None, exact: str) -> str:
-    """Code of the standard deviation of the noise on the variable `exact`."""
-    figure = repr(noise.deviation.value) if isinstance(noise.deviation, Const) else _deviation(space, name, component)
-    return f"{figure} * {exact}" if noise.relative else figure
+def _scale(space: Workspace, noise: tuple[Scalar | None, bool], name: str, component: str | None, exact: str) -> str:
+    """Code of the standard deviation of the noise on the variable `exact`; `noise` is that and whether it is relative."""
+    std, relative = noise
+    value = repr(std.value) if isinstance(std, Const) else _deviation(space, name, component)
+    return f"{value} * {exact}" if relative else value
 
 
-def _normalised(code: str, entry: Observed) -> str:
+def _normalised(code: str, entry: ObservedNumber) -> str:
     """Code that maps [low, high] to [-1, 1]."""
     half, middle = (entry.high - entry.low) / 2, (entry.high + entry.low) / 2
     if middle == 0.0:

@@ -8,25 +8,25 @@ from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import quoted, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.scalar import Scalar
-from deepbots_cli.ir import Cells, Group, Place, Region, Top
+from deepbots_cli.program.resets import Cells, Group, Placement, Region, Top
 
 
-def is_sought(place: Place) -> bool:
+def is_sought(place: Placement) -> bool:
     """Whether more than its coordinates decides where the body stands."""
-    return place.rests or place.spot is not None
+    return place.seeks_height or place.spot is not None
 
 
-def place_lines(places: Sequence[Place], space: Workspace, printer: Printer) -> list[str]:
+def place_lines(places: Sequence[Placement], space: Workspace, printer: Printer) -> list[str]:
     """The statements of one layout: first what has coordinates, then what stands in cells, then what looks for a spot."""
     groups = {group.name: group for group in space.scenario.reset.groups}
     return [line for place in _ordered(places) for line in _lines(place, groups.get(place.body), printer)]
 
 
-def _ordered(places: Sequence[Place]) -> list[Place]:
+def _ordered(places: Sequence[Placement]) -> list[Placement]:
     """Places by how they are found, then in file order; a body that stands on another comes after it."""
     ranks = {Region: 2, Top: 2, Cells: 1}
     waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
-    found: list[Place] = []
+    found: list[Placement] = []
     while waiting:
         bodies = {place.body for place in waiting}
         ready = (index for index, place in enumerate(waiting) if not (isinstance(place.spot, Top) and place.spot.of in bodies))
@@ -34,8 +34,8 @@ def _ordered(places: Sequence[Place]) -> list[Place]:
     return found
 
 
-def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
-    count = printer.value(group.count) if group else "1"
+def _lines(place: Placement, group: Group | None, printer: Printer) -> list[str]:
+    count = printer.value(group.count.scalar) if group else "1"
     body, pad = ("body", "    ") if group else (quoted(place.body), "")
     at_most = "" if place.at_most is None else f", {place.at_most}"
     # A call in the head of a loop could not be cut into lines.
@@ -63,10 +63,9 @@ def _lines(place: Place, group: Group | None, printer: Printer) -> list[str]:
             return [*head, f"{pad}bodies.stand({body}, {xyz}, {rpy}{_options(place, printer)}{spacing})"]
 
 
-def _options(place: Place, printer: Printer) -> str:
-    moving = (("velocity", place.velocity), ("angular_velocity", place.angular_velocity))
-    parts = [f", {name}={_triple(values, printer)}" for name, values in moving if values]
-    parts += [", rests=True"] if place.rests else []
+def _options(place: Placement, printer: Printer) -> str:
+    parts = [f", {name}={_triple(values, printer)}" for name, values in place.velocities]
+    parts += [", rests=True"] if place.seeks_height else []
     parts += [f", clearance={place.clearance!r}"] if place.clearance else []
     return "".join(parts)
 

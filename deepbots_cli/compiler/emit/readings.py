@@ -8,7 +8,7 @@ from deepbots_cli.compiler.emit.workspace import Workspace
 
 def readings(space: Workspace) -> list[list[str]]:
     scenario = space.scenario
-    histories = {entry.name: entry.history for entry in scenario.seen}
+    histories = {entry.name: entry.history for entry in scenario.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
     seen += f"; {scenario.agent.stack} times in a row" if scenario.agent.stack > 1 else ""
     seen += "; and what is achieved and desired" if scenario.goal is not None else ""
@@ -50,9 +50,9 @@ def _parts(space: Workspace) -> dict[str, str]:
     """The code of each part of an observation, under its key."""
     scenario = space.scenario
     parts = {}
-    if scenario.observation or not scenario.pictures:
+    if scenario.numbers or not scenario.images:
         parts["observation"] = "self.frames.take(self.views[self.newest])" if space.remembers else "self.observed.copy()"
-    parts |= {pictured.key: f"self.albums[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.pictures}
+    parts |= {pictured.key: f"self.albums[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.images}
     if scenario.goal is not None:
         size = len(scenario.goal.low)
         parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}

@@ -16,7 +16,8 @@ from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
 from deepbots_cli.compiler.emit.variations import setting
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
-from deepbots_cli.ir import CompiledScenario, Place, Reset
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Placement, Reset
 
 
 def begin(space: Workspace) -> list[str]:
@@ -28,15 +29,15 @@ def begin(space: Workspace) -> list[str]:
     print_deviations(space, printer)
     if is_arranged(scenario):
         for index, variation in enumerate(reset.variations):
-            for number, value in enumerate(variation.values):
+            for number, value in enumerate(variation.scalars):
                 printer.assign(_varied(space, index, number), value)
         printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")
     else:
         printer.line("self.engine.reset()")
         for variation in reset.variations:
-            printer.line(setting(variation, [printer.value(value) for value in variation.values]))
+            printer.line(setting(variation, [printer.value(value) for value in variation.scalars]))
         printer.lines += _releasing(scenario)
-        for place in reset.places:
+        for place in reset.placements:
             printer.line(_placing(place, printer))
         _print_joints(reset, printer)
         printer.lines += _forgetting(space)
@@ -49,12 +50,12 @@ def begin(space: Workspace) -> list[str]:
     return [*method, *_arrange(space)] if is_arranged(scenario) else method
 
 
-def is_arranged(scenario: CompiledScenario) -> bool:
+def is_arranged(scenario: Program) -> bool:
     """Whether the places of an episode have to be found."""
     reset = scenario.reset
     drawn = reset.groups or reset.layouts or reset.require is not None
     pooled = any(thing.pooled for thing in scenario.world.objects)
-    return bool(drawn) or pooled or scenario.world.terrain is not None or any(is_sought(place) for place in reset.places)
+    return bool(drawn) or pooled or scenario.world.terrain is not None or any(is_sought(place) for place in reset.placements)
 
 
 def _arrange(space: Workspace) -> list[str]:
@@ -63,12 +64,12 @@ def _arrange(space: Workspace) -> list[str]:
     printer = _printer(space)
     printer.line('"""One attempt at a start: a place for each body; whether it is as required."""')
     printer.line("bodies = self.bodies")
-    printer.lines += place_lines(reset.places, space, printer)
+    printer.lines += place_lines(reset.placements, space, printer)
     shares = ", ".join(f"({quoted(layout.name)}, {layout.share!r})" for layout in reset.layouts)
     if len(reset.layouts) > 1:
         printer.line(f'layout = bodies.layout("reset.layout", {shares})')
     for index, layout in enumerate(reset.layouts):
-        lines = place_lines(layout.places, space, printer) or ["pass"]
+        lines = place_lines(layout.placements, space, printer) or ["pass"]
         if len(reset.layouts) > 1:
             printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
             lines = [f"    {line}" for line in lines]
@@ -78,7 +79,7 @@ def _arrange(space: Workspace) -> list[str]:
     if any(thing.variants for thing in space.scenario.world.objects):
         printer.line("bodies.choose()")
     for index, variation in enumerate(reset.variations):
-        printer.line(setting(variation, [_varied(space, index, number) for number in range(len(variation.values))]))
+        printer.line(setting(variation, [_varied(space, index, number) for number in range(len(variation.scalars))]))
     printer.lines += _releasing(space.scenario)
     printer.line("bodies.put()")
     _print_joints(reset, printer)
@@ -86,12 +87,12 @@ def _arrange(space: Workspace) -> list[str]:
     if reset.require is None:
         printer.line("return True")
     else:
-        printer.lines += space.reads.call_lines([reset.require])
-        printer.line(f"return bool({printer.value(reset.require)})")
+        printer.lines += space.reads.call_lines([reset.require.scalar])
+        printer.line(f"return bool({printer.value(reset.require.scalar)})")
     return block("def _arrange(self) -> bool:", printer.lines)
 
 
-def _releasing(scenario: CompiledScenario) -> list[str]:
+def _releasing(scenario: Program) -> list[str]:
     """Statements after which no actuator remembers the episode before."""
     return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Driving(scenario, robot).has_devices]
 
@@ -114,22 +115,19 @@ def _varied(space: Workspace, index: int, number: int) -> str:
     return f"self.{space.names(f'varied {index}.{number}')}"
 
 
-def _placing(place: Place, printer: Printer) -> str:
+def _placing(place: Placement, printer: Printer) -> str:
     """The statement that places a body whose place is known."""
     xyz, rpy = (tuple_code([printer.value(value) for value in values]) for values in (place.xyz, place.rpy))
     turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
-    moving = "".join(
-        f", {name}={tuple_code([printer.value(value) for value in values])}"
-        for name, values in (("velocity", place.velocity), ("angular_velocity", place.angular_velocity))
-        if values
-    )
+    moving = "".join(f", {name}={tuple_code([printer.value(value) for value in values])}" for name, values in place.velocities)
     return f"self.engine.place({quoted(place.body)}, {xyz}, {turn}{moving})"
 
 
 def _print_joints(reset: Reset, printer: Printer) -> None:
-    for joint in reset.joints:
-        where = f"{quoted(joint.robot)}, {quoted(joint.joint)}"
-        printer.line(f"self.engine.set_joint({where}, {printer.value(joint.position)}, {printer.value(joint.velocity)})")
+    for start in reset.joint_starts:
+        for joint, position, velocity in start.states:
+            where = f"{quoted(start.robot)}, {quoted(joint)}"
+            printer.line(f"self.engine.set_joint({where}, {printer.value(position)}, {printer.value(velocity)})")
 
 
 def _all_zero(values: tuple[Scalar, ...]) -> bool:

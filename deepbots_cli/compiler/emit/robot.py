@@ -9,27 +9,28 @@ from deepbots_cli.compiler.emit.reads import Reads
 from deepbots_cli.compiler.emit.sensing import Sensing, devices
 from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, sentence_list, targets_code, tuple_code
 from deepbots_cli.expressions.scalar import Name, Scalar, World
-from deepbots_cli.ir import CompiledScenario, Robot
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot
 
 
 class RobotPrinter:
     """Prints the controller of one robot."""
 
-    def __init__(self, scenario: CompiledScenario, robot: Robot) -> None:
+    def __init__(self, scenario: Program, robot: Robot) -> None:
         self._scenario = scenario
         self._robot = robot
         self._messages = scenario.format != "none"
         self._names = Names()
         self._sensing = Sensing(scenario, robot, self._names)
-        self._emitted = [self._sensing.resolved(value) for entry in robot.emit for value in entry.values]
-        self._applied = [self._sensing.resolved(value) for entry in robot.apply for value in entry.values]
+        self._emitted = [self._sensing.resolved(value) for entry in robot.emitted for value in entry.scalars]
+        self._applied = [self._sensing.resolved(value) for entry in robot.commands for value in entry.scalars]
         self._reads = Reads([*self._emitted, *self._applied], self._names)
         self._keeps_state = keeps_state(robot)
 
     def text(self) -> list[str]:
         robot = self._robot
-        emitted = sentence_list([entry.name for entry in robot.emit]) or "nothing"
-        driven = sentence_list([entry.name for entry in robot.apply]) or "nothing"
+        emitted = sentence_list([entry.name for entry in robot.emitted]) or "nothing"
+        driven = sentence_list([entry.name for entry in robot.commands]) or "nothing"
         lines = [
             f"class {controller_name(robot)}(RobotController):",
             *indent([*docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."), ""]),
@@ -73,23 +74,23 @@ class RobotPrinter:
         return [*self._reads.call_lines(expressions), *self._sensing.call_lines(expressions)]
 
     def _store(self, printer: Printer) -> None:
-        for (name, component), value in zip(flat(self._robot.emit), self._emitted, strict=True):
+        for (name, component), value in zip(flat(self._robot.emitted), self._emitted, strict=True):
             printer.assign(f"self.{self._stored(name, component)}", value)
 
     def _use_message_data(self) -> list[str]:
         printer = self._printer()
-        received = [self._names(name, component) for name, component in flat(self._robot.receive)]
+        received = [self._names(name, component) for name, component in flat(self._robot.received)]
         if self._messages:
             head = "def use_message_data(self, message: Any) -> None:"
             doc = docstring(f"Decode {sentence_list(received) or 'an empty message'} and drive the actuators.")
-            printer.lines += decode_lines("self.decode(message)", received, self._robot.to_robot.stamp, "self.rejected(message)")
+            printer.lines += decode_lines("self.decode(message)", received, self._robot.to_robot.layout_hash, "self.rejected(message)")
         else:
             head = f"def apply({', '.join(['self', *(f'{name}: Any' for name in received)])}) -> None:"
             doc = docstring("Drive the actuators.")
         printer.lines += self._call_lines(self._applied)
         applied = iter(self._applied)
-        for entry in self._robot.apply:
-            values = [printer.value(next(applied)) for _ in entry.values]
+        for entry in self._robot.commands:
+            values = [printer.value(next(applied)) for _ in entry.scalars]
             if len(values) > 1 and len(set(values)) == 1:
                 if not values[0].isidentifier():
                     printer.line(f"{printer.names(entry.name, 'target')} = {values[0]}")
@@ -100,10 +101,10 @@ class RobotPrinter:
         return block(head, [*doc, *printer.lines])
 
     def _create_message(self) -> list[str]:
-        labels = [self._names(name, component) for name, component in flat(self._robot.emit)]
+        labels = [self._names(name, component) for name, component in flat(self._robot.emitted)]
         lines = []
         if self._keeps_state:
-            values = [f"self.{self._stored(name, component)}" for name, component in flat(self._robot.emit)]
+            values = [f"self.{self._stored(name, component)}" for name, component in flat(self._robot.emitted)]
         else:
             printer = self._printer()
             printer.lines += self._call_lines(self._emitted)
@@ -132,10 +133,10 @@ class RobotPrinter:
 
 def keeps_state(robot: Robot) -> bool:
     """Whether what the robot emits has a memory, which advances once per tick."""
-    return any(outer_states(value) for entry in robot.emit for value in entry.values)
+    return any(outer_states(value) for entry in robot.emitted for value in entry.scalars)
 
 
-def observes(scenario: CompiledScenario, robot: Robot) -> bool:
+def observes(scenario: Program, robot: Robot) -> bool:
     """Whether anything on board happens once per tick: a device is sampled, or a memory advances."""
     return keeps_state(robot) or bool(devices(scenario, robot))
 

@@ -10,8 +10,8 @@ from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.text import action_variables, block, docstring, tuple_code
 from deepbots_cli.compiler.emit.workspace import Workspace
 from deepbots_cli.expressions.lower import op
-from deepbots_cli.expressions.scalar import Const, Scalar, names_in
-from deepbots_cli.ir import Aim, Choices, Interval, Pick, Script
+from deepbots_cli.expressions.scalar import Const, Scalar
+from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
 
 
 def scripts(space: Workspace) -> list[list[str]]:
@@ -21,20 +21,20 @@ def scripts(space: Workspace) -> list[list[str]]:
 def _method(space: Workspace, script: Script) -> list[str]:
     printer = space.printer(between=True)
     printer.line(docstring(f"The next action of the script {script.name}.")[0])
-    used = {(leaf.name, leaf.component) for value in script.expressions for leaf in names_in(value)}
+    used = space.named(script.scalars)
     printer.lines += [f"{space.local(*name)} = self.told_{space.local(*name)}" for name in space.kept() if name in used]
-    printer.lines += space.reads.call_lines(script.expressions)
+    printer.lines += space.reads.call_lines(script.scalars)
     choices, ranges = [], []
     for part, decided in zip(space.scenario.action, script.parts, strict=True):
-        if isinstance(part, Choices) and isinstance(decided, Pick):
+        if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
             choices.append(_print_pick(space, printer, part, decided))
-        elif isinstance(part, Interval) and isinstance(decided, Aim):
+        elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
             ranges += _print_aim(space, printer, part, decided)
     printer.line(f"return self.acting({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
     return block(f"def script_{script.name}(self) -> Any:", printer.lines)
 
 
-def _print_pick(space: Workspace, printer: Printer, part: Choices, pick: Pick) -> str:
+def _print_pick(space: Workspace, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
     """The local that holds the number of the option."""
     target, names = space.names(f"{part.name} pick"), [option.name for option in part.options]
     for index, option in enumerate(pick.options):
@@ -42,17 +42,17 @@ def _print_pick(space: Workspace, printer: Printer, part: Choices, pick: Pick) -
         if len(pick.options) == 1:
             printer.line(setting)
             break
-        last = index == len(pick.conditions)
-        head = "else:" if last else f"{'elif' if index else 'if'} {printer.value(pick.conditions[index])}:"
+        last = index == len(pick.scalars)
+        head = "else:" if last else f"{'elif' if index else 'if'} {printer.value(pick.scalars[index])}:"
         printer.lines += [head, f"    {setting}"]
     return target
 
 
-def _print_aim(space: Workspace, printer: Printer, part: Interval, aim: Aim) -> list[str]:
+def _print_aim(space: Workspace, printer: Printer, part: ActionRange, aim: ScriptedRange) -> list[str]:
     """The locals that hold what the agent gives for it, from -1 to 1."""
     half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
     targets = []
-    for (name, component), value in zip(action_variables(part), aim.values, strict=True):
+    for (name, component), value in zip(action_variables(part), aim.scalars, strict=True):
         target = space.names(f"{name} share", component)
         share = _share(value, middle, half)
         printer.assign(target, share)

@@ -8,16 +8,17 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
 from deepbots_cli.compiler.sensors import is_fact, reading
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
-from deepbots_cli.ir import CompiledScenario, Robot, Sensor
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot, Sensor
 
 
 class Sensing:
     """The sensors of one robot, in its printed controller."""
 
-    def __init__(self, scenario: CompiledScenario, robot: Robot, names: Names) -> None:
+    def __init__(self, scenario: Program, robot: Robot, names: Names) -> None:
         self._robot = robot
         self._names = names
-        self._received = {entry.name for entry in robot.receive}
+        self._received = {entry.name for entry in robot.received}
         self._sensors = {sensor.name: sensor for sensor in robot.sensors}
         self._devices = devices(scenario, robot)
 
@@ -63,14 +64,14 @@ class Sensing:
         return self._names(f"{sensor} reading")  # the blank keeps it apart from every name of the scenario
 
 
-def devices(scenario: CompiledScenario, robot: Robot) -> dict[str, Sensor]:
+def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     """The sensors that are sampled once per tick, by name: those that something reads, and that are no facts."""
-    on_board = [value for entry in (*robot.emit, *robot.apply) for value in entry.values]
+    on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     sent = [entry for other in scenario.robots for entry in other.receive]
-    judged = [value for entry in (*scenario.signals, *sent) for value in entry.values]
-    judged += [*(ending.condition for ending in scenario.endings), *(term.value for term in scenario.reward)]
-    judged += [value for script in scenario.scripts for value in script.expressions]
-    judged += [*scenario.goal.achieved, *scenario.goal.desired] if scenario.goal is not None else []
+    judged = [value for entry in (*scenario.signals, *sent) for value in entry.scalars]
+    judged += [*(ending.value.scalar for ending in scenario.endings), *(term.scalar for term in scenario.reward)]
+    judged += [value for script in scenario.scripts for value in script.scalars]
+    judged += [*scenario.goal.achieved.scalars, *scenario.goal.targets] if scenario.goal is not None else []
     read = {leaf.name for value in on_board for leaf in names_in(value)}
     asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]

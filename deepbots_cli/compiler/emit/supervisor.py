@@ -16,10 +16,10 @@ from deepbots_cli.compiler.emit.scripts import scripts
 from deepbots_cli.compiler.emit.step import advance, start
 from deepbots_cli.compiler.emit.text import block, docstring, indent, quoted
 from deepbots_cli.compiler.emit.workspace import Workspace
-from deepbots_cli.ir import CompiledScenario
+from deepbots_cli.program import Program
 
 
-def supervisor(scenario: CompiledScenario) -> list[str]:
+def supervisor(scenario: Program) -> list[str]:
     """The lines of the class."""
     space = Workspace(scenario)
     controllers = ", ".join(f"{quoted(robot.name)}: {controller_name(robot)}" for robot in scenario.robots)
@@ -37,9 +37,9 @@ def _bind(space: Workspace) -> list[str]:
     if space.reads.charts:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
     lines += [*space.reads.bind_lines(), *bind_pushes(space)]
-    if space.scenario.observation:
-        lines.append(f'self.pack = Struct("{len(space.scenario.observation)}f").pack_into')
-    for pictured in space.scenario.pictures:
+    if space.scenario.numbers:
+        lines.append(f'self.pack = Struct("{len(space.scenario.numbers)}f").pack_into')
+    for pictured in space.scenario.images:
         lines.append(f"{album(space, pictured)} = self.albums[{quoted(pictured.key)}].frames")
     lines += bind_foreign(space)
     if space.scenario.goal is not None:

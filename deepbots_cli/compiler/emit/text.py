@@ -6,7 +6,8 @@ import json
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from deepbots_cli.ir import Choices, Interval, NamedValues
+from deepbots_cli.program.task import ActionRange, Choices
+from deepbots_cli.program.values import Expression, NamedScalars
 
 
 def indent(lines: Iterable[str], depth: int = 1) -> list[str]:
@@ -51,12 +52,12 @@ def sentence_list(words: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def flat(values: Iterable[NamedValues]) -> list[tuple[str, str | None]]:
+def flat(values: Iterable[NamedScalars | Expression]) -> list[tuple[str, str | None]]:
     """Name and component of every single number, in order."""
     return [(entry.name, component) for entry in values for component in (entry.components or (None,))]
 
 
-def action_variables(part: Choices | Interval) -> list[tuple[str, str | None]]:
+def action_variables(part: Choices | ActionRange) -> list[tuple[str, str | None]]:
     """Name and component of every number that a part of the action sets."""
     if isinstance(part, Choices):
         return [(variable, None) for variable in part.variables]

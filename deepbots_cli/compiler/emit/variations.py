@@ -1,25 +1,16 @@
 """The figures that an episode may vary, and the statement that sets each.
 
-One entry per word of `ir.Variation`: how many names say whose figure it is, and how the code reads.
+One entry per word of `ir.Variation`: the code, made of the names that say whose figure it is, and of the values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
-from deepbots_cli.ir import Variation
+from deepbots_cli.program.resets import RandomizedParameter
 
 Code = Callable[[Sequence[str], Sequence[str]], str]
-
-
-class Setter(NamedTuple):
-    """`names` is the length of `of`, `values` that of `values`, None for any; `code` prints the statement from both."""
-
-    names: int | None
-    values: int | None
-    code: Code
 
 
 def _engine(method: str) -> Code:
@@ -52,23 +43,23 @@ def _friction(which: str) -> Code:
     return lambda of, values: f"self.engine.set_friction({_body(of[0], of[1])}, {which}={values[0]})"
 
 
-SETTERS: Mapping[str, Setter] = {
-    "mass": Setter(2, 1, lambda of, values: f"self.engine.set_mass({_body(of[0], of[1])}, {values[0]})"),
-    **{f"{which}_friction": Setter(2, 1, _friction(which)) for which in ("lateral", "spinning", "rolling")},
-    "restitution": Setter(2, 1, _friction("restitution")),
-    "joint_damping": Setter(2, 1, lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
-    "joint_friction": Setter(2, 1, lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})"),
-    **{f"actuator_{figure}": Setter(2, None, _actuator(figure)) for figure in ("strength", "max_torque", "stiffness", "damping")},
-    **{f"actuator_{figure}": Setter(2, 1, _actuator(f"response.{figure}", each=False)) for figure in ("delay", "lag")},
-    "gravity": Setter(0, 3, lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))"),
-    "sensor": Setter(3, None, lambda of, values: f"self.vary_sensor({', '.join(map(quoted, of))}, {tuple_code(values)})"),
-    "light": Setter(0, 1, _engine("set_light")),
-    "walls_friction": Setter(None, 1, _walls),
-    "colour": Setter(2, None, _colour),
+_SETTERS: Mapping[str, Code] = {
+    "mass": lambda of, values: f"self.engine.set_mass({_body(of[0], of[1])}, {values[0]})",
+    **{f"{which}_friction": _friction(which) for which in ("lateral", "spinning", "rolling")},
+    "restitution": _friction("restitution"),
+    "joint_damping": lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
+    "joint_friction": lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
+    **{f"actuator_{figure}": _actuator(figure) for figure in ("strength", "max_torque", "stiffness", "damping")},
+    **{f"actuator_{figure}": _actuator(f"response.{figure}", each=False) for figure in ("delay", "lag")},
+    "gravity": lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))",
+    "sensor": lambda of, values: f"self.vary_sensor({', '.join(map(quoted, of))}, {tuple_code(values)})",
+    "light": _engine("set_light"),
+    "walls_friction": _walls,
+    "colour": _colour,
 }
 """A link is named by body and link, the root link of an object by an empty link; a fault of a sensor by robot, sensor and fault."""
 
 
-def setting(variation: Variation, values: Sequence[str]) -> str:
+def setting(variation: RandomizedParameter, values: Sequence[str]) -> str:
     """The statement that sets the figure to `values`, which are code."""
-    return SETTERS[variation.what].code(variation.of, values)
+    return _SETTERS[variation.what](variation.of, values)

@@ -8,8 +8,10 @@ from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.printer import Printer
 from deepbots_cli.compiler.emit.reads import ARRIVALS, Reads
 from deepbots_cli.compiler.emit.text import action_variables, flat
-from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in
-from deepbots_cli.ir import Choices, CompiledScenario, Robot, own_action
+from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot
+from deepbots_cli.program.task import Choices, action_names
 
 
 class Workspace:
@@ -19,24 +21,25 @@ class Workspace:
     tick before; `scripted` those of hand-written policies, which are asked between two steps.
     """
 
-    def __init__(self, scenario: CompiledScenario) -> None:
+    def __init__(self, scenario: Program) -> None:
         self.scenario = scenario
         self.names = Names()
-        self.evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.values]
-        self.evaluated += [ending.condition for ending in scenario.endings]
-        self.evaluated += [term.value for term in scenario.reward]
-        self.evaluated += [entry.value for entry in scenario.seen]
+        self.evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
+        self.evaluated += [ending.value.scalar for ending in scenario.endings]
+        self.evaluated += [term.scalar for term in scenario.reward]
+        self.evaluated += [value for entry in scenario.observation for value in entry.value.scalars]
         choices = [part for part in scenario.action if isinstance(part, Choices)]
-        self._conditions = [option.forbidden for part in choices for option in part.options if option.forbidden is not None]
+        self._conditions = [option.forbidden.scalar for part in choices for option in part.options if option.forbidden is not None]
         self.evaluated += self._conditions
         if scenario.goal is not None:
-            self.evaluated += [*scenario.goal.achieved, *scenario.goal.desired]
-        self.scripted = [value for script in scenario.scripts for value in script.expressions]
-        self.sent = [value for robot in scenario.robots for entry in robot.receive for value in entry.values]
+            self.evaluated += [*scenario.goal.achieved.scalars, *scenario.goal.targets]
+        self.scripted = [value for script in scenario.scripts for value in script.scalars]
+        self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
         required = scenario.reset.require
-        self.reads = Reads([*self.evaluated, *self.sent, *self.scripted, *([] if required is None else [required])], self.names)
+        self.reads = Reads([*self.evaluated, *self.sent, *self.scripted, *([] if required is None else [required.scalar])], self.names)
         self.variables = [variable for part in scenario.action for variable in action_variables(part)]
         self._used = {leaf.name for expression in (*self.evaluated, *self.scripted) for leaf in names_in(expression)}
+        self._ages = {f"{robot.name}.{sensor}": f"{robot.name}.{field}" for robot in scenario.robots for sensor, field in robot.ages}
         self._parameters = {entry.name for entry in scenario.parameters}
         self.settable = {id(value): full for entry in scenario.settable for full, value in entry.numbers if is_drawn(value)}
 
@@ -48,12 +51,12 @@ class Workspace:
     @property
     def remembers(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
-        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.seen)
+        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
 
     @property
     def taken(self) -> list[tuple[str, str]]:
         """What the agent itself gave, number by number, where an expression of every tick reads it."""
-        return [("previous_action", name) for name in own_action(self.scenario.action)] if self.uses("previous_action") else []
+        return [("previous_action", name) for name in action_names(self.scenario.action)] if self.uses("previous_action") else []
 
     @property
     def forbids(self) -> bool:
@@ -93,19 +96,26 @@ class Workspace:
 
     def told(self) -> list[str]:
         """Locals of one tick that the messages of the next one tell: signals, and fields that robots sent."""
-        told = _named(self.sent)
+        told = self.named(self.sent)
         return [self.local(*name) for name in self._results() if name in told]
 
     def kept(self) -> list[tuple[str, str | None]]:
         """Names and components of what a tick keeps: that, and what scripts read of the tick and of the action before it."""
-        told, read = _named(self.sent), _named(self.scripted)
+        told, read = self.named(self.sent), self.named(self.scripted)
         acted = [name for name in (*self.variables, *self.taken) if name in read]
         return [*(name for name in self._results() if name in told or name in read), *acted]
 
     def _results(self) -> list[tuple[str, str | None]]:
         """What a tick comes to: signals, and the fields that robots sent."""
-        sent = ((f"{robot.name}.{name}", component) for robot in self.scenario.robots for name, component in flat(robot.emit))
+        sent = ((f"{robot.name}.{name}", component) for robot in self.scenario.robots for name, component in flat(robot.emitted))
         return [*flat(self.scenario.signals), *sent]
+
+    def named(self, expressions: Iterable[Scalar]) -> set[tuple[str, str | None]]:
+        """The names that expressions read, with the fields that carry the ages of readings."""
+        nodes = [node for value in expressions for node in walk(value)]
+        found = {(node.name, node.component) for node in nodes if isinstance(node, Name)}
+        asked = {node.subjects[0] for node in nodes if isinstance(node, World) and node.function == "age"}
+        return found | {(self._ages[subject], None) for subject in asked if subject in self._ages}
 
     def printer(self, *, starting: bool = False, between: bool = False) -> Printer:
         """One for a method that runs in a tick: the first one (`starting`), any other, or `between` two steps."""
@@ -140,14 +150,13 @@ class Workspace:
 
     def _arrival(self, leaf: World) -> str:
         """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this tick."""
-        robot = next(robot for robot in self.scenario.robots if robot.name == leaf.subjects[0])
+        name = leaf.subjects[0]
+        if leaf.function == "age" and name in self._ages:
+            return f"({self._arrival(World('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"
+        robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.from_{robot.name}.{leaf.function}"
         if leaf.function == "fresh":
             return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "paper"
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
-
-
-def _named(expressions: Iterable[Scalar]) -> set[tuple[str, str | None]]:
-    return {(leaf.name, leaf.component) for value in expressions for leaf in names_in(value)}

@@ -24,8 +24,8 @@ from deepbots_cli.engines.pybullet.moments import Moments
 from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.substeps import Substeps
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import GROUND
 from deepbots_cli.port import STILL, Overlap, Sight
+from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
     from deepbots_cli.engines.pybullet.pool import Pool
     from deepbots_cli.frames import Frame, Quaternion, Triple
-    from deepbots_cli.ir import WorldModel
     from deepbots_cli.port import (
         CameraReader,
         Capability,
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
         VelocityReader,
         View,
     )
+    from deepbots_cli.program.world import WorldModel
 
 Given = ParamSpec("Given")
 Told = TypeVar("Told")

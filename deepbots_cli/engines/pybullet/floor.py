@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.ir import Line
+    from deepbots_cli.program.world import Line
 
     Figures = NDArray[np.float32]
     Colour = tuple[float, float, float, float]

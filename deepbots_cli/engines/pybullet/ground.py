@@ -11,14 +11,14 @@ from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import UPRIGHT
 from deepbots_cli.geometry import triangles
-from deepbots_cli.ir import GROUND
+from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.model import Friction, Link, Mesh, RobotModel
 from deepbots_cli.terrain.relief import Grid, grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.ir import Ground, Terrain, WorldModel
+    from deepbots_cli.program.world import Ground, Terrain, WorldModel
 
 EARTH = (0.72, 0.63, 0.48, 1.0)
 _SEEN = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
@@ -44,10 +44,10 @@ def _terrain(client: int, ground: Terrain) -> Body:
     Raises:
         EngineError: Its file has gone or changed, or it has no height somewhere.
     """
-    heights = grid(ground.relief)
+    heights = grid(ground.shape)
     if heights is None:
-        assert isinstance(ground.relief, Mesh)  # all else is a grid
-        corners = triangles(ground.relief)
+        assert isinstance(ground.shape, Mesh)  # all else is a grid
+        corners = triangles(ground.shape)
         shape = _mesh(client, corners.reshape(-1, 3), np.arange(corners.size // 3), p.GEOM_FORCE_CONCAVE_TRIMESH)
         drawn, middle = _drawn(client, corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), ground), 0.0
     else:

@@ -17,13 +17,13 @@ from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.pool import Pool
 from deepbots_cli.engines.quiet import hushed
 from deepbots_cli.errors import EngineError
-from deepbots_cli.ir import GROUND
 from deepbots_cli.port import STILL
+from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.model import Mesh, RobotModel
 from deepbots_cli.robots.writer import write
 
 if TYPE_CHECKING:
-    from deepbots_cli.ir import ObjectBody, WorldModel
+    from deepbots_cli.program.world import ObjectBody, WorldModel
 
 APART = 1000.0  # m between bodies that are parked
 OVERLAP_SHARE = 0.08  # that PyBullet by itself takes away in a physics step

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from deepbots_cli.ir import Actuator, Motor
 from deepbots_cli.port import Engine, MotorWriter
+from deepbots_cli.program.robots import Actuator, Motor
 
 
 @runtime_checkable

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 
-from deepbots_cli.ir import MotorKind
 from deepbots_cli.port import Engine, MotorWriter
+from deepbots_cli.program.robots import MotorKind
 from deepbots_cli.runtime.actuation.response import Response
 
 Figures = float | Sequence[float]

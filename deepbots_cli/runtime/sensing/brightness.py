@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.ir import Beams, Sensor, WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.program.robots import RayConfig, Sensor
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.lines import Paint
 from deepbots_cli.runtime.sensing.device import Instrument
 
@@ -17,7 +18,7 @@ def reflectance(engine: Engine, robot: str, sensor: Sensor, mount: Frame, world:
 
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
     """
-    beams = sensor.beams or Beams((), 0.0)
+    beams = sensor.beams or RayConfig((), 0.0)
     rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(turned, _DOWN)) for origin, turned in rays]
     read, paint, rotate = engine.pose(robot, sensor.subjects[0]), Paint(world.lines, beams.spot / 2), frames.rotate

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.frames import Frame
-from deepbots_cli.ir import Optics, Sensor
 from deepbots_cli.port import Engine, Sight
+from deepbots_cli.program.robots import CameraIntrinsics, Sensor
 from deepbots_cli.runtime.sensing.device import Instrument
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 
 def camera(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrument:
     """A picture, uint8 of the shape of the optics; behind it what the engine saw, for `sees`."""
-    optics = sensor.optics or Optics(1, 1, 1.0)
+    optics = sensor.optics or CameraIntrinsics(1, 1, 1.0)
     read, taken = engine.camera((robot, sensor.subjects[0]), mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
 
     def picture() -> tuple[Image, Sight]:
@@ -43,21 +43,21 @@ def sees(device: Device, body: str) -> Callable[[], bool]:
     return seen
 
 
-def _colours(sight: Sight, _optics: Optics) -> Image:
+def _colours(sight: Sight, _optics: CameraIntrinsics) -> Image:
     return sight.colours
 
 
-def _grey(sight: Sight, _optics: Optics) -> Image:
+def _grey(sight: Sight, _optics: CameraIntrinsics) -> Image:
     return _bytes(np.asarray(sight.colours @ _GREY))
 
 
-def _depth(sight: Sight, optics: Optics) -> Image:
+def _depth(sight: Sight, optics: CameraIntrinsics) -> Image:
     """Black at `near`, white at `far` and beyond."""
     share = (sight.depth - optics.near) / (optics.far - optics.near)
     return _bytes(255.0 * np.clip(share, 0.0, 1.0))
 
 
-def _mask(sight: Sight, _optics: Optics) -> Image:
+def _mask(sight: Sight, _optics: CameraIntrinsics) -> Image:
     """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from there on."""
     return _bytes(np.clip(sight.bodies + 1, 0, 255))
 
@@ -67,4 +67,4 @@ def _bytes(figures: NDArray[Any]) -> Image:
     return np.asarray(np.rint(figures), np.uint8)[..., None]
 
 
-_PICTURES: dict[str, Callable[[Sight, Optics], Image]] = {"rgb": _colours, "grey": _grey, "depth": _depth, "mask": _mask}
+_PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {"rgb": _colours, "grey": _grey, "depth": _depth, "mask": _mask}

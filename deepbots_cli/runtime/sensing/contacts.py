@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from deepbots_cli.ir import Sensor
 from deepbots_cli.port import Engine, Part
+from deepbots_cli.program.robots import Sensor
 from deepbots_cli.runtime.sensing.device import Instrument
 
 

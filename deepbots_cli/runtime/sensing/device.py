@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from deepbots_cli.ir import Faults, Sensor
+from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.sensing.faults import Chain
 from deepbots_cli.runtime.streams import Streams
 
@@ -37,7 +37,7 @@ class Device:
     measured: int
 
     def __init__(self, sensor: Sensor, robot: str, instrument: Instrument, timestep: float) -> None:
-        faults = sensor.faults or Faults()
+        faults = sensor.faults or NoiseModel()
         self._sensor = sensor
         self._instrument = instrument
         self._timestep = timestep

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from operator import add
 from typing import Any
 
-from deepbots_cli.ir import Faults
+from deepbots_cli.program.robots import NoiseModel
 
 Figures = Sequence[float]
 _ROWS = 128
@@ -48,7 +48,7 @@ class Normals:
 class Chain:
     """The faults of one sensor of `width` figures."""
 
-    def __init__(self, spec: Faults, width: int) -> None:
+    def __init__(self, spec: NoiseModel, width: int) -> None:
         self._spec = spec
         self._normals = Normals(width)
         self._zeros = (0.0,) * width

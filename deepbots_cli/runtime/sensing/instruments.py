@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame
-from deepbots_cli.ir import Sensor, WorldModel
 from deepbots_cli.port import Engine
+from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.sensing import brightness, camera, contacts, inertial, ranging
 from deepbots_cli.runtime.sensing import frames as placed
 from deepbots_cli.runtime.sensing.device import Instrument

@@ -7,15 +7,15 @@ from typing import Any
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame
-from deepbots_cli.ir import Beams, Lookup, Sensor
 from deepbots_cli.port import Engine, RayReader
+from deepbots_cli.program.robots import CalibrationTable, RayConfig, Sensor
 from deepbots_cli.runtime.sensing.device import Instrument
 from deepbots_cli.runtime.sensing.faults import Figures, Normals
 
 
 def ranging(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrument:
     """How far each ray is free, or one figure of all, in m; or what the lookup table makes of that."""
-    beams = sensor.beams or Beams((), 0.0)
+    beams = sensor.beams or RayConfig((), 0.0)
     rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
     read = _combined(engine.rays((robot, sensor.subjects[0]), rays, beams.reach), beams)
     if beams.lookup is None:
@@ -24,7 +24,7 @@ def ranging(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrum
     return Instrument(lambda: table(read()), table.restart)
 
 
-def _combined(read: RayReader, beams: Beams) -> RayReader:
+def _combined(read: RayReader, beams: RayConfig) -> RayReader:
     count = len(beams.rays)
     match beams.combined:
         case "nearest":
@@ -38,7 +38,7 @@ def _combined(read: RayReader, beams: Beams) -> RayReader:
 class Table:
     """Readings of `width` rays by their distances, with the noise of each row."""
 
-    def __init__(self, spec: Lookup, width: int) -> None:
+    def __init__(self, spec: CalibrationTable, width: int) -> None:
         distance, value = spec.distance, spec.value
         noise = spec.noise or (0.0,) * len(distance)
         self._distances = distance

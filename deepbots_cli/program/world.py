@@ -9,10 +9,10 @@ from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
 
 # What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
-MOST_BODIES = 500
-MOST_SUBSTEPS = 10_000
-MOST_SETTLING_STEPS = 100_000
-MOST_POINTS = 10_000  # of all painted lines together
+MAX_BODIES = 500
+MAX_SUBSTEPS = 10_000
+MAX_SETTLING_STEPS = 100_000
+MAX_POINTS = 10_000  # of all painted lines together
 
 # Bodies of the world that are not objects; neither word may name one.
 GROUND = "ground"
@@ -64,14 +64,14 @@ class Formula:
     size: tuple[float, float]
 
 
-Relief = Pit | Picture | Formula | Mesh
+TerrainShape = Pit | Picture | Formula | Mesh
 
 
 @dataclass(frozen=True)
 class Terrain:
     """Ground that is not flat, in place of the plane; what it is made of is called `GROUND` too."""
 
-    relief: Relief
+    shape: TerrainShape
     friction: float = 1.0
     colour: Colour | None = None
 

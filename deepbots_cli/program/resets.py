@@ -1,0 +1,259 @@
+"""How an episode begins, what it varies, and what disturbs it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from deepbots_cli import footprint
+from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.scalar import Const, Scalar, is_drawn
+from deepbots_cli.program.values import Expression, NamedScalars
+from deepbots_cli.robots.model import RobotModel, Shape
+
+MAX_SPOTS = 1_000_000  # of a region with a grid
+
+Triple = tuple[Scalar, Scalar, Scalar]
+
+_NOTHING: Triple = (Const(0.0), Const(0.0), Const(0.0))
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle in the ground plane, from `low` to `high` in m, where the origin of a body is drawn.
+
+    With a `mesh` (m) the spots are the middles of as many cells of that size as fit, about the middle of the rectangle.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    mesh: float | None = None
+
+    @property
+    def spots(self) -> float:
+        """How many cells it has; 1 without a mesh."""
+        return math.prod(max(1.0, (end - start) / self.mesh) for start, end in zip(self.low, self.high, strict=True)) if self.mesh else 1.0
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Certain spots (m), one for each body."""
+
+    spots: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Top:
+    """The level top of the object `of`, wherever that stands: the body is drawn so that it stands on it as a whole.
+
+    With a `region` (world frame) only what of it lies on the top; with a `mesh` (m) from the middles of cells of that size.
+    """
+
+    of: str
+    region: Region | None = None
+    mesh: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where a body, or each present copy of a group, begins: the pose of its root link's origin, and its velocities.
+
+    `coordinates` holds x, y, z in m and roll, pitch, yaw in rad; a coordinate that is not listed is 0, and `heading` (rad) is added to
+    the yaw. Velocities are in m/s and rad/s in the world frame; without, the body is at rest. Where the body `rests`, it has no height:
+    z counts from where it would lie on the ground, or on the top of an object where the `spot` is one. The height of `lying`, its shape
+    on flat ground, is known beforehand. With a `spot`, x and y are drawn from there, by a stream named after the `owner`: within the
+    arena's walls and clear of bodies that have a place already, `clearance` m at least. Of a group, `at_most` so many copies are placed,
+    and each stands `spacing` (m along x and y) from the one before.
+    """
+
+    body: str
+    coordinates: Mapping[str, Expression]
+    velocity: Expression | None = None
+    angular_velocity: Expression | None = None
+    rests: bool = False
+    heading: float = 0.0
+    spot: Region | Cells | Top | None = None
+    clearance: float = 0.0
+    at_most: int | None = None
+    spacing: tuple[float, float] = (0.0, 0.0)
+    owner: str = ""
+    lying: Shape | RobotModel | None = None
+
+    def _coordinate(self, key: str) -> Scalar:
+        return self.coordinates[key].scalar if key in self.coordinates else Const(0.0)
+
+    @cached_property
+    def rpy(self) -> Triple:
+        return self._coordinate("roll"), self._coordinate("pitch"), op("add", Const(self.heading), self._coordinate("yaw"))
+
+    @cached_property
+    def xyz(self) -> Triple:
+        height = self._coordinate("z") if self._height is None else Const(self._height)
+        return self._coordinate("x"), self._coordinate("y"), height
+
+    @cached_property
+    def _height(self) -> float | None:
+        """Where a lying body in a known attitude rests, in m."""
+        roll, pitch, _ = self.rpy
+        if not self.rests or self.lying is None or not isinstance(roll, Const) or not isinstance(pitch, Const):
+            return None
+        return footprint.resting(self.lying, roll.value, pitch.value)
+
+    @property
+    def seeks_height(self) -> bool:
+        """Whether the height is found when an episode begins."""
+        return self.rests and self._height is None
+
+    @property
+    def stream(self) -> str:
+        return self.owner if self.spot else ""
+
+    @property
+    def velocities(self) -> tuple[tuple[str, tuple[Scalar, ...]], ...]:
+        """The velocities that are given, by name."""
+        given = (("velocity", self.velocity), ("angular_velocity", self.angular_velocity))
+        return tuple((name, value.scalars) for name, value in given if value is not None)
+
+    def projection(self) -> dict[str, object]:
+        names = ("body", "xyz", "rpy", "velocity", "angular_velocity", "seeks_height", "spot", "clearance", "at_most", "spacing", "stream")
+        return {name: getattr(self, name) for name in names}
+
+    def drawn(self, path: str) -> Iterator[NamedScalars]:
+        for axis, value in zip(("x", "y", "z", "roll", "pitch", "yaw"), (*self.xyz, *self.rpy), strict=True):
+            yield NamedScalars(f"{path}.{self.body}.{axis}", (), (value,))
+        for key, values in self.velocities:
+            yield NamedScalars(f"{path}.{self.body}.{key}", ("x", "y", "z"), values)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """One way to arrange bodies, and its share of the episodes; the bodies of `Reset.placements` stand in all of them."""
+
+    name: str
+    share: float
+    placements: tuple[Placement, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Copies `name#1` to `name#capacity` of a body, of which the first `count` take part in an episode."""
+
+    name: str
+    capacity: int
+    count: Expression
+
+    @property
+    def copies(self) -> tuple[str, ...]:
+        return tuple(f"{self.name}#{index + 1}" for index in range(self.capacity))
+
+
+@dataclass(frozen=True, eq=False)
+class JointStart:
+    """Joints that start at a position (rad or m; one value per joint, or one for all), at a velocity (rad/s or m/s, 0 if None)."""
+
+    robot: str
+    joints: tuple[str, ...]
+    position: Expression
+    velocity: Expression | None
+
+    @cached_property
+    def states(self) -> tuple[tuple[str, Scalar, Scalar], ...]:
+        """Each joint with its position and its velocity."""
+        velocities = self.velocity.scalars if self.velocity else (Const(0.0),) * len(self.joints)
+        return tuple(zip(self.joints, self.position.scalars, velocities, strict=True))
+
+    def projection(self) -> dict[str, object]:
+        return {"robot": self.robot, "states": self.states}
+
+
+@dataclass(frozen=True, eq=False)
+class RandomizedParameter:
+    """A value that is drawn anew in every episode.
+
+    `what` is an entry of the table of setters (`compiler.emit.variations`), such as `mass` of ("dog", "trunk"), which says how
+    many values it takes; the nominal value stands where the parameter belongs in the program. A single value stands for all
+    of `size` values. `max` cuts values off, one limit per value.
+    """
+
+    what: str
+    of: tuple[str, ...]
+    value: Expression
+    size: int = 1
+    max: tuple[float | None, ...] = ()
+
+    @cached_property
+    def scalars(self) -> tuple[Scalar, ...]:
+        found = self.value.scalars
+        found = found * self.size if len(found) == 1 else found
+        if not self.max:
+            return found
+        pairs = zip(found, self.max, strict=True)
+        return tuple(scalar if limit is None else op("min", scalar, Const(limit)) for scalar, limit in pairs)
+
+    def projection(self) -> dict[str, object]:
+        return {"what": self.what, "of": self.of, "scalars": self.scalars}
+
+
+@dataclass(frozen=True, eq=False)
+class Reset:
+    """In order: randomized parameters, a layout, placements, joints, then `settle` seconds of physics with the actuators holding.
+
+    Bodies with coordinates are placed before bodies that look for a spot. Where there is none, or the requirement does not hold,
+    everything from the layout on is drawn again, `attempts` times at most.
+    """
+
+    placements: tuple[Placement, ...] = ()
+    joint_starts: tuple[JointStart, ...] = ()
+    settle: float = 0.0
+    variations: tuple[RandomizedParameter, ...] = ()
+    groups: tuple[Group, ...] = ()
+    layouts: tuple[Layout, ...] = ()
+    require: Expression | None = None
+    attempts: int = 100
+
+    @property
+    def drawn(self) -> Iterator[NamedScalars]:
+        """Drawn places and joints, by their paths in the scenario; copies of a group have none.
+
+        Coordinates and joints are single numbers (m, rad), velocities of bodies have three components (m/s, rad/s).
+        """
+        groups = {group.name for group in self.groups}
+        arranged = (("reset.place", self.placements), *((f"reset.layouts.{layout.name}", layout.placements) for layout in self.layouts))
+        found = [entry for path, places in arranged for place in places if place.body not in groups for entry in place.drawn(path)]
+        for start in self.joint_starts:
+            for joint, position, velocity in start.states:
+                path = f"reset.set.{start.robot}.{joint}"
+                found += [NamedScalars(path, (), (position,)), NamedScalars(f"{path}.velocity", (), (velocity,))]
+        yield from (entry for entry in found if any(map(is_drawn, entry.scalars)))
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """Pushes of a link at its origin (`link` None is the root link, or an object), in the axes of the world.
+
+    The first push begins `first` s into the episode (by default after one interval), each further one `every` s after the one
+    before; without `every` there is one. Force (N), torque (N m), `lasts` (s) and `every` are computed anew for each push.
+    """
+
+    name: str
+    body: str
+    link: str | None
+    force: Expression | None
+    torque: Expression | None
+    first: Expression | None
+    every: Expression | None
+    lasts: Expression
+
+    @property
+    def begins(self) -> Scalar:
+        """When the first push begins, in s."""
+        given = self.first or self.every
+        return Const(0.0) if given is None else given.scalar
+
+    @property
+    def wrench(self) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+        """Force and torque, three components each."""
+        force, torque = (_NOTHING if value is None else value.scalars for value in (self.force, self.torque))
+        return force, torque

@@ -1,0 +1,394 @@
+"""Robots as controllers: sensors, actuators, messages, and the routes of messages."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
+from deepbots_cli.program.values import Expression, NamedScalars
+from deepbots_cli.robots.model import Pose
+
+# Sensors
+
+MAX_RAYS = 4096
+MAX_SENSED_RAYS = 4 * MAX_RAYS  # of all sensors of a robot
+MAX_PIXELS = 1024
+"""Per side of a picture."""
+MIN_RESOLUTION = 1e-12
+"""The least step between two readings, in the sensor's unit."""
+
+Combined = Literal["each", "nearest", "mean"]
+Channels = Literal["rgb", "grey", "depth", "mask"]
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """How a sensor errs; figures have one entry per component, and none where there is no such fault.
+
+    Noises are standard deviations. Figures are in the sensor's unit, `drift` in that unit per second, and
+    those that are relative are fractions of the value. `period` is in ticks, `latency` in s. Where a
+    figure is drawn in every episode, its nominal value stands here and a `Variation` beside it.
+    """
+
+    period: int = 1
+    latency: float = 0.0
+    noise: tuple[float, ...] = ()
+    relative_noise: tuple[float, ...] = ()
+    bias: tuple[float, ...] = ()
+    relative_bias: tuple[float, ...] = ()
+    drift: tuple[float, ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    quantise: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class CalibrationTable:
+    """The reading at each distance (m, rising), straight in between and constant beyond; `noise` in fractions of the reading."""
+
+    distance: tuple[float, ...]
+    value: tuple[float, ...]
+    noise: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class RayConfig:
+    """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` says what becomes of several.
+
+    `spot` is the diameter in m of what a reflectance sensor sees of the ground, along -z of those frames.
+    """
+
+    rays: tuple[Pose, ...]
+    reach: float
+    combined: Combined = "each"
+    lookup: CalibrationTable | None = None
+    spot: float = 0.0
+
+
+@dataclass(frozen=True)
+class CameraIntrinsics:
+    """A picture of so many columns and rows, that covers `fov` rad from top to bottom.
+
+    In a picture of depths, `near` m is black and `far` m white.
+    """
+
+    width: int
+    height: int
+    fov: float
+    channels: Channels = "rgb"
+    near: float = 0.0
+    far: float = 10.0
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Rows, columns, channels."""
+        return (self.height, self.width, 3 if self.channels == "rgb" else 1)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a robot can read. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
+
+    `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
+    `ground`), None for everything. `faults` None is a perfect sensor.
+    """
+
+    name: str
+    kind: str
+    subjects: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    mount: Pose = Pose()
+    faults: NoiseModel | None = None
+    beams: RayConfig | None = None
+    optics: CameraIntrinsics | None = None
+    against: tuple[str, ...] | None = None
+
+
+# Actuators
+
+MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
+
+
+@dataclass(frozen=True)
+class Response:
+    """How an actuator answers its commands; `delay` and `lag` in s.
+
+    Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect `delay` after
+    it was given, and is followed with the time constant `lag`.
+    """
+
+    strength: float = 1.0
+    delay: float = 0.0
+    lag: float = 0.0
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Joints that are driven. Limits in N m or N, rad/s or m/s, one per joint; None is unlimited.
+
+    `max_velocity` bounds the targets of a velocity motor, and how fast those of a position motor move;
+    `max_acceleration` (rad/s^2 or m/s^2) how fast those of a velocity motor change.
+    """
+
+    name: str
+    kind: MotorKind
+    joints: tuple[str, ...]
+    max_torque: tuple[float | None, ...]
+    max_velocity: tuple[float | None, ...]
+    stiffness: float | None = None
+    damping: float | None = None
+    max_acceleration: float | None = None
+    response: Response = Response()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What it drives, each with figures of its own."""
+        return self.joints
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """What its command has one number for."""
+        return self.joints
+
+
+@dataclass(frozen=True)
+class Thrust:
+    """Links that are pushed along their z axis with `low` to `high` N, as by a rotor.
+
+    Each is turned about that axis with `drag` (m) times thrust times its `spin`.
+    """
+
+    name: str
+    links: tuple[str, ...]
+    low: float
+    high: float
+    drag: float
+    spin: tuple[float, ...]
+    response: Response = Response()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.links
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return self.links
+
+
+@dataclass(frozen=True)
+class Cartesian:
+    """Joints that bring the origin of a link to a commanded position (m, world frame), in the attitude `rpy` (rad) or any.
+
+    They are driven by the servo of the engine, within the ranges that the robot file gives them.
+    """
+
+    name: str
+    link: str
+    joints: tuple[str, ...]
+    rpy: tuple[float, float, float] | None
+    max_torque: tuple[float | None, ...]
+    max_velocity: tuple[float | None, ...]
+    response: Response = Response()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.joints
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return ("x", "y", "z")
+
+
+Actuator = Motor | Thrust | Cartesian
+
+
+# Messages
+
+MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
+Timing = Literal["immediate", "paper"]
+Direction = Literal["to_robot", "from_robot"]
+Order = Literal["sent", "arrival", "newest"]
+OnLoss = Literal["hold", "zero", "skip"]
+
+LAYOUT_VERSION = 2
+"""Of the hash of message layouts."""
+
+
+@dataclass(frozen=True)
+class MessageField:
+    """One named entry of a message; a vector lists its components, an image (`uint8`) its rows, columns and channels."""
+
+    name: str
+    unit: str
+    components: tuple[str, ...] = ()
+    dtype: Literal["float64", "bool", "uint8"] = "float64"
+    shape: tuple[int, ...] = ()
+
+    @staticmethod
+    def of(value: Expression) -> MessageField:
+        """The field that carries a value."""
+        known = value.typed.type
+        if known.picture:
+            return MessageField(value.name, "", (), "uint8", known.picture)
+        if known.boolean:
+            return MessageField(value.name, "", value.components, "bool")
+        return MessageField(value.name, str(known.dimension), value.components)
+
+
+@dataclass(frozen=True)
+class MessageLayout:
+    """The fields of a message in order, and a hash (CRC-32) over everything that both ends must agree on."""
+
+    robot: str
+    direction: Direction
+    fields: tuple[MessageField, ...]
+    layout_hash: int
+
+    @staticmethod
+    def of(robot: str, direction: Direction, fields: tuple[MessageField, ...]) -> MessageLayout:
+        parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in fields)
+        words = [f"v{LAYOUT_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)]
+        return MessageLayout(robot, direction, fields, zlib.crc32("|".join(words).encode()))
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """What happens to the messages of one robot in one direction.
+
+    Latency in s, from sending to arrival, None for 0; loss is a share of the messages, None for 0; `burst` the mean number of
+    messages that are lost in a row, None where losses are independent; range in m, from the origin of the world to the
+    robot's root link, None for unlimited. A value with a redraw holds between one draw and the next.
+    """
+
+    latency: Expression | None = None
+    loss: Expression | None = None
+    burst: float | None = None
+    range: Expression | None = None
+    order: Order = "sent"
+    on_loss: OnLoss = "hold"
+
+    @property
+    def perfect(self) -> bool:
+        """Whether every message arrives at once."""
+        return not self.is_late and not self.loses and self.range is None
+
+    @property
+    def is_late(self) -> bool:
+        return not _is_zero(self.latency)
+
+    @property
+    def loses(self) -> bool:
+        """Whether messages may be lost, apart from those out of range."""
+        return not _is_zero(self.loss)
+
+    @property
+    def settings(self) -> tuple[tuple[str, Expression], ...]:
+        """What the scenario gives, by name."""
+        found = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
+        return tuple((name, value) for name, value in found if value is not None)
+
+    def of(self, robot: str, direction: Direction) -> Route:
+        """The route of one robot, whose draws have streams of their own."""
+        own = {name: replace(value, owner=f"{robot}.{direction}.{name}") for name, value in self.settings}
+        return replace(self, latency=own.get("latency"), loss=own.get("loss"), range=own.get("range"))
+
+
+def _is_zero(value: Expression | None) -> bool:
+    return value is None or (value.redraw is None and value.scalar == Const(0.0))
+
+
+# Controllers
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """What drives one actuator: a target per component, or one for all.
+
+    The target of a gripper is how far it is open, from 0 to 1; its joints move between the two positions of `opening`.
+    """
+
+    actuator: Actuator
+    target: Expression
+    opening: tuple[float, float] | None = None
+
+    @property
+    def name(self) -> str:
+        return self.actuator.name
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return self.actuator.components
+
+    @cached_property
+    def scalars(self) -> tuple[Scalar, ...]:
+        """One target per component, within the velocity limits of joints and the range of thrusts."""
+        values, reach = self.target.scalars, self.target.typed.type.interval
+        if self.opening:
+            closed, open_ = self.opening
+            share = _clamped(values[0], 0.0, 1.0, reach)
+            values = (op("add", Const(closed), op("mul", Const(open_ - closed), share)),)
+        values = values * len(self.components) if len(values) == 1 else values
+        match self.actuator:
+            case Motor(kind="velocity_motor", max_velocity=limits):
+                pairs = zip(values, limits, strict=True)
+                return tuple(value if limit is None else _clamped(value, -limit, limit, reach) for value, limit in pairs)
+            case Thrust(low=low, high=high):
+                return tuple(_clamped(value, low, high, reach) for value in values)
+            case _:
+                return values
+
+    def projection(self) -> dict[str, object]:
+        return {"name": self.name, "scalars": self.scalars}
+
+
+def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
+    """The value kept within bounds, where it may leave them: it is known to stay within `reach`."""
+    return value if low <= reach.low and reach.high <= high else op("clamp", value, Const(low), Const(high))
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot controller. `receive` holds expressions of the supervisor; `emit` and `commands` see sensors and received fields.
+
+    `variables` are the action variables that `commands` use: they are sent unasked. `ages` names the sensors whose readings the
+    supervisor asks the age of, each with the field that carries it.
+    """
+
+    name: str
+    sensors: tuple[Sensor, ...]
+    actuators: tuple[Actuator, ...]
+    receive: tuple[Expression, ...]
+    emit: tuple[Expression, ...]
+    commands: tuple[Command, ...]
+    variables: tuple[MessageField, ...] = ()
+    to_route: Route = field(default_factory=Route)
+    from_route: Route = field(default_factory=Route)
+    ages: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def received(self) -> tuple[NamedScalars | Expression, ...]:
+        """What the supervisor sends, in order."""
+        names = ((entry, entry.components or (None,)) for entry in self.variables)
+        variables = (NamedScalars(entry.name, entry.components, tuple(Name(entry.name, part) for part in parts)) for entry, parts in names)
+        return (*variables, *self.receive)
+
+    @cached_property
+    def emitted(self) -> tuple[NamedScalars | Expression, ...]:
+        """What the robot sends, in order."""
+        ages = (NamedScalars(field, (), (World("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
+        return (*self.emit, *ages)
+
+    @cached_property
+    def to_robot(self) -> MessageLayout:
+        return MessageLayout.of(self.name, "to_robot", (*self.variables, *map(MessageField.of, self.receive)))
+
+    @cached_property
+    def from_robot(self) -> MessageLayout:
+        ages = (MessageField(field, "s") for _, field in self.ages)
+        return MessageLayout.of(self.name, "from_robot", (*map(MessageField.of, self.emit), *ages))

@@ -1,0 +1,326 @@
+"""The task of the agent: action, observation, goal, endings, scripts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from typing import Literal, NamedTuple, Protocol
+
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.program.values import Expression, Foreign, Noise
+from deepbots_cli.robots.model import Vector
+
+Outcome = Literal["success", "failure"]
+
+# Limits of one observation, in numbers and in bytes of images; a network with more inputs is not small.
+MAX_OBSERVED_NUMBERS = 100_000
+MAX_OBSERVED_BYTES = 10_000_000
+
+MAX_CONDITIONS = 1000
+"""Of one choice in a script: Python's compiler goes down one level for each."""
+
+
+# Action
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """One option of a choice: its name, the value of each variable that it sets, and the condition that forbids it."""
+
+    name: str
+    values: tuple[float, ...]
+    forbidden: Expression | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """A discrete part of the action."""
+
+    name: str
+    variables: tuple[str, ...]
+    options: tuple[Option, ...]
+
+
+@dataclass(frozen=True)
+class ActionRange:
+    """A continuous part of the action: the agent's [-1, 1] maps to [low, high], per component."""
+
+    name: str
+    components: tuple[str, ...]
+    low: float
+    high: float
+    unit: str
+
+
+ActionPart = Choices | ActionRange
+
+
+def action_names(action: Sequence[ActionPart]) -> tuple[str, ...]:
+    """The names of the numbers that the agent itself gives: an option of each choice (one-hot), a component of each range.
+
+    The numbers of several parts carry the name of their part; where that makes two alike, all are numbered from 1.
+    """
+    names: list[str] = []
+    for part in action:
+        inner = [option.name for option in part.options] if isinstance(part, Choices) else list(part.components)
+        alone = len(action) == 1 or not inner
+        names += [part.name] if not inner else inner if alone else [f"{part.name}_{name}" for name in inner]
+    return tuple(names) if len(set(names)) == len(names) else tuple(str(number + 1) for number in range(len(names)))
+
+
+@dataclass(frozen=True)
+class RobotCopies:
+    """Copies of a robot that share one world and one policy; everything else in the scenario describes one of them.
+
+    They stand in a row around the place of the robot, each `spacing` (m) from the one before.
+    """
+
+    robot: str
+    count: int
+    spacing: Vector
+
+
+@dataclass(frozen=True)
+class Agent:
+    """How the policy is joined to the scenario.
+
+    One action of the agent is held for `repeat` control ticks, which make one step; the policy sees `stack`
+    observations in a row. `each` lets it act for every copy of a robot.
+    """
+
+    repeat: int = 1
+    stack: int = 1
+    each: RobotCopies | None = None
+
+
+# Observation
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """An entry of the observation: its value, and the bounds of each component in SI units, which map to [-1, 1].
+
+    `history` is how many values in a row the policy sees; noise is added before the mapping. Without `clip`, values
+    beyond the bounds lie beyond [-1, 1].
+    """
+
+    value: Expression
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    history: int = 1
+    clip: bool = True
+    noise: Noise | None = None
+
+    @property
+    def name(self) -> str:
+        return self.value.name
+
+    @cached_property
+    def numbers(self) -> tuple[ObservedNumber, ...]:
+        """One per component."""
+        known = self.value.typed.type
+        components = known.components or (None,)
+        stds = self.noise.std.scalars if self.noise else (None,) * len(components)
+        rows = zip(components, self.value.scalars, self.low, self.high, stds, strict=True)
+        return tuple(
+            ObservedNumber(
+                self.name, part, scalar, low, high, str(known.dimension), known.boolean, self.history, self.clip, std, self.noise
+            )
+            for part, scalar, low, high, std in rows
+        )
+
+
+class ImageObservation(Observation):
+    """An image that the policy sees: uint8 of `shape` (rows, columns, channels), with its history side by side as channels.
+
+    It has no bounds and no noise.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.value.typed.type.picture or ()
+
+    @property
+    def key(self) -> str:
+        """The key in the observation space; torch takes no dots."""
+        return self.name.replace(".", "_")
+
+    @property
+    def numbers(self) -> tuple[ObservedNumber, ...]:
+        return ()
+
+    def ages(self, stack: int = 1) -> tuple[int, ...]:
+        """How many steps ago each image that the policy sees was the newest, oldest first."""
+        return tuple(back + ago for back in reversed(range(stack)) for ago in reversed(range(self.history)))
+
+
+class ObservedNumber(NamedTuple):
+    """One number of the observation; a truth value is 0 or 1. `std` is the tree of the standard deviation of `noise`."""
+
+    name: str
+    component: str | None
+    scalar: Scalar
+    low: float
+    high: float
+    unit: str
+    truth: bool
+    history: int
+    clip: bool
+    std: Scalar | None
+    noise: Noise | None
+
+    @property
+    def full_name(self) -> str:
+        return self.name if self.component is None else f"{self.name}.{self.component}"
+
+
+class Seen(Protocol):
+    """What `viewed` needs of a number of the observation."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def history(self) -> int: ...
+
+
+def viewed(numbers: Sequence[Seen], stack: int = 1) -> tuple[tuple[int, int], ...]:
+    """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
+
+    The frames of the stack come oldest first; in each, the named values in file order, each with its
+    history, oldest first, and within that its components.
+    """
+    named = [list(group) for _, group in groupby(range(len(numbers)), key=lambda index: numbers[index].name)]
+    return tuple(
+        (index, back + ago)
+        for back in reversed(range(stack))
+        for group in named
+        for ago in reversed(range(numbers[group[0]].history))
+        for index in group
+    )
+
+
+# Goal, endings, limits
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """What is achieved and what is desired, apart from the observation, with the bounds of both per component.
+
+    The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and `desired`
+    mean the clipped values, so that a reward can be recomputed from an observation. The goal is reached when the two are
+    `within` of each other. The noise on what is achieved is added before the mapping.
+    """
+
+    achieved: Expression
+    desired: Expression
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    within: float
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return self.achieved.components
+
+    @property
+    def unit(self) -> str:
+        return str(self.achieved.typed.type.dimension)
+
+    @cached_property
+    def targets(self) -> tuple[Scalar, ...]:
+        """The tree of what is desired, per component."""
+        desired = self.desired.scalars
+        return desired * (len(self.achieved.scalars) // len(desired))
+
+    def names(self, which: Literal["achieved", "desired"]) -> tuple[Name, ...]:
+        return tuple(Name(which, component) for component in self.components or (None,))
+
+    @property
+    def reached(self) -> Scalar:
+        """Whether the two are `within` of each other."""
+        apart = tuple(Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True))
+        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.within)))
+
+
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """A condition that terminates the episode."""
+
+    value: Expression
+    outcome: Outcome
+
+    @property
+    def name(self) -> str:
+        return self.value.name
+
+    @property
+    def foreign(self) -> Foreign | None:
+        return self.value.foreign
+
+
+@dataclass(frozen=True)
+class Truncation:
+    """Limits that are no part of the task: agent steps, simulated seconds."""
+
+    max_steps: int | None = None
+    max_time: float | None = None
+
+    def last_step(self, period: float) -> int:
+        """Steps of the agent, of `period` s each, after which an episode is cut short at the latest."""
+        time = [math.ceil(self.max_time / period - 1e-9)] if self.max_time else []
+        return max(1, min([self.max_steps or 2**63, *time]))
+
+
+# Scripts
+
+
+@dataclass(frozen=True, eq=False)
+class ScriptedChoice:
+    """How a script chooses: the first option whose condition holds, and `otherwise` if none does."""
+
+    rules: tuple[tuple[str, Expression], ...]
+    otherwise: str
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        return (*(option for option, _ in self.rules), self.otherwise)
+
+    @property
+    def values(self) -> tuple[Expression, ...]:
+        return tuple(condition for _, condition in self.rules)
+
+    @property
+    def scalars(self) -> tuple[Scalar, ...]:
+        """The condition of each option but the last."""
+        return tuple(condition.scalar for condition in self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class ScriptedRange:
+    """What a script gives for a range of `size` numbers: one expression for all components, or one for each.
+
+    Values are in the unit of the range, to whose ends they are clamped.
+    """
+
+    values: tuple[Expression, ...]
+    size: int
+
+    @property
+    def scalars(self) -> tuple[Scalar, ...]:
+        """One per number of the range."""
+        found = tuple(scalar for value in self.values for scalar in value.scalars)
+        return found * self.size if len(found) == 1 else found
+
+
+@dataclass(frozen=True, eq=False)
+class Script:
+    """A policy that is written in the scenario: a decision for each part of the action, in their order."""
+
+    name: str
+    parts: tuple[ScriptedChoice | ScriptedRange, ...]
+
+    @property
+    def scalars(self) -> tuple[Scalar, ...]:
+        return tuple(scalar for part in self.parts for scalar in part.scalars)
