@@ -65,9 +65,9 @@ from deepbots_cli.expressions import agree
 from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.expressions.types import Context, Stage, Symbol
 from deepbots_cli.ir import MOST_SETTLING_STEPS, Evaluation
+from deepbots_cli.scenario.base import visit
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
-from deepbots_cli.scenario.walk import visit
 from deepbots_cli.task import Task, Valued
 
 __all__ = ["Checked", "check"]
@@ -194,7 +194,7 @@ class _Pass:
             namespace.define(name, Origin.ROBOT, ("robots", name))
         for name, thing in spec.objects.items():
             namespace.define(name, Origin.OBJECT, ("objects", name))
-            if "count" in thing.given:
+            if "count" in thing.model_fields_set:
                 found = group(name, thing, namespace)
                 namespace.groups |= {name: found} if found else {}
                 if found is None:

@@ -17,7 +17,7 @@ from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.merge import follow, measure, without
 from deepbots_cli.document.overrides import place
-from deepbots_cli.scenario.plain import read_until
+from deepbots_cli.scenario.fields import read_until
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.task import Task, TaskCase, TaskStage
 

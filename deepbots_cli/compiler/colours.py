@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli import ir
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.scalar import Const, Draw
-from deepbots_cli.scenario.plain import COLOURS, colour_options
+from deepbots_cli.scenario.fields import COLOURS, colour_options
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace

@@ -7,8 +7,8 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import FORCE, TIME, TORQUE, Dimension
 from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Stage
-from deepbots_cli.scenario.reset import Disturbance
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import Disturbance
 from deepbots_cli.task import Push, Valued
 
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})

@@ -10,7 +10,7 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.types import Context, Stage
-from deepbots_cli.scenario.objects import Placed
+from deepbots_cli.scenario.world import Placed
 from deepbots_cli.task import TaskGroup, Valued
 
 

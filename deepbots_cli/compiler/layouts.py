@@ -18,8 +18,8 @@ from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.typed import Constant
 from deepbots_cli.expressions.types import Context, Type
 from deepbots_cli.robots.model import Box
-from deepbots_cli.scenario.reset import MapLayout
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import MapLayout
 from deepbots_cli.task import Placement, TaskGroup, TaskLayout, Valued
 
 _NOTHING = "."

@@ -50,7 +50,7 @@ class Observations:
             return None
         bounds = self._bounds(typed, range_text)
         scope = ParameterScope(self._namespace, Context.FIELD)
-        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.given else None
+        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.model_fields_set else None
         if bounds is None:
             return None
         return ObservedValue(Valued(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, added)

@@ -16,10 +16,10 @@ from deepbots_cli.expressions.intervals import exact
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.typed import Constant
 from deepbots_cli.expressions.types import PLANE, SPACE, Context, Stage, Type
-from deepbots_cli.scenario.pose import Pose
-from deepbots_cli.scenario.reset import Placement as PlacementSpec
-from deepbots_cli.scenario.reset import Region
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import Placement as PlacementSpec
+from deepbots_cli.scenario.task import Region
+from deepbots_cli.scenario.world import Pose
 from deepbots_cli.task import Coordinate, Placement, Valued
 
 _TURNS = ("roll", "pitch", "yaw")

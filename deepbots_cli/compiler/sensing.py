@@ -19,7 +19,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
-from deepbots_cli.scenario.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, Sensor, TouchSensor
+from deepbots_cli.scenario.sensors import Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, Sensor, TouchSensor
 
 _LINKS = frozenset({Kind.LINK})
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
@@ -64,7 +64,7 @@ class Sensing:
                 made = self._of_joints(name, spec, place)
             case ContactSensor():
                 made = self._of_contacts(name, spec, kind, place)
-            case Fan():
+            case RayScan():
                 made = self._of_rays(name, spec, kind, place)
             case Camera():
                 made = self._of_camera(name, spec, place)
@@ -108,7 +108,7 @@ class Sensing:
         known = _type(kind.dimension, components, kind.interval)._replace(boolean=kind.truth)
         return replace(_sensor(name, spec.type, links, components), against=against), known
 
-    def _of_rays(self, name: str, spec: Fan, kind: SensorKind, place: Path) -> tuple[ir.Sensor, Type] | None:
+    def _of_rays(self, name: str, spec: RayScan, kind: SensorKind, place: Path) -> tuple[ir.Sensor, Type] | None:
         beams = BeamReader(self._values, place).read(spec, kind)
         if not self._is_link(spec.link, place) or beams is None:
             return None
@@ -125,7 +125,7 @@ class Sensing:
 
     def _reaching(self, sensor: ir.Sensor, spec: RaySensor, faults: ir.Faults | None, place: Path) -> ir.Sensor:
         """The sensor with rays that go to the end of its range."""
-        if "range" not in spec.given:
+        if "range" not in spec.model_fields_set:
             headline = f"how far `{sensor.name}` sees is not known"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help="give its `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0

@@ -11,9 +11,9 @@ from deepbots_cli.compiler.scopes import ParameterScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import TIME, Dimension
 from deepbots_cli.expressions.types import Context, Kind, Stage, Subject, Symbol
-from deepbots_cli.scenario.plain import choose_from
-from deepbots_cli.scenario.reset import JointState
+from deepbots_cli.scenario.fields import choose_from
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import JointState
 from deepbots_cli.task import JointStart, Valued
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})

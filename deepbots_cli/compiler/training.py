@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from deepbots_cli import ir
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.scenario.hyperparameters import ActionNoise, Hindsight
-from deepbots_cli.scenario.plain import read_schedule
+from deepbots_cli.scenario.fields import read_schedule
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import DiscreteAction
+from deepbots_cli.scenario.training import ActionNoise, Hindsight
 
 _ONE_CHOICE = frozenset({"DQN"})
 _CHOICES = frozenset({"DQN", "MaskablePPO"})
