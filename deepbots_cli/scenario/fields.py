@@ -18,10 +18,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, Strict, StringConstraints, ValidationError
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, Strict, StringConstraints, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.expressions.types import shown
 from deepbots_cli.expressions.units import UNITS
 
@@ -221,7 +223,17 @@ class FieldType:
         return {"type": "string"}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.validate)
+        return core_schema.with_info_plain_validator_function(self._validate)
+
+    def _validate(self, value: object, info: ValidationInfo) -> object:
+        """Of a file, whose validation has a context, the compiler says what is wrong inside of a text, at the exact place."""
+        checked = self.validate(value)
+        if info.context is None and isinstance(value, str):
+            self.check_text(value)
+        return checked
+
+    def check_text(self, text: str) -> None:
+        """Raise an `error` for what is wrong with a text whatever the scenario around it."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
         return self.json_schema()
@@ -319,6 +331,21 @@ _BARE = frozenset({"length", "mass", "number"})
 """The measures of which a bare number is in SI units; for the others the compiler asks for a unit."""
 
 
+def _parsed(text: str) -> syntax.Node | None:
+    """The tree of an expression; raises its first syntax error."""
+
+    def report(code: str, start: int, end: int, headline: str, help: str | None = None, **_: object) -> None:
+        raise error(code, headline, help)
+
+    return parser.parse(text, report)
+
+
+def _dimension(unit: str) -> Dimension:
+    """The dimension of a unit such as `N*m`; `1` is that of plain numbers."""
+    tree = parser.parse(f"1 {unit}" if unit != "1" else unit, lambda *_, **__: None)
+    return tree.unit.dimension if isinstance(tree, syntax.Number) and tree.unit else NUMBER
+
+
 @dataclass(frozen=True)
 class Quantity(FieldType):
     """A number with a unit, a parameter, or an expression up to `stage`.
@@ -382,6 +409,15 @@ class Quantity(FieldType):
             return f"write the numbers in one text, like `{self.example}`"
         return super().help_for(value)
 
+    def check_text(self, text: str) -> None:
+        tree = _parsed(text)
+        unit, known = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
+        if unit is not None and not known[0].startswith("of ") and unit.text != "%" and unit.dimension not in map(_dimension, known):
+            raise error("DB503", f"`{text[:60]}` is no {self.noun.split(' ', 1)[1]}", self.help_for(None))
+        match tree:
+            case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
+                raise error("DB501", f"unknown unit `{word}`", choose_from(word, tuple(UNITS)))
+
     def json_schema(self) -> JsonSchema:
         return {"type": ["number", "string"] if self.components is None else "string"}
 
@@ -431,6 +467,9 @@ class Range(FieldType):
         near = _range_meant(value) if isinstance(value, str) else None
         return Meant(near, safe=False) if near else None
 
+    def check_text(self, text: str) -> None:
+        _parsed(text)
+
     def json_schema(self) -> JsonSchema:
         return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\.", "patternErrorMessage": self.help_for(None)}
 
@@ -466,6 +505,9 @@ class Expression(FieldType):
     def check(self, value: Any) -> None:
         if isinstance(value, (int, float)):
             check_bounds(value, None, None)
+
+    def check_text(self, text: str) -> None:
+        _parsed(text)
 
     def json_schema(self) -> JsonSchema:
         others = {True: ["boolean"], False: ["number"], None: ["number", "boolean"]}[self.boolean]
