@@ -7,8 +7,8 @@
     result = deepbots_cli.train(compiled, seed=0)
 
 A scenario is named by the path of a file or by the name of a shipped one (`cartpole`), or is a `Scenario` built in Python, whose
-relative paths start from the working directory. Training and evaluation stand in `deepbots_cli.learning`. Importing this module loads neither simulator nor learner,
-and not the back end of the compiler either, which linting does without (15 ms of CPU).
+relative paths start from the working directory. Training and evaluation stand in `deepbots_cli.learning`. Importing this module loads
+neither simulator nor learner, and not the back end of the compiler either, which linting does without (15 ms of CPU).
 """
 
 from __future__ import annotations

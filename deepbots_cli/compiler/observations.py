@@ -40,7 +40,7 @@ class Observations:
 
     def _entry(self, key: str, given: Observed | str) -> ObservedValue | None:
         place: Path = ("observation", key)
-        spec = Observed(range=given) if isinstance(given, str) else given
+        spec = Observed.model_construct(range=given) if isinstance(given, str) else given
         text = self._values.key_text(place)
         typed = self._observed(text)
         range_text = self._values.text(place if isinstance(given, str) else (*place, "range"), spec.range)

@@ -24,7 +24,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
-from deepbots_cli.expressions.types import shown
+from deepbots_cli.expressions.types import Rewriting, shown
 from deepbots_cli.expressions.units import UNITS
 
 Stage = Literal["fixed", "episode", "step"]
@@ -233,7 +233,9 @@ class FieldType:
         return checked
 
     def check_text(self, text: str) -> None:
-        """Raise an `error` for what is wrong with a text whatever the scenario around it."""
+        """Raise an `error` for what is wrong inside of a text, whatever the scenario around it."""
+        if isinstance(self, (Quantity, Range, Expression)):
+            _parsed(text)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
         return self.json_schema()
@@ -334,7 +336,15 @@ _BARE = frozenset({"length", "mass", "number"})
 def _parsed(text: str) -> syntax.Node | None:
     """The tree of an expression; raises its first syntax error."""
 
-    def report(code: str, start: int, end: int, headline: str, help: str | None = None, **_: object) -> None:
+    def report(
+        code: str,
+        start: int,
+        end: int,
+        headline: str,
+        help: str | None = None,
+        notes: tuple[str, ...] = (),
+        meant: Meant | Rewriting | None = None,
+    ) -> None:
         raise error(code, headline, help)
 
     return parser.parse(text, report)
@@ -467,9 +477,6 @@ class Range(FieldType):
         near = _range_meant(value) if isinstance(value, str) else None
         return Meant(near, safe=False) if near else None
 
-    def check_text(self, text: str) -> None:
-        _parsed(text)
-
     def json_schema(self) -> JsonSchema:
         return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\.", "patternErrorMessage": self.help_for(None)}
 
@@ -505,9 +512,6 @@ class Expression(FieldType):
     def check(self, value: Any) -> None:
         if isinstance(value, (int, float)):
             check_bounds(value, None, None)
-
-    def check_text(self, text: str) -> None:
-        _parsed(text)
 
     def json_schema(self) -> JsonSchema:
         others = {True: ["boolean"], False: ["number"], None: ["number", "boolean"]}[self.boolean]

@@ -106,7 +106,7 @@ def topic_of(shape: Shape) -> str:
 def json_schema(known: Known | None = None) -> Json:
     """The schema (draft 2020-12), in stable order; without names of a scenario it is the one that is committed."""
     sentence = "A file with the value of this mapping; what stands beside it is merged over it.\n\nExample: include: parts/arena.yaml"
-    definitions: Json = {"include": _described({"type": "string"}, sentence)}
+    definitions: Json = {"include": {"type": "string", "description": sentence}}
     _Writer(definitions, known or Known(), {**_LANGUAGE, **(known.everywhere if known else {})}).reference(Scenario)
     required = [name for name, info in Scenario.model_fields.items() if info.is_required()]
     return {
@@ -125,16 +125,13 @@ def to_text(known: Known | None = None) -> str:
     return re.sub(r"\n {5,}", " ", json.dumps(json_schema(known), indent=1)) + "\n"
 
 
-def _described(schema: Json, sentence: str) -> Json:
-    return schema | {"description": sentence}
-
-
-_ACROSS_FILES = {
-    "extends": _described({"type": "string"}, "Another scenario that this one changes.\n\nExample: extends: cartpole.yaml"),
-    "remove": _described(
-        {"type": "array", "items": {"type": "string"}},
-        "Paths to take out of the extended scenario.\n\nExample: remove: [observation.tip_speed]",
-    ),
+_ACROSS_FILES: Json = {
+    "extends": {"type": "string", "description": "Another scenario that this one changes.\n\nExample: extends: cartpole.yaml"},
+    "remove": {
+        "type": "array",
+        "items": {"type": "string"},
+        "description": "Paths to take out of the extended scenario.\n\nExample: remove: [observation.tip_speed]",
+    },
 }
 
 
@@ -218,8 +215,8 @@ class _Writer:
             branches.append({"if": {"required": [mark], "not": {"required": [key]}}, "then": self.reference(model)})
         kinds = {"enum": list(shape.models), "enumDescriptions": [about_kind(shape, name) for name in shape.models]}
         first = shape.models[shape.names[0]]
-        properties: Json = {key: _described(kinds, _text(first, key, shape.names[0]))}
-        properties |= {mark: _described({}, _text(model, mark)) for mark, model in shape.marked.items()}
+        properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
+        properties |= {mark: {"description": _text(model, mark)} for mark, model in shape.marked.items()}
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
 
     def _section(self, section: type[Section]) -> Json:
@@ -242,8 +239,8 @@ class _Writer:
         for keyword in ("additionalProperties", "items"):  # entries have no sentence of their own, unless they are sections
             entries = schema.get(keyword)
             if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
-                schema = schema | {keyword: _described(entries, description(section, key))}
-        schema = _described(schema, _text(section, key, own))  # `joint: left_wheel` is no example for an arm
+                schema = schema | {keyword: entries | {"description": description(section, key)}}
+        schema = schema | {"description": _text(section, key, own)}  # `joint: left_wheel` is no example for an arm
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
