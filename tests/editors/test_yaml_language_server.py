@@ -122,9 +122,8 @@ def test_the_joints_of_the_robot_are_offered_in_a_list(typed_for: Type) -> None:
         ("  alive: 1\n", "  alive: §\n", {"x", "speed", "cart.pole_angle", "fall_angle"}),
         ("  tip_speed:       -2 .. 2 m/s\n", "  §\n", {"tip_speed", "previous_action"}),
         ("set:   {cart.pole_hinge: uniform(-1 .. 1 deg)}", "set:\n    §", {"cart.pole_hinge"}),
-        ("wall_height: 0.1 m", "wall_height: §", {"track"}),
     ],
-    ids=["sensors", "signals", "values", "joints by their full names", "parameters of the right unit"],
+    ids=["sensors", "signals", "values", "joints by their full names"],
 )
 def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type, old: str, new: str, names: set[str]) -> None:
     assert names <= set(typed_for(old, new).offers)
