@@ -14,7 +14,7 @@ api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   reading.py    bytes of files
 
-The documented Python API is `load`, `compile`, `make`, `train` and `evaluate`; each is imported when
+The documented Python API is `Scenario`, `load`, `compile`, `make`, `train` and `evaluate`; each is imported when
 it is first asked for, so that importing this package costs nothing.
 """
 
@@ -25,11 +25,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deepbots_cli.api import compile, load, make
     from deepbots_cli.learning import evaluate, train
+    from deepbots_cli.scenario import Scenario
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "compile", "evaluate", "load", "make", "train"]
+__all__ = ["Scenario", "__version__", "compile", "evaluate", "load", "make", "train"]
 
 _HOMES = {
+    "Scenario": "deepbots_cli.scenario",
     "compile": "deepbots_cli.api",
     "load": "deepbots_cli.api",
     "make": "deepbots_cli.api",

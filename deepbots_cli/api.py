@@ -6,9 +6,9 @@
     compiled = deepbots_cli.compile("my_scenario.yaml")            # .ir, .code, .digest, .findings
     result = deepbots_cli.train(compiled, seed=0)
 
-A scenario is named by the path of a file or by the name of a shipped one (`cartpole`). Training and
-evaluation stand in `deepbots_cli.learning`. Importing this module loads neither simulator nor learner,
-and not the back end of the compiler either, which linting does without (15 ms of CPU).
+A scenario is named by the path of a file or by the name of a shipped one (`cartpole`), or is a `Scenario` built in Python, whose
+relative paths start from the working directory. Training and evaluation stand in `deepbots_cli.learning`. Importing this module loads
+neither simulator nor learner, and not the back end of the compiler either, which linting does without (15 ms of CPU).
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from deepbots_cli.diagnostics import MAX_FINDINGS, Finding
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import load as read
-from deepbots_cli.document import shipped
+from deepbots_cli.document import loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
+from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
     from deepbots_cli.program import Program
@@ -78,7 +79,7 @@ def locate(source: str | Path) -> tuple[Path, str]:
 
 
 def load(
-    source: str | Path,
+    source: str | Path | Scenario,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -89,7 +90,7 @@ def load(
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
-        source: A path, or the name of a shipped scenario.
+        source: A path, the name of a shipped scenario, or a `Scenario`.
         sets: Assignments `path=value`, as for `--set`.
         allow_paths: Folders outside the project that the scenario may read from.
         allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
@@ -99,13 +100,21 @@ def load(
     Raises:
         UsageError: There is no such file.
     """
-    path, name = locate(source)
-    document = read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
+    if isinstance(source, Scenario):
+        document = loads(source.to_yaml(), f"<Scenario {source.name}>", sets=sets, allow_paths=allow_paths)
+    else:
+        path, name = locate(source)
+        document = read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
     return check(replace(document, allow_code=allow_code))
 
 
 def lint(
-    source: str | Path, *, sets: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = False, preview: bool = False
+    source: str | Path | Scenario,
+    *,
+    sets: Sequence[str] = (),
+    allow_paths: Iterable[str | Path] = (),
+    allow_code: bool = False,
+    preview: bool = False,
 ) -> list[Finding]:
     """All findings of a scenario, sorted; suppressed ones are left out, and those of rules in preview unless they are asked for.
 
@@ -147,7 +156,11 @@ def _told(found: list[Finding]) -> list[Finding]:
 
 
 def compile(
-    source: str | Path | Checked, *, sets: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = False
+    source: str | Path | Scenario | Checked,
+    *,
+    sets: Sequence[str] = (),
+    allow_paths: Iterable[str | Path] = (),
+    allow_code: bool = False,
 ) -> Compiled:
     """Compile a scenario: text to intermediate representation to generated Python.
 
@@ -179,7 +192,7 @@ def compile(
 
 
 def make(
-    source: str | Path | Checked | Compiled | Program,
+    source: str | Path | Scenario | Checked | Compiled | Program,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -199,7 +212,7 @@ def make(
         MissingExtraError: The simulator is not installed.
         EngineError: The engine cannot build this world.
     """
-    if isinstance(source, (str, Path, Checked)):
+    if isinstance(source, (str, Path, Scenario, Checked)):
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code

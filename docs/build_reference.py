@@ -18,13 +18,12 @@ from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Funct
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.rules.pages import Page, every_page
-from deepbots_cli.scenario.examples import example_of
-from deepbots_cli.scenario.fields import Expression, Leaf, Quantity
-from deepbots_cli.scenario.hover import default_of, unit_of
-from deepbots_cli.scenario.hyperparameters import ALGORITHMS
-from deepbots_cli.scenario.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
+from deepbots_cli.scenario.docs import about, default_of, description, example_of, unit_of
+from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import PythonTerm
+from deepbots_cli.scenario.training import ALGORITHMS
 
 FOLDER = Path(__file__).parent / "reference"
 _NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"
@@ -43,7 +42,7 @@ class _Keys:
     """Walks the schema in the order of the file; a part is described where it is first met."""
 
     def __init__(self) -> None:
-        self._met: set[type[Part]] = {PythonTerm}
+        self._met: set[type[Section]] = {PythonTerm}
 
     def text(self) -> str:
         head = [
@@ -58,16 +57,15 @@ class _Keys:
         ]
         return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults()]) + "\n"
 
-    def _section(self, title: str, part: type[Part], route: Route) -> Iterator[str]:
+    def _section(self, title: str, part: type[Section], route: Route) -> Iterator[str]:
         if part not in self._met:
             self._met.add(part)
-            doc = " ".join((part.__doc__ or "").split("\n\n")[0].split())
             rows = [(_Key(part, key), "") for key in fields(part)]
-            yield from self._table(title, doc, rows, route)
+            yield from self._table(title, about(part), rows, route)
 
     def _kinds(self, title: str, spec: Kinds, route: Route) -> Iterator[str]:
         """One table for all kinds; a key that only some have says so."""
-        models = {name: spec.model(name) for name in spec.names}
+        models = spec.models
         if self._met.issuperset(models.values()):
             return
         self._met.update(models.values())
@@ -94,14 +92,14 @@ class _Keys:
         for key, _ in rows:
             yield from self._below(f"{title}.{key.name}" if route else key.name, key.spec, (*route, key.name))
 
-    def _below(self, title: str, spec: Spec, route: Route) -> Iterator[str]:
+    def _below(self, title: str, spec: Shape, route: Route) -> Iterator[str]:
         """The sections of the parts that are met inside the value of a key."""
         match spec:
             case type():
                 yield from self._section(title, spec, route)
-            case Mapped(value=inner) | Listed(item=inner):
+            case MappingOf(value=inner) | ListOf(item=inner):
                 yield from self._below(f"{title}.NAME", inner, (*route, "*"))
-            case Alternatives(options=options):
+            case Forms(options=options):
                 parts = [option for option in options if isinstance(option, type) and option is not PythonTerm]
                 for option in options:
                     named = isinstance(option, type) and len(parts) > 1
@@ -114,10 +112,10 @@ def _defaults() -> Iterator[str]:
     """The hyperparameters of each algorithm, with what a training takes where the scenario is silent."""
     yield from ["", "## Defaults of the hyperparameters", ""]
     yield "The values that a training takes where `train` does not set them; `deepbots inspect` shows them for one scenario or run."
-    for algorithm, table in ALGORITHMS.items():
+    for algorithm, model in ALGORITHMS.items():
         own, library, title = OURS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
         yield from ["", f"### {algorithm}", "", "| hyperparameter | default | whose |", "|---|---|---|"]
-        for name in table:
+        for name in model.hyperparameter_names():
             text, source = (own[name].words, "deepbots") if name in own else (_plain(library.get(name)), title)
             yield f"| `{name}` | {text} | {source} |"
 
@@ -132,14 +130,14 @@ def _plain(value: object) -> str:
 class _Key:
     """One key of a part; equal to another that reads the same."""
 
-    def __init__(self, part: type[Part], name: str, kind: str = "") -> None:
-        info = part.declared[name]
+    def __init__(self, part: type[Section], name: str, kind: str = "") -> None:
         self.name = name
         self.spec = fields(part)[name]
-        self.meaning = _cell(str(info.description))
-        default = "**required**" if info.default is REQUIRED else f"`{written}`" if (written := default_of(part, name)) else ""
+        self.meaning = _cell(description(part, name))
+        default = "**required**" if part.model_fields[name].is_required() else f"`{written}`" if (written := default_of(part, name)) else ""
         example = found.text if (found := example_of(part, name)) else kind
-        self.cells = f"| `{name}` | {_value(self.spec)} | {unit_of(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
+        value = "a kind" if kind else _value(self.spec)
+        self.cells = f"| `{name}` | {value} | {unit_of(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Key) and (self.cells, self.meaning) == (other.cells, other.meaning)
@@ -148,18 +146,18 @@ class _Key:
         return hash((self.cells, self.meaning))
 
 
-def _value(spec: Spec) -> str:
+def _value(spec: Shape) -> str:
     match spec:
         case Quantity(words=words, relative=relative):
             more = [f"`{word}`" for word in words] + ["`2 %`"] * relative
             return " or ".join([spec.noun, *more])
-        case Leaf():
+        case FieldType():
             return _cell(spec.noun)
-        case Listed(item=item):
+        case ListOf(item=item):
             return f"list: {_value(item)}"
-        case Mapped(value=value):
+        case MappingOf(value=value):
             return f"mapping, each: {_value(value)}"
-        case Alternatives(options=options):
+        case Forms(options=options):
             return " **or** ".join(dict.fromkeys(_value(option) for option in options))
         case Kinds(key=key):
             return f"mapping, told by `{key}`"
@@ -167,7 +165,7 @@ def _value(spec: Spec) -> str:
             return "mapping"
 
 
-def _settled(spec: Spec) -> str:
+def _settled(spec: Shape) -> str:
     match spec:
         case Quantity(stage=stage):
             return stage
@@ -175,9 +173,9 @@ def _settled(spec: Spec) -> str:
             return "episode"
         case Expression():
             return "step"
-        case Mapped(value=value):
+        case MappingOf(value=value):
             return _settled(value)
-        case Alternatives(options=options):
+        case Forms(options=options):
             return next((stage for stage in map(_settled, options) if stage), "")
         case _:
             return ""

@@ -9,7 +9,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import copying
 from deepbots_cli.compiler.known import known
 from deepbots_cli.errors import UsageError
-from deepbots_cli.scenario.export import to_text
+from deepbots_cli.scenario.json_schema import to_text
 
 
 def modeline(scenario: Path, schema: Path) -> str:

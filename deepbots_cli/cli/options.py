@@ -47,7 +47,7 @@ def _whole(text: str) -> int | None:
     try:
         return int(text)
     except ValueError:
-        from deepbots_cli.scenario.habits import count_meant
+        from deepbots_cli.scenario.fields import count_meant
 
         meant = count_meant(text)
     try:
@@ -70,7 +70,7 @@ def chosen(ir: Program, case: str | None, stage: str | None) -> Program:
 
 def fraction(text: str) -> float:
     """A parser: a number from 0 to 1, written `0.8` or `80%`."""
-    from deepbots_cli.scenario.plain import read_fraction
+    from deepbots_cli.scenario.fields import read_fraction
 
     try:
         value = read_fraction(text)

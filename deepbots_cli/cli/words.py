@@ -14,10 +14,9 @@ from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.scenario.examples import example_of
+from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
+from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of
 from deepbots_cli.scenario.fields import article
-from deepbots_cli.scenario.hover import default_of, unit_of
-from deepbots_cli.scenario.part import REQUIRED, Alternatives, Kinds, Listed, Mapped, Part, Spec, fields, noun_of
 from deepbots_cli.scenario.scenario import Scenario
 
 TOPICS = Path(__file__).with_name("topics.yaml")
@@ -75,11 +74,12 @@ def explained(word: str) -> list[str]:
 def _blocks(word: str) -> list[list[str]]:
     """About the function, the unit, the kinds and the keys of exactly this name."""
     places: dict[Said, list[str]] = {}
-    for path, part, mark in _parts(Scenario, (), ""):
+    for path, part, mark in sections(Scenario):
+        place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
         for said in _told(part, mark, word):
             found = places.setdefault(said, [])
-            if path not in found:
-                found.append(path)
+            if place not in found:
+                found.append(place)
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
     for (what, *lines), paths in list(places.items())[:_SHOWN]:
         more = f" and {len(paths) - _SHOWN} more places" if len(paths) > _SHOWN else ""
@@ -113,7 +113,7 @@ def _others(word: str, shown: Iterable[str]) -> list[str]:
 def _words() -> dict[str, None]:
     """Every function, unit, kind and key."""
     names = [*FUNCTIONS, *UNITS]
-    for _, part, _ in _parts(Scenario, (), ""):
+    for _, part, _ in sections(Scenario):
         names += part.names if isinstance(part, Kinds) else fields(part)
     return dict.fromkeys(names)
 
@@ -145,7 +145,7 @@ def _of_unit(word: str) -> Iterator[str]:
         yield f"1 {word} is {unit.scale / unit.divisor:.9g} {unit.dimension}." if str(unit.dimension) != word else "Figures are kept in it."
 
 
-def _told(part: type[Part] | Kinds, mark: str, word: str) -> Iterator[Said]:
+def _told(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Said]:
     """What a word is to a part: its key, its kind; of `mark`, the key that tells the kind, the kinds themselves tell."""
     if not isinstance(part, Kinds):
         if word in fields(part) and word != mark:
@@ -158,9 +158,9 @@ def _told(part: type[Part] | Kinds, mark: str, word: str) -> Iterator[Said]:
 
 
 def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
-    yield kinds.about(name)
-    model = kinds.model(name)
-    keys = {key: model.declared[key].default is REQUIRED for key in fields(model) if key != kinds.key}
+    yield about_kind(kinds, name)
+    model = kinds.models[name]
+    keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
     needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))
     if needed:
         yield f"It needs {', '.join(needed)}."
@@ -168,35 +168,14 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
         yield f"It may have {', '.join(others)}."
 
 
-def _of_key(part: type[Part], key: str) -> Iterator[str]:
-    yield part.declared[key].description
+def _of_key(part: type[Section], key: str) -> Iterator[str]:
+    yield description(part, key)
     spec, default = fields(part)[key], default_of(part, key)
     unit = unit_of(spec)
     measured = f"in {'the unit ' if unit.startswith('of ') else ''}{unit}" if unit not in ("", "1") else ""
     facts = [noun_of(spec), measured, f"{default} unless given" if default else ""]
-    if part.declared[key].default is REQUIRED:
+    if part.model_fields[key].is_required():
         facts.append("required")
     yield f"It takes {', '.join(fact for fact in facts if fact)}."
     if example := example_of(part, key):
         yield f"For example: {key}: {example.text}"
-
-
-def _parts(spec: Spec, path: Said, mark: str) -> Iterator[tuple[str, type[Part] | Kinds, str]]:
-    """All parts of a scenario, each with its place and the key that tells its kind; `<name>` is one of the user's own."""
-    place = f"`{'.'.join(path)}`" if path else "a scenario"
-    match spec:
-        case Listed():
-            yield from _parts(spec.item, path, "")
-        case Mapped():
-            yield from _parts(spec.value, (*path, "<name>"), "")
-        case Alternatives():
-            for option in spec.options:
-                yield from _parts(option, path, "")
-        case Kinds():
-            yield place, spec, ""
-            for model in (*map(spec.model, spec.names), *(model for _, model in spec.marked)):
-                yield from _parts(model, path, spec.key)
-        case type() if issubclass(spec, Part):
-            yield place, spec, mark
-            for name, known in fields(spec).items():
-                yield from _parts(known, (*path, name), "")

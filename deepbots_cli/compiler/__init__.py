@@ -68,9 +68,9 @@ from deepbots_cli.program.task import Agent
 from deepbots_cli.program.training import Evaluation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import ARENA_WALLS, MAX_SETTLING_STEPS
+from deepbots_cli.scenario.base import visit
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
-from deepbots_cli.scenario.walk import visit
 
 __all__ = ["Checked", "check"]
 
@@ -196,7 +196,7 @@ class _Pass:
             namespace.define(name, Origin.ROBOT, ("robots", name))
         for name, thing in spec.objects.items():
             namespace.define(name, Origin.OBJECT, ("objects", name))
-            if "count" in thing.given:
+            if "count" in thing.model_fields_set:
                 found = group(name, thing, namespace)
                 namespace.groups |= {name: found} if found else {}
                 if found is None:

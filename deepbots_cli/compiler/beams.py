@@ -15,7 +15,7 @@ from deepbots_cli.expressions.types import Components, NoNames
 from deepbots_cli.expressions.unification import ANY_SHAPE
 from deepbots_cli.program.robots import CalibrationTable, RayConfig
 from deepbots_cli.robots.model import Pose
-from deepbots_cli.scenario.sensors import Fan, RaySensor, Reflectance
+from deepbots_cli.scenario.sensors import RayScan, RaySensor, Reflectance
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class BeamReader:
     values: Values
     path: Path
 
-    def read(self, spec: Fan, kind: SensorKind) -> ReadBeams | None:
+    def read(self, spec: RayScan, kind: SensorKind) -> ReadBeams | None:
         """None after a finding."""
         rays = self._rays(spec)
         if isinstance(spec, Reflectance):
@@ -58,7 +58,7 @@ class BeamReader:
 
     # Rays
 
-    def _rays(self, spec: Fan) -> dict[str, Pose] | None:
+    def _rays(self, spec: RayScan) -> dict[str, Pose] | None:
         place = (*self.path, "rays")
         if isinstance(spec.rays, dict):
             if spec.fan is not None:

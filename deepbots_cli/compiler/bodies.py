@@ -16,8 +16,8 @@ from deepbots_cli.expressions.types import SPACE, Context
 from deepbots_cli.program.world import Colour, ObjectBody, Variant
 from deepbots_cli.robots.inertia import volume
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from deepbots_cli.scenario import objects as spec
-from deepbots_cli.scenario.plain import COLOURS
+from deepbots_cli.scenario import world as spec
+from deepbots_cli.scenario.fields import COLOURS
 
 _WATER = 1000.0  # kg/m^3, the default density of objects
 _GREY: Colour = (*COLOURS["grey"], 1.0)

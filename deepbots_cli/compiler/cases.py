@@ -18,7 +18,7 @@ from deepbots_cli.document.load import place
 from deepbots_cli.document.nodes import follow, measure, without
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
 from deepbots_cli.program.training import Criterion
-from deepbots_cli.scenario.plain import read_until
+from deepbots_cli.scenario.fields import read_until
 from deepbots_cli.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

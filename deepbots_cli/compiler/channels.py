@@ -27,14 +27,14 @@ def route(spec: Scenario, direction: Direction, namespace: Namespace) -> Route:
     given: RouteSpec = getattr(spec.messages, direction)
     place: Path = ("messages", direction)
     values = namespace.values
-    if spec.messages.format == "none" and given.given:
+    if spec.messages.format == "none" and given.model_fields_set:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot at once"
         values.findings.add("DB407", values.key_span(place), f"`{direction}` without messages", help=help)
         return Route()
     scope = ParameterScope(namespace, Context.FIELD)
     found: dict[str, Expression] = {}
     for name, dimension, stage in _FIGURES:
-        if name in given.given and getattr(given, name) is not None:
+        if name in given.model_fields_set and getattr(given, name) is not None:
             figure = _figure(values.text((*place, name), getattr(given, name)), name, scope, dimension, stage, values)
             found |= {name: figure} if figure else {}
     burst = values.number((*place, "burst"), given.burst, NUMBER, scope) if given.burst is not None else None

@@ -9,7 +9,7 @@ from deepbots_cli.expressions.types import Constant, Invocation, Stage, Type, Ve
 from deepbots_cli.program.resets import RandomizedParameter
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import Colour
-from deepbots_cli.scenario.plain import COLOURS, colour_options
+from deepbots_cli.scenario.fields import COLOURS, colour_options
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace

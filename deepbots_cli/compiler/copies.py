@@ -24,7 +24,7 @@ def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
     """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
-        if "count" in given.given and robot != name and not values.is_lost("each"):
+        if "count" in given.model_fields_set and robot != name and not values.is_lost("each"):
             headline = f"copies of `{robot}` without a policy for each are not supported yet"
             help = f"write `agent: {{each: {robot}}}`, which lets one policy act for every copy"
             values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
@@ -57,7 +57,7 @@ def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
     """DB108 for what would have to be agreed upon between the copies."""
     values, paths = namespace.values, list(_TOGETHER)
     paths += [(("robots", other), f"the robot `{other}`") for other in spec.robots if other != name]
-    paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.given]
+    paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.model_fields_set]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
         if values.stands(path):

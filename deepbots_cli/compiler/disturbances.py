@@ -9,8 +9,8 @@ from deepbots_cli.expressions.dimensions import FORCE, TIME, TORQUE, Dimension
 from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Stage
 from deepbots_cli.program.resets import Disturbance
 from deepbots_cli.program.values import Expression
-from deepbots_cli.scenario.reset import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
 
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 

@@ -58,13 +58,13 @@ class FaultReader:
     def _of_no_numbers(self, spec: Sensor, known: Type) -> NoiseModel:
         tells, keys = ("takes pictures", _OF_NUMBERS[:-1]) if known.picture else ("tells true or false", _OF_NUMBERS)
         for key in keys:
-            if key in spec.given:
+            if key in spec.model_fields_set:
                 headline = f"`{key}` of a sensor that {tells}"
                 self.namespace.values.findings.add("DB403", self.namespace.values.key_span((*self.path, key)), headline, help="take it out")
         return NoiseModel(latency=self._latency(spec))
 
     def _latency(self, spec: Sensor) -> float:
-        if "latency" not in spec.given:
+        if "latency" not in spec.model_fields_set:
             return 0.0
         return figure(self.namespace, (*self.path, "latency"), spec.latency, TIME, self._scope, "sensor", self._of("latency")) or 0.0
 
@@ -72,7 +72,7 @@ class FaultReader:
         self, spec: Sensor, key: str, known: Type, dimension: Dimension | None = None
     ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """A figure for each component, absolute or relative: written with `%` it is a share of the value."""
-        if key not in spec.given:
+        if key not in spec.model_fields_set:
             return (), ()
         place, given = (*self.path, key), getattr(spec, key)
         relative = dimension is None and "%" in self.namespace.values.text(place, given).text
@@ -85,7 +85,7 @@ class FaultReader:
         return ((), found) if relative else (found, ())
 
     def _steps(self, spec: Sensor, known: Type) -> tuple[float, ...]:
-        if "quantise" not in spec.given:
+        if "quantise" not in spec.model_fields_set:
             return ()
         given = self.namespace.values.numbers((*self.path, "quantise"), spec.quantise, known.dimension, known.components, self._fixed)
         if given and any(0.0 < step < MIN_RESOLUTION for step in given):

@@ -89,7 +89,7 @@ class Goals:
             return Symbol(name, None)
         text = self._text(name)
         added = None
-        if self._spec.goal is not None and name == "achieved" and "noise" in self._spec.goal.given:
+        if self._spec.goal is not None and name == "achieved" and "noise" in self._spec.goal.model_fields_set:
             scope = ParameterScope(self._namespace, Context.FIELD)
             added = noise(self._values, ("goal", "noise"), self._spec.goal.noise, typed, scope)
         self._valued[name] = Expression(name, text.span, text.text, typed, f"goal.{name}", noise=added)

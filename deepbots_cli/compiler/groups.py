@@ -12,7 +12,7 @@ from deepbots_cli.expressions.types import Context, Stage
 from deepbots_cli.program.resets import Group
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.objects import Placed
+from deepbots_cli.scenario.world import Placed
 
 
 def group(name: str, thing: Placed, namespace: Namespace) -> Group | None:

@@ -10,9 +10,9 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.scopes import SupervisorScope
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.types import Context, Stage
+from deepbots_cli.expressions.types import Context
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.known import Known, Names, Offer, figure_topic
+from deepbots_cli.scenario.json_schema import Known, Names, Offer
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import DiscreteAction
 
@@ -55,7 +55,7 @@ def known(checked: Checked) -> Known:
     is_whole = all(namespace.robots.values()) and not any(path[:1] == ("robots",) for path in spec.pruned)
     everywhere["choice"] = _offer(choices)
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
-    everywhere |= {**_expressions(namespace, spec), **_figures(namespace, spec)}
+    everywhere |= _expressions(namespace, spec)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
     return Known(everywhere, {scene.name: _on_board(checked, scene, spec) for scene in scenes[:_MOST_ROBOTS]})
 
@@ -75,19 +75,6 @@ def _said(namespace: Namespace, spec: Scenario, found: Iterable[str]) -> dict[st
     """Each name with what it stands for, and a parameter with its value."""
     origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in found}
     return {name: f"{what}: {spec.parameters[name]}" if name in spec.parameters else what for name, what in origins.items()}
-
-
-def _figures(namespace: Namespace, spec: Scenario) -> Names:
-    """Parameters that may stand for a figure, by unit and by how late the figure may be settled."""
-    fitting: dict[str, list[str]] = {}
-    for name in namespace.named(Origin.PARAMETER):
-        symbol = namespace.definitions[name].symbol
-        if symbol is None or symbol.type is None or symbol.type.components is not None or symbol.type.boolean:
-            continue
-        for stage in Stage:
-            if stage >= symbol.type.stage:
-                fitting.setdefault(figure_topic(str(symbol.type.dimension), stage.name.lower()), []).append(name)
-    return {topic: _offer(_said(namespace, spec, found)) for topic, found in fitting.items()}
 
 
 def _on_board(checked: Checked, scene: RobotScene, spec: Scenario) -> Names:

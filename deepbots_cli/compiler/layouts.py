@@ -19,8 +19,8 @@ from deepbots_cli.program.resets import Cells, Group, Layout, Placement
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box
-from deepbots_cli.scenario.reset import MapLayout
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import MapLayout
 
 _NOTHING = "."
 _WALL = "wall"

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, Sequence, descend, to_data
-from deepbots_cli.scenario.explain import meant_by
+from deepbots_cli.scenario.validate import meant_by
 
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 ANY = "*"

@@ -11,7 +11,7 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.types import Kind
 from deepbots_cli.robots.model import Joint, RobotModel
-from deepbots_cli.scenario.plain import choose_from
+from deepbots_cli.scenario.fields import choose_from
 
 Group = tuple[Kind, tuple[str, ...]]
 """Joints or links, and the short names of its members."""

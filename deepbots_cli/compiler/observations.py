@@ -39,7 +39,7 @@ class Observations:
 
     def _entry(self, key: str, given: Observed | str) -> Observation | None:
         place: Path = ("observation", key)
-        spec = Observed(range=given) if isinstance(given, str) else given
+        spec = Observed.model_construct(range=given) if isinstance(given, str) else given
         text = self._values.key_text(place)
         typed = self._observed(text)
         range_text = self._values.text(place if isinstance(given, str) else (*place, "range"), spec.range)
@@ -49,7 +49,7 @@ class Observations:
             return None
         bounds = self._bounds(typed, range_text)
         scope = ParameterScope(self._namespace, Context.FIELD)
-        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.given else None
+        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.model_fields_set else None
         if bounds is None:
             return None
         kind = ImageObservation if typed.type.picture else Observation

@@ -18,10 +18,10 @@ from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Invo
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Placement, Region, Top
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import WorldModel
-from deepbots_cli.scenario.pose import Pose
-from deepbots_cli.scenario.reset import Placement as PlacementSpec
-from deepbots_cli.scenario.reset import Region as RegionSpec
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import Placement as PlacementSpec
+from deepbots_cli.scenario.task import Region as RegionSpec
+from deepbots_cli.scenario.world import Pose
 
 _TURNS = ("roll", "pitch", "yaw")
 

@@ -79,7 +79,7 @@ class Signals:
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
             typed = expect(typed, self._values.report(text), "an ending", boolean=True)
-        if typed is not None and isinstance(given, Measured) and "noise" in given.given:
+        if typed is not None and isinstance(given, Measured) and "noise" in given.model_fields_set:
             added = noise(self._values, (*whole, "noise"), given.noise, typed, ParameterScope(self._namespace, Context.FIELD))
         if typed is None:
             return Symbol(name, None)
@@ -131,7 +131,7 @@ def truncation(spec: Scenario, namespace: Namespace) -> Truncation:
     values, limits = namespace.values, spec.truncation
     if limits is None:
         if not values.is_lost("truncation"):
-            span = values.key_span(("termination",) if "termination" in spec.given else ("reward",))
+            span = values.key_span(("termination",) if "termination" in spec.model_fields_set else ("reward",))
             values.findings.add(
                 "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )

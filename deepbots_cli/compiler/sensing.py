@@ -20,7 +20,7 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
 from deepbots_cli.program.robots import MAX_SENSED_RAYS, NoiseModel, Sensor
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
-from deepbots_cli.scenario.sensors import Camera, ContactSensor, Fan, JointSensor, LinkSensor, RaySensor, TouchSensor
+from deepbots_cli.scenario.sensors import Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, TouchSensor
 from deepbots_cli.scenario.sensors import Sensor as SensorSpec
 
 _LINKS = frozenset({Kind.LINK})
@@ -66,7 +66,7 @@ class Sensing:
                 made = self._of_joints(name, spec, place)
             case ContactSensor():
                 made = self._of_contacts(name, spec, kind, place)
-            case Fan():
+            case RayScan():
                 made = self._of_rays(name, spec, kind, place)
             case Camera():
                 made = self._of_camera(name, spec, place)
@@ -110,7 +110,7 @@ class Sensing:
         known = _type(kind.dimension, components, kind.interval)._replace(boolean=kind.truth)
         return replace(_sensor(name, spec.type, links, components), against=against), known
 
-    def _of_rays(self, name: str, spec: Fan, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
+    def _of_rays(self, name: str, spec: RayScan, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
         beams = BeamReader(self._values, place).read(spec, kind)
         if not self._is_link(spec.link, place) or beams is None:
             return None
@@ -127,7 +127,7 @@ class Sensing:
 
     def _reaching(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None, place: Path) -> Sensor:
         """The sensor with rays that go to the end of its range."""
-        if "range" not in spec.given:
+        if "range" not in spec.model_fields_set:
             headline = f"how far `{sensor.name}` sees is not known"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help="give its `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0

@@ -13,9 +13,9 @@ from deepbots_cli.expressions.dimensions import TIME, Dimension
 from deepbots_cli.expressions.types import Components, Context, Kind, Stage, Subject, Symbol
 from deepbots_cli.program.resets import JointStart
 from deepbots_cli.program.values import Expression
-from deepbots_cli.scenario.plain import choose_from
-from deepbots_cli.scenario.reset import JointState
+from deepbots_cli.scenario.fields import choose_from
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import JointState
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 

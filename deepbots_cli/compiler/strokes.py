@@ -14,7 +14,7 @@ from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
 from deepbots_cli.expressions.types import PLANE, Context
 from deepbots_cli.program.world import MAX_POINTS, WALL_COLOUR, Line, ObjectBody, Point
 from deepbots_cli.robots.model import Box, Pose
-from deepbots_cli.scenario.plain import COLOURS
+from deepbots_cli.scenario.fields import COLOURS
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.world import Line as LineSpec
 from deepbots_cli.scenario.world import Wall as WallSpec

@@ -5,11 +5,11 @@ from __future__ import annotations
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.program.task import ActionRange, Agent, Choices, Truncation
 from deepbots_cli.program.training import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
-from deepbots_cli.scenario.hyperparameters import ActionNoise as ActionNoiseSpec
-from deepbots_cli.scenario.hyperparameters import Hindsight as HindsightSpec
-from deepbots_cli.scenario.plain import read_schedule
+from deepbots_cli.scenario.fields import read_schedule
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import DiscreteAction
+from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
+from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 
 _ONE_CHOICE = frozenset({"DQN"})
 _CHOICES = frozenset({"DQN", "MaskablePPO"})

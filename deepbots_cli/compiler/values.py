@@ -15,9 +15,7 @@ from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Components, NoNames, Redraw, Report, Rewriting, Scope, Stage, Typed, TypedRange, zero
 from deepbots_cli.expressions.unification import expect, expect_range
-from deepbots_cli.scenario.fields import Leaf, Quantity
-from deepbots_cli.scenario.habits import other_name
-from deepbots_cli.scenario.plain import choose_from
+from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
 
 
 class Text(NamedTuple):
@@ -25,7 +23,7 @@ class Text(NamedTuple):
 
     text: str
     part: Callable[[int, int], Span]
-    kind: Leaf | None = None
+    kind: FieldType | None = None
 
     @property
     def span(self) -> Span:
@@ -63,7 +61,7 @@ class Values:
     is kept in `readings`, for editors.
     """
 
-    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, Leaf], lost: Iterable[str] = ()) -> None:
+    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, FieldType], lost: Iterable[str] = ()) -> None:
         self.root = root
         self.findings = findings
         self.readings: list[Reading] = []

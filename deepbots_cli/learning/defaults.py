@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from deepbots_cli.program import Program
 from deepbots_cli.program.training import ActionNoise, Schedule, Training
-from deepbots_cli.scenario.hyperparameters import ALGORITHMS
+from deepbots_cli.scenario.training import ALGORITHMS
 
 LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}
 """The package of each algorithm that Stable-Baselines3 does not have itself."""
@@ -118,7 +118,7 @@ def effective(scenario: Program, total_timesteps: int) -> list[Effective]:
     library = library_defaults(training.algorithm)
     title = "library default" if library is None else library_of(training.algorithm)
     found = []
-    for name in ALGORITHMS[training.algorithm]:
+    for name in ALGORITHMS[training.algorithm].hyperparameter_names():
         if name in given:
             found.append(Effective(name, given[name], "scenario"))
         elif name in own:

@@ -24,6 +24,7 @@ from deepbots_cli.learning.training import compiled_of, default_build
 from deepbots_cli.program import Program
 from deepbots_cli.program.training import Solved
 from deepbots_cli.runtime.streams import derive
+from deepbots_cli.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def evaluate(
     seed: int | None = None,
     deterministic: bool = True,
     model: ModelName = "best",
-    scenario: Compiled | str | Path | None = None,
+    scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
     video_to: str | Path | None = None,
     copies: int = ROWS,
@@ -135,7 +136,7 @@ def evaluate_cases(
     episodes: int | None = None,
     seed: int | None = None,
     model: ModelName = "best",
-    scenario: Compiled | str | Path | None = None,
+    scenario: Compiled | Scenario | str | Path | None = None,
     allow_code: bool = False,
     build: BuildWorld | None = None,
     on_episode: OnEpisode | None = None,

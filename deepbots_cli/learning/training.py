@@ -35,6 +35,7 @@ from deepbots_cli.learning.trials import AT_ONCE, Trials
 from deepbots_cli.program import Program
 from deepbots_cli.program.training import Training
 from deepbots_cli.runtime.streams import derive
+from deepbots_cli.scenario import Scenario
 
 _KEPT = (
     "networks, optimiser, counts, recent episodes, and the replay buffer of off-policy algorithms; "
@@ -80,7 +81,7 @@ class TrainingResult:
 
 
 def train(
-    scenario: Compiled | str | Path,
+    scenario: Compiled | Scenario | str | Path,
     *,
     run: str | Path | None = None,
     runs: str | Path = "runs",
@@ -98,7 +99,7 @@ def train(
     The first Ctrl-C or SIGTERM ends the training between two steps: the result says `interrupted`.
 
     Args:
-        scenario: What `deepbots_cli.compile` returned, the path of a file, or the name of a shipped scenario.
+        scenario: What `deepbots_cli.compile` returned, a `Scenario`, the path of a file, or the name of a shipped scenario.
         run: The directory to make; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
         runs: Where the default directory is made.
         seed: The root of every random stream, from 0. The same seed on the same machine gives the same weights.
@@ -218,9 +219,9 @@ def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | Non
     return _learn(known, training, Keeper(known, statistics, curriculum, Trials(build, record.seed, tried), best), build, told)
 
 
-def compiled_of(scenario: Compiled | str | Path) -> Compiled:
-    """The scenario as it is, or compiled if a path or the name of a shipped one is given."""
-    return api.compile(scenario) if isinstance(scenario, (str, Path)) else scenario
+def compiled_of(scenario: Compiled | Scenario | str | Path) -> Compiled:
+    """The scenario as it is, or compiled if a `Scenario`, a path or the name of a shipped one is given."""
+    return api.compile(scenario) if isinstance(scenario, (str, Path, Scenario)) else scenario
 
 
 def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:

@@ -6,26 +6,26 @@ from collections.abc import Iterator
 from typing import Any
 
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.scenario.fields import Leaf, Reference
-from deepbots_cli.scenario.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
+from deepbots_cli.scenario.fields import FieldType, Reference
 from deepbots_cli.scenario.scenario import Scenario
 
 _OPTION = Reference("option")
 
 
-def specs(path: Path, data: Any) -> list[Spec]:
+def specs(path: Path, data: Any) -> list[Shape]:
     """Every spec that a value at `path` may have; more than one where the forms of a value are still open."""
     found = list(dict.fromkeys(_specs(Scenario, data, path)))
     # What a script decides is an expression or, which the schema cannot tell apart, one of the options of the action.
     return [_OPTION, *found] if path[:1] == ("scripts",) and len(path) == 3 else found
 
 
-def leaves(path: Path, data: Any) -> list[Leaf]:
+def leaves(path: Path, data: Any) -> list[FieldType]:
     """The single values that may stand there."""
-    return [spec for spec in specs(path, data) if isinstance(spec, Leaf)]
+    return [spec for spec in specs(path, data) if isinstance(spec, FieldType)]
 
 
-def key_of(path: Path, data: Any) -> type[Part] | None:
+def key_of(path: Path, data: Any) -> type[Section] | None:
     """The part that knows the key at the end of `path`; None for a name that the user chose."""
     if not path or not isinstance(path[-1], str):
         return None
@@ -48,8 +48,8 @@ def at(data: Any, path: Path) -> Any:
     return data
 
 
-def _specs(spec: Spec, data: Any, path: Path) -> Iterator[Spec]:
-    if isinstance(spec, Alternatives):
+def _specs(spec: Shape, data: Any, path: Path) -> Iterator[Shape]:
+    if isinstance(spec, Forms):
         for option in _forms(spec, data, bool(path)):
             yield from _specs(option, data, path)
         return
@@ -59,13 +59,13 @@ def _specs(spec: Spec, data: Any, path: Path) -> Iterator[Spec]:
     step, rest = path[0], path[1:]
     below = at(data, (step,))
     match spec:
-        case Listed() if isinstance(step, int):
+        case ListOf() if isinstance(step, int):
             yield from _specs(spec.item, below, rest)
-        case Mapped() if isinstance(step, str):
+        case MappingOf() if isinstance(step, str):
             yield from _specs(spec.value, below, rest)
-        case Leaf() if isinstance(step, int) and not rest:
+        case FieldType() if isinstance(step, int) and not rest:
             yield spec  # a list of names is one value
-        case Leaf() | Listed() | Mapped():
+        case FieldType() | ListOf() | MappingOf():
             return
         case _:
             for part in _parts(spec, data):
@@ -73,21 +73,20 @@ def _specs(spec: Spec, data: Any, path: Path) -> Iterator[Spec]:
                     yield from _specs(fields(part)[str(step)], below, rest)
 
 
-def _forms(spec: Alternatives, data: Any, goes_on: bool) -> tuple[Spec, ...]:
+def _forms(spec: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
     """The forms that are left: that of the data, or all of them while there is little."""
     if isinstance(data, (dict, list)) and data:
         chosen = spec.choose(data)
         if chosen is not None:
             return (chosen,)
     if isinstance(data, str) and data and not goes_on:
-        return tuple(option for option in spec.options if isinstance(option, Leaf)) or spec.options
+        return tuple(option for option in spec.options if isinstance(option, FieldType)) or spec.options
     return spec.options
 
 
-def _parts(spec: Spec, data: Any) -> tuple[type[Part], ...]:
+def _parts(spec: Shape, data: Any) -> tuple[type[Section], ...]:
     """The models whose keys may stand in data of this spec."""
     if isinstance(spec, Kinds):
         found = spec.find(data)
-        every = (*map(spec.model, spec.names), *(model for _, model in spec.marked))
-        return (found,) if found else tuple(dict.fromkeys(every))
+        return (found,) if found else spec.every
     return (spec,) if isinstance(spec, type) else ()

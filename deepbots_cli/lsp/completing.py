@@ -25,16 +25,16 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.functions import Family
 from deepbots_cli.lsp.asking import at, key_of, specs
-from deepbots_cli.lsp.describing import brief, of_key, of_kind
+from deepbots_cli.lsp.describing import brief, of_kind
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.expressing import BODY, Choice, awaited, awaits_unit, begun, choices, functions, is_expression, scope_of, units
 from deepbots_cli.lsp.files import files
 from deepbots_cli.lsp.written import defines, written
-from deepbots_cli.scenario.examples import example_of
-from deepbots_cli.scenario.fields import FilePath, Leaf, Pattern, Quantity, Reference
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
+from deepbots_cli.scenario.docs import about_kind, example_of
+from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.fields import COLOURS, Color, FieldType, FilePath, Pattern, Plain, Quantity, Reference, Word
 from deepbots_cli.scenario.fields import Range as RangeLeaf
-from deepbots_cli.scenario.part import Kinds, Mapped, Part, fields
-from deepbots_cli.scenario.plain import COLOURS, Colour, Switch, Word
 from deepbots_cli.scenario.scenario import VERSION
 
 _INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; what stands beside it is merged over it")
@@ -85,7 +85,7 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
             case Kinds():
                 yield from _kind_keys(spec, at(data, path))
                 yield _INCLUDE
-            case Mapped(key=key):
+            case MappingOf(key=key):
                 yield from _named(view, key, path)
             case type():
                 yield from _part_keys(spec)
@@ -94,9 +94,9 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
         yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _OF_FILES.items())
 
 
-def _part_keys(part: type[Part]) -> Iterator[Choice]:
+def _part_keys(part: type[Section]) -> Iterator[Choice]:
     for key in fields(part):
-        yield Choice(key, CompletionItemKind.Property, brief(part, key), of_key(part, key))
+        yield Choice(key, CompletionItemKind.Property, brief(part, key), hover_text(part, key))
 
 
 def _kind_keys(spec: Kinds, data: Any) -> Iterator[Choice]:
@@ -105,8 +105,8 @@ def _kind_keys(spec: Kinds, data: Any) -> Iterator[Choice]:
         yield from _part_keys(found)
         return
     yield Choice(spec.key, CompletionItemKind.Property, f"one of {', '.join(spec.names)}")
-    for mark, model in spec.marked:
-        yield Choice(mark, CompletionItemKind.Property, brief(model, mark), of_key(model, mark))
+    for mark, model in spec.marked.items():
+        yield Choice(mark, CompletionItemKind.Property, brief(model, mark), hover_text(model, mark))
 
 
 # Values
@@ -117,14 +117,14 @@ def _values(view: View) -> Iterator[CompletionItem]:
     words = list(_word_choices(view, data)) or [*_example(view, data)]
     yield from (_item(view, choice, place.start) for choice in _unique(words))
     for spec in specs(place.path, data):
-        if isinstance(spec, Leaf) and is_expression(spec):
+        if isinstance(spec, FieldType) and is_expression(spec):
             start, is_called = view.offset - len(begun(place.text)), view.document.plain.startswith("(", view.offset)
             for choice in _unique(_in_expression(view, spec, data)):
                 yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
             return
 
 
-def _in_expression(view: View, leaf: Leaf, data: Any) -> Iterator[Choice]:
+def _in_expression(view: View, leaf: FieldType, data: Any) -> Iterator[Choice]:
     """What may come next in an expression; names that no analysis knows yet come as they are written."""
     path, text = view.place.path, view.place.text
     if awaits_unit(text):
@@ -155,21 +155,21 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for spec in specs(path[:-1], data) if path else ():
         if isinstance(spec, Kinds) and spec.key == path[-1]:
-            yield from (Choice(word, CompletionItemKind.EnumMember, spec.key, spec.about(word)) for word in spec.names)
+            yield from (Choice(word, CompletionItemKind.EnumMember, spec.key, about_kind(spec, word)) for word in spec.names)
     if path and path[-1] in ("include", "extends"):
         yield from files(view, (".yaml", ".yml"))
     for spec in specs(path, data):
-        if isinstance(spec, Leaf):
+        if isinstance(spec, FieldType):
             yield from _of_leaf(view, spec, path)
 
 
-def _of_leaf(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
+def _of_leaf(view: View, leaf: FieldType, path: Path) -> Iterator[Choice]:
     match leaf:
         case Word(words=words):
             yield from _words(words, "a word of the language")
-        case Switch():
+        case Plain(base=base) if base is bool:
             yield from _words(("true", "false"), "a switch")
-        case Colour():
+        case Color():
             yield from (Choice(word, CompletionItemKind.Color, "a colour") for word in COLOURS)
         case Reference() | Pattern():
             yield from _named(view, leaf, path)
@@ -179,7 +179,7 @@ def _of_leaf(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
             yield Choice("auto", CompletionItemKind.Keyword, "the range that is known")
         case Quantity(words=words, urdf=urdf):
             yield from _words((*words, *(("urdf",) if urdf else ())), "a word of the language")
-        case Leaf(example=str() as example) if not is_expression(leaf):
+        case FieldType(example=str() as example) if not is_expression(leaf):
             yield Choice(example, CompletionItemKind.Value, of_kind(leaf))
 
 
@@ -190,7 +190,7 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
     return (Choice(word, CompletionItemKind.EnumMember, detail) for word in words)
 
 
-def _named(view: View, leaf: Leaf, path: Path) -> Iterator[Choice]:
+def _named(view: View, leaf: FieldType, path: Path) -> Iterator[Choice]:
     """The names that a reference may mean."""
     checked = view.analysis.checked if view.analysis else None
     if isinstance(leaf, (Reference, Pattern)):

@@ -17,8 +17,8 @@ from deepbots_cli.lsp.diagnosing import Places
 from deepbots_cli.lsp.documents import uri_of
 from deepbots_cli.lsp.files import located
 from deepbots_cli.lsp.pointing import Pointed, piece, pointed
-from deepbots_cli.scenario.fields import FilePath, Leaf, Pattern, Reference
-from deepbots_cli.scenario.part import Mapped
+from deepbots_cli.scenario.base import MappingOf
+from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 
 _START = types.Range(types.Position(0, 0), types.Position(0, 0))
 _ALIAS = re.compile(r"\*([\w-]+)")
@@ -72,9 +72,9 @@ def _by_reference(view: View, found: Pointed) -> list[Span]:
     checked = view.analysis.checked if view.analysis else None
     if checked is None or checked.document.root is None:
         return []
-    kinds: list[Leaf] = leaves(found.path, view.data)
+    kinds: list[FieldType] = leaves(found.path, view.data)
     if found.is_key:
-        kinds = [spec.key for spec in specs(found.path[:-1], view.data) if isinstance(spec, Mapped)]
+        kinds = [spec.key for spec in specs(found.path[:-1], view.data) if isinstance(spec, MappingOf)]
     for leaf in kinds:
         if isinstance(leaf, (Reference, Pattern)):
             fitting = [known.span for known in names(checked, leaf.kind, found.path) if fnmatchcase(known.name, found.text) and known.span]

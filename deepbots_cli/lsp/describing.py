@@ -7,27 +7,21 @@ from collections.abc import Iterable
 from deepbots_cli.diagnostics.registry import RETIRED, RULES
 from deepbots_cli.expressions.functions import Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Shape, Symbol, Type, shown
+from deepbots_cli.expressions.types import Shape as PictureShape
+from deepbots_cli.expressions.types import Symbol, Type, shown
 from deepbots_cli.rules.pages import pages_of
-from deepbots_cli.scenario.hover import hover
-from deepbots_cli.scenario.part import Part, Spec, fields, noun_of
+from deepbots_cli.scenario.base import Section, Shape, fields, noun_of
 
 _LONGEST = 120
 
 
-def of_key(part: type[Part], key: str) -> str:
-    """A key of the language: what it takes, what it is for, its unit, its default, an example."""
-    spec = fields(part)[key]
-    return f"**{key}**: {noun_of(spec)}\n\n{hover(part, key, spec)['markdownDescription']}"
-
-
-def brief(part: type[Part], key: str) -> str:
+def brief(part: type[Section], key: str) -> str:
     """The same in a few words, behind the key in a list."""
     noun = noun_of(fields(part)[key])
     return noun if len(noun) <= _LONGEST else f"{noun[:_LONGEST]}…"
 
 
-def of_kind(spec: Spec) -> str:
+def of_kind(spec: Shape) -> str:
     """What a value of a spec is, with an example where there is one."""
     example = getattr(spec, "example", None)
     return f"{noun_of(spec)}, such as `{example}`" if example else noun_of(spec)
@@ -50,7 +44,7 @@ def of_type(known: Type) -> str:
     return ", ".join([*words, known.stage.words])
 
 
-def _picture(shape: Shape) -> str:
+def _picture(shape: PictureShape) -> str:
     rows, columns, channels = shape
     return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
 

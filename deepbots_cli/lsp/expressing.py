@@ -20,7 +20,7 @@ from deepbots_cli.expressions.types import Context, Kind, Scope, Type
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.describing import of_function, of_symbol
 from deepbots_cli.lsp.pointing import ignored
-from deepbots_cli.scenario.fields import MEASURES, Column, Expression, Leaf, Quantity, Range
+from deepbots_cli.scenario.fields import MEASURES, Column, Expression, FieldType, Quantity, Range
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")
 _BEHIND_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
@@ -50,11 +50,11 @@ class Choice(NamedTuple):
     doc: str = ""
 
 
-def is_expression(leaf: Leaf) -> bool:
+def is_expression(leaf: FieldType) -> bool:
     return isinstance(leaf, (Expression, Quantity, Range, Column))
 
 
-def scope_of(analysis: Analysis, leaf: Leaf, path: Path) -> Scope | None:
+def scope_of(analysis: Analysis, leaf: FieldType, path: Path) -> Scope | None:
     """What an expression at `path`, of a field of this kind, may see."""
     checked = analysis.checked
     if checked is None or checked.namespace is None:
@@ -85,7 +85,7 @@ def awaits_unit(text: str) -> bool:
     return "." not in word and _BEHIND_NUMBER.search(text[: len(text) - len(word)]) is not None
 
 
-def awaited(text: str, leaf: Leaf) -> str:
+def awaited(text: str, leaf: FieldType) -> str:
     """What kind of name may come at the end of `text`, in the words of `written`."""
     word = begun(text)
     if _subjects(text[: len(text) - len(word)]) is not None:
@@ -114,7 +114,7 @@ def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
         yield Choice(said, CompletionItemKind.Keyword, "", doc)
 
 
-def units(text: str, leaf: Leaf) -> Iterator[Choice]:
+def units(text: str, leaf: FieldType) -> Iterator[Choice]:
     """All of them, those in which a field of this kind is measured first, and what may follow a plain number.
 
     What goes on behind a `*` or `/` is a single one, and no `N*m`.
@@ -130,7 +130,7 @@ def units(text: str, leaf: Leaf) -> Iterator[Choice]:
         yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
 
 
-def _measures(leaf: Leaf) -> list[str]:
+def _measures(leaf: FieldType) -> list[str]:
     if not isinstance(leaf, (Quantity, Range, Column)):
         return []
     return [measure for measure in (leaf.dimension, *leaf.dimension.split(" or ")) if measure in MEASURES and measure != "any"]

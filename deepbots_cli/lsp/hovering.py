@@ -13,11 +13,13 @@ from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lsp.asking import key_of, leaves, specs
-from deepbots_cli.lsp.describing import of_finding, of_function, of_key, of_kind, of_symbol, of_type
+from deepbots_cli.lsp.describing import of_finding, of_function, of_kind, of_symbol, of_type
 from deepbots_cli.lsp.desk import View
 from deepbots_cli.lsp.pointing import Piece, Pointed, piece, pointed
-from deepbots_cli.scenario.fields import Leaf, Pattern, Reference
-from deepbots_cli.scenario.part import Kinds, Mapped
+from deepbots_cli.scenario.base import Kinds, MappingOf
+from deepbots_cli.scenario.docs import about_kind
+from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.fields import FieldType, Pattern, Reference
 
 _CODE = re.compile(r"DB\d{3}")
 _LONGEST = 300
@@ -114,9 +116,9 @@ def _of_key(view: View, found: Pointed) -> str | None:
         return f"**{found.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
     part = key_of(found.path, view.data)
     if part is not None:
-        return of_key(part, str(found.path[-1]))
+        return hover_text(part, str(found.path[-1]))
     for spec in specs(found.path[:-1], view.data):
-        if isinstance(spec, Mapped):
+        if isinstance(spec, MappingOf):
             own = _of_reference(view, found, spec.key) or _of_own_name(view, found)
             return own or f"`{found.text}`: a name of your choice, for {of_kind(spec.value)}"
     return None
@@ -155,13 +157,13 @@ def _of_value(view: View, found: Pointed) -> str | None:
             return named
     kinds = _kinds(view, found)
     if kinds is not None and found.text in kinds.names:
-        return f"`{found.text}`: {kinds.about(found.text)}"
+        return f"`{found.text}`: {about_kind(kinds, found.text)}"
     steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
     part = key_of(steps, view.data)
-    return of_key(part, str(steps[-1])) if part is not None else None
+    return hover_text(part, str(steps[-1])) if part is not None else None
 
 
-def _of_reference(view: View, found: Pointed, leaf: Leaf) -> str | None:
+def _of_reference(view: View, found: Pointed, leaf: FieldType) -> str | None:
     checked = view.analysis.checked if view.analysis else None
     if checked is None or not isinstance(leaf, (Reference, Pattern)):
         return None

@@ -1,32 +1,184 @@
-"""Field kinds: what a single value of a scenario may be, and what the compiler is to make of it.
+"""Field types: what a single value of a scenario may be, and what the compiler makes of it.
 
-A kind stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It checks the
-form of the value (a text, a number, a range), supplies the words of a finding, and is handed on
-by `walk.visit`. Units, names and expressions inside a text are the compiler's to read.
+A field type stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It checks the form of the value
+(a text, a number, a range), raises errors with the code, headline and help of a finding, says what an editor may offer, and is handed
+to the compiler by `base.visit`. Units, names and expressions inside a text are read by the compiler. Whole numbers, truth values,
+texts and words are pydantic's own types; `validate.py` words their errors.
+
+A value is kept as it is written. The aliases at the end name the field types that several sections use; those that begin with
+`Randomizable` may be drawn anew in every episode.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from deepbots_cli.diagnostics.nearest import Meant
-from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.scenario.refusal import at, mismatch, problem
+from annotated_types import Ge, Le
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, Strict, StringConstraints, ValidationError, ValidationInfo
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
+from deepbots_cli.expressions.types import Rewriting, shown
 
 Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
 JsonSchema = dict[str, object]
 
-# Beyond this a number means nothing physical, and arithmetic on it overflows.
 LARGEST = 1e30
+"""Beyond this a number means nothing physical, and arithmetic on it overflows."""
+_LISTED = 24
+_NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
+GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
+"""Digits in groups of three: a number here, and a text to other readers of YAML 1.2, which editors are."""
 
 
-class Leaf:
-    """The kind of a single value."""
+# Errors
+
+
+def error(
+    code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), meant: Meant | None = None
+) -> PydanticCustomError:
+    """An error with the parts of a finding; `missing` are keys, `meant` is what to write instead of the whole value."""
+    context = {"headline": headline, "help": help, "missing": missing, "meant": meant}
+    return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
+
+
+def mismatch(expected: str, help: str | None = None, meant: Meant | None = None, *, value: object) -> PydanticCustomError:
+    """A value of the wrong type; `validate` says how it is written in the file."""
+    refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, meant=meant)
+    refused.context["expected"] = expected  # type: ignore[index]
+    return refused
+
+
+def at(step: str | int, refused: PydanticCustomError) -> ValidationError:
+    """The same error one step further down."""
+    return ValidationError.from_exception_data("", [InitErrorDetails(type=refused, loc=(step,), input=None)])
+
+
+def article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+# Words that were probably meant
+
+_OTHER_NAMES = {
+    "cartesian": "ik inverse_kinematics end_effector eef ee tcp osc operational_space cartesian_position task_space",
+    "velocity_motor": "velocity velocity_control motor wheel wheels",
+    "position_motor": "position position_control servo pd pid",
+    "torque_motor": "torque torque_control effort",
+    "thrust": "rotor propeller thruster",
+    "gripper": "finger fingers parallel_gripper hand",
+    "joint_position": "encoder joint_angle joint_pos qpos",
+    "joint_velocity": "joint_speed joint_vel qvel",
+    "joint_torque": "joint_effort",
+    "inclinometer": "tilt",
+    "compass": "magnetometer",
+    "position": "gps",
+    "touch": "bumper contact collision",
+    "force": "force_torque ft wrench",
+    "infrared": "ir proximity",
+    "sonar": "ultrasonic ultrasound",
+    "laser": "rangefinder ray",
+    "lidar": "laser_scanner laser_scan scanner rays",
+    "reflectance": "line_sensor ground_sensor",
+    "camera": "rgb image picture vision",
+    "box": "cube cuboid block",
+    "sphere": "ball",
+    "cylinder": "disc disk puck",
+    "any": "random rand uniform arbitrary",
+}
+"""Words of the language with their names elsewhere."""
+
+
+def other_name(word: str, known: Iterable[str]) -> str | None:
+    """The one of the `known` words that other tools call `word`."""
+    plain = word.lower().replace("-", "_").replace(" ", "_")
+    return next((ours for ours in known if plain in _OTHER_NAMES.get(ours, "").split()), None)
+
+
+def choose_from(word: str, words: Sequence[str]) -> str:
+    """The help of an unknown word: what was probably meant, and what there is."""
+    near = other_name(word, words) or nearest(word, words)
+    listed = shown((f"`{known}`" for known in words), _LISTED)
+    return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
+
+
+def word_meant(word: str, words: Sequence[str]) -> Meant | None:
+    """The word of the language that was probably meant, as something to write."""
+    other = other_name(word, words)
+    return Meant(other, safe=False) if other else meant(word, words, ours=True)
+
+
+_ENDS = rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*"
+
+
+def _range_meant(value: object) -> str | None:
+    """The range that two numbers in a list, or with another sign between them, were meant to be."""
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
+        return f"{value[0]:g} .. {value[1]:g}"
+    ends = re.fullmatch(_ENDS, value) if isinstance(value, str) else None
+    return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
+
+
+def count_meant(value: object) -> str | None:
+    """The whole number that `200k` or `1e5` was meant to be."""
+    if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:  # below, a point may have parted thousands
+        return f"{int(value):_}"
+    found = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
+    return f"{int(found[1]) * (1_000_000 if found[2] == 'M' else 1_000):_}" if found else None
+
+
+# Checks of numbers
+
+
+def check_bounds(value: float, minimum: float | None, maximum: float | None, *, exclusive: bool = False) -> None:
+    """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
+    if not -LARGEST <= value <= LARGEST:
+        is_nan = isinstance(value, float) and math.isnan(value)
+        raise error("DB105", "a value that is no number" if is_nan else "a number too large to be meant")
+    if minimum is not None and (value < minimum or (exclusive and value == minimum)):
+        help = f"give {'more than' if exclusive else 'at least'} {minimum:g}"
+        raise error("DB105", f"`{value}` is below the smallest allowed value", help)
+    if maximum is not None and value > maximum:
+        raise error("DB105", f"`{value}` is above the largest allowed value", f"give at most {maximum:g}")
+
+
+def _check_fraction(value: float) -> None:
+    """Raise DB105 for a number that is a fraction only if it counts hundredths."""
+    if 1 < value <= 100:
+        help = f"give at most 1; a share in hundredths is written `{value:g} %`"
+        raise error("DB105", f"`{value:g}` is above the largest allowed value", help)
+
+
+def count_literal(text: str) -> int | None:
+    """How many numbers a literal such as `1 1 m` holds; None if `text` is no literal, as `1 1 scale` with a parameter."""
+    words = text.split()
+    numbers = next((i for i, word in enumerate(words) if not re.fullmatch(_NUMBER, word)), len(words))
+    rest = words[numbers:]
+    is_unit = len(rest) == 1 and re.fullmatch(_UNIT, rest[0]) and all(name in UNITS for name in re.findall(r"[A-Za-z%]+", rest[0]))
+    return numbers if numbers and (not rest or is_unit) else None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+# Field types
+
+
+class FieldType:
+    """The type of a single value."""
 
     @property
     def noun(self) -> str:
@@ -43,26 +195,23 @@ class Leaf:
         """What a list of them is called."""
         return f"{self.noun.split(' ', 1)[1]}s"
 
-    def bound(self, annotation: object) -> Leaf:
-        """The same kind, completed by the type it annotates."""
-        return self
-
     def holds(self, value: object) -> bool:
-        """Whether `value` has the right form at all; what it says is up to `examine`."""
+        """Whether `value` has the right form at all; `check` looks at what it says."""
         return isinstance(value, str)
 
-    def examine(self, value: object) -> None:
-        """Raise a `problem` if a value of the right form cannot be meant."""
+    def check(self, value: Any) -> None:
+        """Raise an `error` if a value of the right form cannot be meant."""
 
-    def check(self, value: object) -> object:
+    def validate(self, value: object) -> object:
         if not self.holds(value):
-            raise mismatch(self.noun, self.help_for(value), self.meant_by(value))
+            raise mismatch(self.noun, self.help_for(value), self.meant_by(value), value=value)
         if isinstance(value, str) and not value.strip():
-            raise problem("DB107", "is empty", self.help_for(value))
-        self.examine(value)
+            raise error("DB107", "is empty", self.help_for(value))
+        self.check(value)
         return value
 
     def help_for(self, value: object) -> str | None:
+        """What to write instead of a value of the wrong form."""
         return f"write it like `{self.example}`" if self.example else None
 
     def meant_by(self, value: object) -> Meant | None:
@@ -72,59 +221,149 @@ class Leaf:
     def json_schema(self) -> JsonSchema:
         return {"type": "string"}
 
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(self._validate)
 
-# What each measure is called in a sentence, and how one is written.
-MEASURES: Mapping[str, tuple[str, str]] = {
-    "length": ("a length", "0.5 m"),
-    "time": ("a duration", "32 ms"),
-    "angle": ("an angle", "15 deg"),
-    "mass": ("a mass", "0.5 kg"),
-    "density": ("a density", "1000 kg/m^3"),
-    "number": ("a number", "0.5"),
-    "speed": ("a speed", "2 m/s"),
-    "angular speed": ("an angular speed", "5 rad/s"),
-    "acceleration": ("an acceleration", "9.81 m/s^2"),
-    "angular acceleration or acceleration": ("an angular acceleration or an acceleration", "20 rad/s^2"),
-    "force": ("a force", "0.15 N"),
-    "torque": ("a torque", "0.5 N*m"),
-    "torque or force": ("a torque or a force", "10 N*m"),
-    "stiffness": ("a stiffness", "40 N*m/rad"),
-    "damping": ("a damping", "0.1 N*m*s/rad"),
-    "angle or length": ("an angle or a length", "15 deg"),
-    "angular speed or speed": ("an angular speed or a speed", "5 rad/s"),
-    "reading": ("a figure in the unit of the sensor", "0.01 rad"),
-    "any": ("a quantity", "0.5 m"),
-}
+    def _validate(self, value: object, info: ValidationInfo) -> object:
+        """Of a file, whose validation has a context, the compiler says what is wrong inside of a text, at the exact place."""
+        checked = self.validate(value)
+        if info.context is None and isinstance(value, str):
+            self.check_text(value)
+        return checked
 
-# A bare number is in SI units in these; in the others the compiler asks for a unit.
-_BARE = frozenset({"length", "mass", "number"})
-_NUMBER = r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?"
-_UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
+    def check_text(self, text: str) -> None:
+        """Raise an `error` for what is wrong inside of a text, whatever the scenario around it."""
+        if isinstance(self, (Quantity, Range, Expression)):
+            _parsed(text)
 
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        return self.json_schema()
 
-def count_literal(text: str) -> int | None:
-    """How many numbers a literal such as `1 1 m` holds; None if `text` is no literal, as `1 1 scale` with a parameter."""
-    words = text.split()
-    numbers = 0
-    while numbers < len(words) and re.fullmatch(_NUMBER, words[numbers]):
-        numbers += 1
-    rest = words[numbers:]
-    is_literal = numbers > 0 and (not rest or (len(rest) == 1 and _is_unit(rest[0])))
-    return numbers if is_literal else None
-
-
-def _is_unit(word: str) -> bool:
-    return re.fullmatch(_UNIT, word) is not None and all(name in UNITS for name in re.findall(r"[A-Za-z%]+", word))
+    def _matching(self, pattern: str, *types: str, **more: object) -> JsonSchema:
+        """The schema of texts that match, and of values of other `types`; numbers in groups of digits are texts to editors."""
+        message = f"expected {self.noun}" + (f", such as `{self.example}`" if self.example else "")
+        return {"type": [*types, "string"] if types else "string", **more, "pattern": pattern, "patternErrorMessage": message}
 
 
 @dataclass(frozen=True)
-class Quantity(Leaf):
+class Plain(FieldType):
+    """How an `int`, a `bool` or a `str`, which pydantic validates itself, is called, and its bounds."""
+
+    base: type
+    minimum: int | None = None
+    maximum: int | None = None
+
+    @classmethod
+    def of(cls, base: type, metadata: Iterable[object]) -> Plain:
+        bounds = {"minimum" if isinstance(item, Ge) else "maximum": item for item in metadata if isinstance(item, (Ge, Le))}
+        return cls(base, **{name: item.ge if isinstance(item, Ge) else item.le for name, item in bounds.items()})  # type: ignore[arg-type]
+
+    @property
+    def noun(self) -> str:
+        return {int: "a whole number", bool: "`true` or `false`"}.get(self.base, "a text")
+
+    def holds(self, value: object) -> bool:
+        return isinstance(value, self.base) and not (self.base is int and isinstance(value, bool))
+
+    def help_for(self, value: object) -> str | None:
+        if self.base is bool and value in ("true", "false"):
+            return f"write `{value}` without quotes"
+        near = self.meant_by(value) or (count_meant(value) and Meant(count_meant(value) or "", safe=False) if self.base is int else None)
+        return (near and f"write `{near.text}`{'; digits are grouped as in `100_000`' if self.base is int else ''}") or None
+
+    def meant_by(self, value: object) -> Meant | None:
+        if not isinstance(value, str) or self.base is str:
+            return None
+        words = {"on": "true", "yes": "true", "off": "false", "no": "false"}
+        near = count_meant(value) if self.base is int else words.get(value.lower())
+        return Meant(near, safe=True) if near else None
+
+    def check(self, value: Any) -> None:
+        if self.base is int:
+            check_bounds(value, self.minimum, self.maximum)
+
+    def json_schema(self) -> JsonSchema:
+        if self.base is int:
+            return self._matching(f"^{GROUPED}$", "integer", minimum=self.minimum, maximum=self.maximum)
+        return {"type": "boolean" if self.base is bool else "string"}
+
+
+@dataclass(frozen=True)
+class Word(FieldType):
+    """How a `Literal`, which pydantic validates itself, is called."""
+
+    words: tuple[str, ...]
+
+    @property
+    def noun(self) -> str:
+        return f"one of {', '.join(f'`{word}`' for word in self.words)}"
+
+    def check(self, value: Any) -> None:
+        if value not in self.words:
+            raise error("DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), meant=word_meant(value, self.words))
+
+    def json_schema(self) -> JsonSchema:
+        return {"enum": list(self.words)}
+
+
+MEASURES: Mapping[str, tuple[str, str, str]] = {
+    "length": ("a length", "0.5 m", "m"),
+    "time": ("a duration", "32 ms", "s"),
+    "angle": ("an angle", "15 deg", "rad"),
+    "mass": ("a mass", "0.5 kg", "kg"),
+    "density": ("a density", "1000 kg/m^3", "kg/m^3"),
+    "number": ("a number", "0.5", "1"),
+    "speed": ("a speed", "2 m/s", "m/s"),
+    "angular speed": ("an angular speed", "5 rad/s", "rad/s"),
+    "acceleration": ("an acceleration", "9.81 m/s^2", "m/s^2"),
+    "angular acceleration or acceleration": ("an angular acceleration or an acceleration", "20 rad/s^2", "rad/s^2 or m/s^2"),
+    "force": ("a force", "0.15 N", "N"),
+    "torque": ("a torque", "0.5 N*m", "N*m"),
+    "torque or force": ("a torque or a force", "10 N*m", "N*m or N"),
+    "stiffness": ("a stiffness", "40 N*m/rad", "N*m/rad or N/m"),
+    "damping": ("a damping", "0.1 N*m*s/rad", "N*m*s/rad or N*s/m"),
+    "angle or length": ("an angle or a length", "15 deg", "rad or m"),
+    "angular speed or speed": ("an angular speed or a speed", "5 rad/s", "rad/s or m/s"),
+    "reading": ("a figure in the unit of the sensor", "0.01 rad", "of the sensor"),
+    "any": ("a quantity", "0.5 m", "of the value"),
+}
+"""What each measure is called in a sentence, how one is written, and the unit in which it is kept."""
+
+_BARE = frozenset({"length", "mass", "number"})
+"""The measures of which a bare number is in SI units; for the others the compiler asks for a unit."""
+
+
+def _parsed(text: str) -> syntax.Node | None:
+    """The tree of an expression; raises its first syntax error."""
+
+    def report(
+        code: str,
+        start: int,
+        end: int,
+        headline: str,
+        help: str | None = None,
+        notes: tuple[str, ...] = (),
+        meant: Meant | Rewriting | None = None,
+    ) -> None:
+        raise error(code, headline, help)
+
+    return parser.parse(text, report)
+
+
+def _dimension(unit: str) -> Dimension:
+    """The dimension of a unit such as `N*m`; `1` is that of plain numbers."""
+    tree = parser.parse(f"1 {unit}" if unit != "1" else unit, lambda *_, **__: None)
+    return tree.unit.dimension if isinstance(tree, syntax.Number) and tree.unit else NUMBER
+
+
+@dataclass(frozen=True)
+class Quantity(FieldType):
     """A number with a unit, a parameter, or an expression up to `stage`.
 
     `dimension` is a key of `MEASURES`; `components` is the length of a vector. Bounds are in SI units; with `exclusive` the
-    minimum itself is refused. `urdf` may stand for the figure of the robot file, `words` are accepted as they
-    are, `relative` also takes a percentage of the value, `whole` numbers have no fraction; `like` is an example. A number of at
-    least 1 that lacks its unit is probably in the `usual` one, if it is not in that of SI.
+    minimum itself is refused. `urdf` may stand for the value of the robot file, `words` are accepted as they are, `relative` also
+    takes a percentage of the value, `whole` numbers have no fraction; `like` is an example. A number of at least 1 that lacks
+    its unit is probably in the `usual` one, if it is not in that of SI.
     """
 
     dimension: str
@@ -156,37 +395,46 @@ class Quantity(Leaf):
         return self.like or " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def holds(self, value: object) -> bool:
-        return isinstance(value, Scalar) and not isinstance(value, bool)
+        return isinstance(value, str) or _is_number(value)
 
-    def examine(self, value: object) -> None:
+    def check(self, value: Any) -> None:
         if isinstance(value, str):
             found = count_literal(value)
             if found is not None:
-                self._examine_length(found)
-        elif isinstance(value, (int, float)):
-            self._examine_length(1)
-            if self.dimension == "number" and self.maximum == 1:
-                examine_fraction(value)
-            examine_bounds(value, None if self.dimension not in _BARE else self.minimum, self.maximum, exclusive=self.exclusive)
-            if self.whole and value != int(value):
-                raise mismatch(self.noun)
+                self._check_length(found)
+            return
+        self._check_length(1)
+        if self.dimension == "number" and self.maximum == 1:
+            _check_fraction(value)
+        check_bounds(value, None if self.dimension not in _BARE else self.minimum, self.maximum, exclusive=self.exclusive)
+        if self.whole and value != int(value):
+            raise mismatch(self.noun, value=value)
 
-    def _examine_length(self, found: int) -> None:
+    def _check_length(self, found: int) -> None:
         if found != (self.components or 1):
-            raise problem("DB106", f"expected {count(self.components or 1, 'number')}, found {found}", self.help_for(None))
+            raise error("DB106", f"expected {count(self.components or 1, 'number')}, found {found}", self.help_for(None))
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, list) and self.components:
             return f"write the numbers in one text, like `{self.example}`"
         return super().help_for(value)
 
+    def check_text(self, text: str) -> None:
+        tree = _parsed(text)
+        unit, known = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
+        if unit is not None and not known[0].startswith("of ") and unit.text != "%" and unit.dimension not in map(_dimension, known):
+            raise error("DB503", f"`{text[:60]}` is no {self.noun.split(' ', 1)[1]}", self.help_for(None))
+        match tree:
+            case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
+                raise error("DB501", f"unknown unit `{word}`", choose_from(word, tuple(UNITS)))
+
     def json_schema(self) -> JsonSchema:
         return {"type": ["number", "string"] if self.components is None else "string"}
 
 
 @dataclass(frozen=True)
-class Column(Leaf):
-    """Any number of figures with one unit, such as `0 5 10 mm`."""
+class Column(FieldType):
+    """Any number of numbers with one unit, such as `0 5 10 mm`."""
 
     dimension: str
 
@@ -194,49 +442,21 @@ class Column(Leaf):
     example = "0 5 10"
 
     def holds(self, value: object) -> bool:
-        return isinstance(value, Scalar) and not isinstance(value, bool)
+        return isinstance(value, str) or _is_number(value)
 
-    def examine(self, value: object) -> None:
-        if isinstance(value, (int, float)):
-            examine_bounds(value, None, None)
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            check_bounds(value, None, None)
 
     def json_schema(self) -> JsonSchema:
         return {"type": ["number", "string"]}
 
 
-def count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def examine_bounds(value: float, minimum: float | None, maximum: float | None, *, exclusive: bool = False) -> None:
-    """Raise DB105 unless `value` is finite and inside."""
-    if not -LARGEST <= value <= LARGEST:
-        raise problem("DB105", "a number too large to be meant" if not _is_nan(value) else "a value that is no number")
-    if minimum is not None and (value < minimum or (exclusive and value == minimum)):
-        raise problem(
-            "DB105", f"`{value}` is below the smallest allowed value", f"give {'more than' if exclusive else 'at least'} {minimum:g}"
-        )
-    if maximum is not None and value > maximum:
-        raise problem("DB105", f"`{value}` is above the largest allowed value", f"give at most {maximum:g}")
-
-
-def examine_fraction(value: float) -> None:
-    """Raise DB105 for a number that is a fraction only if it counts hundredths."""
-    if 1 < value <= 100:
-        help = f"give at most 1; a share in hundredths is written `{value:g} %`"
-        raise problem("DB105", f"`{value:g}` is above the largest allowed value", help)
-
-
-def _is_nan(value: float) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
 @dataclass(frozen=True)
-class Range(Leaf):
+class Range(FieldType):
     """Two bounds, `lo .. hi unit`; with `auto` that word takes the interval that is known."""
 
     dimension: str
-    components: int | None = None
     auto: bool = False
 
     noun = "a range"
@@ -246,19 +466,15 @@ class Range(Leaf):
         unit = "" if self.dimension == "any" else MEASURES[self.dimension][1].partition(" ")[2]
         return f"-1 .. 1 {unit}".strip()
 
-    def examine(self, value: object) -> None:
-        if ".." not in str(value) and not (self.auto and value == "auto"):
-            raise mismatch(self.noun, self.help_for(value), self.meant_by(value))
+    def check(self, value: Any) -> None:
+        if ".." not in value and not (self.auto and value == "auto"):
+            raise mismatch(self.noun, self.help_for(value), self.meant_by(value), value=value)
 
-    def help_for(self, value: object) -> str | None:
-        from deepbots_cli.scenario.habits import range_meant
-
-        return f"write it like `{range_meant(value) or self.example}`{', or `auto`' if self.auto else ''}"
+    def help_for(self, value: object) -> str:
+        return f"write it like `{_range_meant(value) or self.example}`{', or `auto`' if self.auto else ''}"
 
     def meant_by(self, value: object) -> Meant | None:
-        from deepbots_cli.scenario.habits import range_meant
-
-        near = range_meant(value) if isinstance(value, str) else None
+        near = _range_meant(value) if isinstance(value, str) else None
         return Meant(near, safe=False) if near else None
 
     def json_schema(self) -> JsonSchema:
@@ -266,7 +482,7 @@ class Range(Leaf):
 
 
 @dataclass(frozen=True)
-class Expression(Leaf):
+class Expression(FieldType):
     """A text of the expression language, evaluated in `context`.
 
     `boolean` says whether it must be a condition (True), must be a number (False), or may be either (None).
@@ -293,24 +509,20 @@ class Expression(Leaf):
             return self.boolean is not False
         return isinstance(value, str if self.boolean else Scalar)
 
-    def examine(self, value: object) -> None:
+    def check(self, value: Any) -> None:
         if isinstance(value, (int, float)):
-            examine_bounds(value, None, None)
+            check_bounds(value, None, None)
 
     def json_schema(self) -> JsonSchema:
-        types: dict[bool | None, list[str]] = {
-            True: ["string", "boolean"],
-            False: ["string", "number"],
-            None: ["string", "number", "boolean"],
-        }
-        return {"type": types[self.boolean]}
+        others = {True: ["boolean"], False: ["number"], None: ["number", "boolean"]}[self.boolean]
+        return {"type": ["string", *others]}
 
 
 _SEVERAL = {"joints": "joint", "links": "link", "bodies or links": "body or link"}
 
 
 @dataclass(frozen=True)
-class Reference(Leaf):
+class Reference(FieldType):
     """The name of something that the scenario or the robot file defines.
 
     The plural kinds hold one name, pattern or group, or a list of them.
@@ -331,16 +543,16 @@ class Reference(Leaf):
         return f"{self.kind} names"
 
     def holds(self, value: object) -> bool:
-        return isinstance(value, str) or (self.several and isinstance(value, list))
+        return isinstance(value, str) or (self.several and isinstance(value, (list, tuple)))
 
-    def check(self, value: object) -> object:
-        if not (self.several and isinstance(value, list)):
-            return super().check(value)
+    def validate(self, value: object) -> object:
+        if not (self.several and isinstance(value, (list, tuple))):
+            return super().validate(value)
         if not value:
-            raise problem("DB107", "is empty")
+            raise error("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise at(index, mismatch(f"the name of {article(_SEVERAL[self.kind])}"))
+                raise at(index, mismatch(f"the name of {article(_SEVERAL[self.kind])}", value=item))
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:
@@ -348,12 +560,8 @@ class Reference(Leaf):
         return {"type": ["string", "array"], "items": one, "minItems": 1} if self.several else one
 
 
-def article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
-
-
 @dataclass(frozen=True)
-class Pattern(Leaf):
+class Pattern(FieldType):
     """A name, or a pattern such as `wheel_*` over the names of this kind."""
 
     kind: str
@@ -368,7 +576,7 @@ class Pattern(Leaf):
 
 
 @dataclass(frozen=True)
-class FilePath(Leaf):
+class FilePath(FieldType):
     """A file of this kind, relative to the file that names it, or the name of a shipped one."""
 
     kind: str
@@ -376,3 +584,298 @@ class FilePath(Leaf):
     @property
     def noun(self) -> str:
         return f"the path of {article(self.kind)}"
+
+
+BUILT_IN = frozenset(
+    {"time", "step", "episode_return", "previous_action", "previous_reward", "terminated", "truncated", "ended", "goal_reached"}
+    | {"ground", "arena", "pi", "true", "false"}
+)
+"""Values that every scenario has."""
+GRAMMAR = frozenset(["and", "or", "not", "when", "every", "each", "auto", "any", "urdf"])
+"""Words that expressions read as their grammar, and fields as values of their own."""
+NAME = r"[a-z_][a-z0-9_]*"
+LONGEST = 64
+
+
+@dataclass(frozen=True)
+class Name(FieldType):
+    """A name in lower case; a `shared` one lies in the flat namespace of the scenario, where some are taken."""
+
+    shared: bool = False
+
+    noun = "a name"
+
+    def check(self, value: Any) -> None:
+        if not re.fullmatch(NAME, value):
+            suggestion = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:LONGEST]).lower()).strip("_")
+            likely = f", such as `{suggestion}`" if re.fullmatch(NAME, suggestion) else ""
+            help = f"use lower-case letters, digits and `_`, and do not begin with a digit{likely}"
+            raise error("DB105", f"`{value[:40]}` cannot be a name", help)
+        if len(value) > LONGEST:
+            raise error("DB105", f"a name of {len(value)} characters", f"use at most {LONGEST}")
+        if self.shared:
+            taken = {"the name of a unit": UNITS, "built in": BUILT_IN, "a word of the language": GRAMMAR}
+            for what, names in taken.items():
+                if value in names:
+                    raise error("DB105", f"`{value}` is {what}", "choose another name")
+
+    def json_schema(self) -> JsonSchema:
+        about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
+        return {"pattern": f"^{NAME}$", "title": "name", "description": about, "patternErrorMessage": about}
+
+
+@dataclass(frozen=True)
+class Real(FieldType):
+    """A plain number; a text that matches `text` is accepted as well."""
+
+    minimum: float | None = None
+    exclusive: bool = False
+    text: str | None = None
+
+    noun = "a number"
+
+    def holds(self, value: object) -> bool:
+        if isinstance(value, str):
+            return self.text is not None and re.fullmatch(self.text, value) is not None
+        return _is_number(value)
+
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            check_bounds(value, self.minimum, None, exclusive=self.exclusive)
+
+    def json_schema(self) -> JsonSchema:
+        bounds = {} if self.minimum is None else {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum}
+        return self._matching(f"^({self.text}|{GROUPED})$" if self.text else f"^{GROUPED}$", "number", **bounds)
+
+
+_PERCENT = rf"\s*({_NUMBER})\s*%\s*"
+
+
+def read_fraction(text: str) -> float:
+    """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
+    percent = re.fullmatch(_PERCENT, text)
+    return float(percent[1]) / 100 if percent else float(text)
+
+
+class Fraction(FieldType):
+    """A number from 0 to 1, or a percentage, which becomes one."""
+
+    noun = "a number from 0 to 1"
+    example = "0.9"
+
+    def holds(self, value: object) -> bool:
+        return re.fullmatch(_PERCENT, value) is not None if isinstance(value, str) else _is_number(value)
+
+    def validate(self, value: object) -> object:
+        super().validate(value)
+        return read_fraction(value) if isinstance(value, str) else value
+
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            _check_fraction(value)
+        check_bounds(read_fraction(value) if isinstance(value, str) else value, 0, 1)
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(rf"^({_PERCENT}|{GROUPED})$", "number", minimum=0, maximum=1)
+
+
+@dataclass(frozen=True)
+class Text(FieldType):
+    """A text that matches `pattern`; another one is refused with `refused` as its headline, or is no such thing at all."""
+
+    name: str
+    pattern: str
+    like: str
+    refused: str = ""
+    help: str = ""
+
+    @property
+    def noun(self) -> str:
+        return self.name
+
+    @property
+    def example(self) -> str:
+        return self.like
+
+    def check(self, value: Any) -> None:
+        if not re.fullmatch(self.pattern, value, re.ASCII):
+            raise error("DB105", self.refused, self.help) if self.refused else mismatch(self.noun, self.help_for(value), value=value)
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(f"^{self.pattern}$")
+
+
+COLOURS = {
+    "black": (0.1, 0.1, 0.1),
+    "white": (0.95, 0.95, 0.95),
+    "grey": (0.6, 0.6, 0.6),
+    "red": (0.85, 0.2, 0.2),
+    "green": (0.25, 0.65, 0.3),
+    "blue": (0.2, 0.4, 0.8),
+    "yellow": (0.95, 0.85, 0.2),
+    "orange": (0.95, 0.55, 0.15),
+    "brown": (0.5, 0.35, 0.2),
+    "purple": (0.55, 0.3, 0.7),
+    "pink": (0.95, 0.6, 0.7),
+    "cyan": (0.2, 0.75, 0.8),
+    "magenta": (0.8, 0.2, 0.65),
+    "tan": (0.8, 0.7, 0.5),
+}
+"""Red, green and blue of each word, from 0 to 1."""
+
+
+def colour_options(text: str) -> list[str]:
+    """The colours that one may be drawn from, or the single one."""
+    drawn = re.fullmatch(r"choice\(([^()]*)\)", text.strip())
+    return [part.strip() for part in drawn[1].split("|")] if drawn else [text.strip()]
+
+
+class Color(FieldType):
+    """A word of `COLOURS`, `"#rrggbb"`, or a choice of them per episode."""
+
+    noun = "a colour"
+
+    def check(self, value: Any) -> None:
+        for word in colour_options(value):
+            if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
+                help = f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`"
+                near = meant(word, tuple(COLOURS), ours=True) if word == value else None
+                raise error("DB104", f"unknown colour `{word[:40]}`", help, meant=near)
+
+    def json_schema(self) -> JsonSchema:
+        words = "|".join(COLOURS)
+        schema = self._matching(rf"^\s*(#[0-9a-fA-F]{{6}}|choice\(.*\)|{words})\s*$")
+        return schema | {"patternErrorMessage": "expected a colour: a word such as `red`, `'#ffa500'`, or `choice(red | green)`"}
+
+
+def read_schedule(value: object) -> tuple[float, float] | None:
+    """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is neither."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return (float(value), float(value)) if abs(value) < LARGEST else None
+    match = re.fullmatch(rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*", value) if isinstance(value, str) else None
+    return (float(match[1]), float(match[2])) if match else None
+
+
+class Schedule(FieldType):
+    """A number, or `start -> end` over the training; neither below zero."""
+
+    noun = "a number or a schedule"
+    example = "3e-4 -> 0"
+
+    def holds(self, value: object) -> bool:
+        return read_schedule(value) is not None
+
+    def check(self, value: Any) -> None:
+        for bound in read_schedule(value) or ():
+            check_bounds(bound, 0, None)
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(f"->|^{GROUPED}$", "number", minimum=0)
+
+
+_UNTIL = rf"\s*(?:(success_rate)\s*>=\s*({_NUMBER}(?:\s*%)?)|(mean_return)\s*>=\s*({_NUMBER}))\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
+_STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
+
+
+def read_until(value: object) -> tuple[str, float, int] | None:
+    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it is neither."""
+    text = value if isinstance(value, str) else ""
+    if match := re.fullmatch(_UNTIL, text):
+        return match[1] or match[3], read_fraction(match[2] or match[4]), int(match[5])
+    match = re.fullmatch(_STEPS, text)
+    return ("steps", float(match[1]), 1) if match else None
+
+
+class Until(FieldType):
+    """When a stage of the curriculum is done."""
+
+    noun = "a goal over episodes, or a number of steps"
+    example = "success_rate >= 0.7 over 40 episodes"
+
+    def check(self, value: Any) -> None:
+        found = read_until(value)
+        if found is None:
+            raise mismatch(self.noun, self.help_for(value), value=value)
+        metric, threshold, episodes = found
+        check_bounds(episodes, 1, None)
+        if metric == "success_rate":
+            _check_fraction(threshold)
+        if metric != "mean_return":
+            check_bounds(threshold, *((0, 1) if metric == "success_rate" else (1, None)))
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* over .* episodes?|[0-9_]+\s+steps?)\s*$")
+
+
+class Frequency(FieldType):
+    """A whole number of steps, or `n step`, `n episode`."""
+
+    noun = "a number of steps or episodes"
+    example = "1 episode"
+
+    def holds(self, value: object) -> bool:
+        if isinstance(value, str):
+            return re.fullmatch(r"[1-9]\d{0,8} (step|episode)s?", value) is not None
+        return isinstance(value, int) and not isinstance(value, bool)
+
+    def check(self, value: Any) -> None:
+        if isinstance(value, int):
+            check_bounds(value, 1, 1e9)
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(f"^([1-9][0-9]* (step|episode)s?|{GROUPED})$", "integer", minimum=1)
+
+
+class Setting(FieldType):
+    """The new value of whatever the key names: a number, a quantity, a draw, a word, or all that stands below the key.
+
+    What may be in it is known only where it is put, and checked there.
+    """
+
+    def holds(self, value: object) -> bool:
+        return isinstance(value, (str, int, float, dict, list))
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": ["string", "number", "boolean", "object", "array"]}
+
+
+# Field types that several sections use
+
+
+PositiveInt = Annotated[int, Strict(), Ge(1), Le(1_000_000_000)]
+SmallInt = Annotated[int, Strict(), Ge(1), Le(1000)]
+Bool = Annotated[bool, Strict()]
+Prose = Annotated[str, StringConstraints(pattern=r"\S")]
+
+Length = Annotated[Scalar, Quantity("length", minimum=0)]
+Thickness = Annotated[Scalar, Quantity("length", minimum=1e-4)]
+Duration = Annotated[Scalar, Quantity("time", minimum=0)]
+Period = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)]
+Timestep = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True, usual="ms")]
+Share = Annotated[Scalar, Quantity("number", minimum=0, maximum=1)]
+Extent = Annotated[Scalar, Quantity("length", components=3, minimum=1e-4)]
+Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
+Point = Annotated[Scalar, Quantity("length", components=2)]
+Scale = Annotated[Scalar, Quantity("number", components=3)]
+
+RandomizableFactor = Annotated[Scalar, Quantity("number", stage="episode", minimum=0)]
+RandomizableShare = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, maximum=1)]
+RandomizableMass = Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)]
+RandomizableDuration = Annotated[Scalar, Quantity("time", stage="episode", minimum=0)]
+RandomizableDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60, usual="ms")]
+RandomizableCoordinate = Annotated[Scalar, Quantity("length", stage="episode")]
+RandomizableAngle = Annotated[Scalar, Quantity("angle", stage="episode", words=("any",))]
+RandomizableCount = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, whole=True)]
+
+Colour = Annotated[str, Color()]
+SharedName = Annotated[str, Name(shared=True)]
+LocalName = Annotated[str, Name()]
+LinkPattern = Annotated[str, Pattern("link")]
+JointPattern = Annotated[str, Pattern("joint")]
+BodyName = Annotated[str, Reference("body")]
+JointNames = Annotated[str | tuple[str, ...], Reference("joints")]
+LinkNames = Annotated[str | tuple[str, ...], Reference("links")]
+LinkName = Annotated[str, Reference("link")]
+JointName = Annotated[str, Reference("joint")]
+MeshFile = Annotated[str, FilePath("mesh file")]
+Signal = Annotated[Scalar, Expression("signal")]

@@ -1,25 +1,24 @@
 """The scenario: the sections of one file, in the order in which a reader wants them."""
 
-from __future__ import annotations
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Self
 
-from collections.abc import Iterable
-from typing import Annotated, Self
+from pydantic import Field, PrivateAttr
 
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.scenario.fields import Expression, Scalar
-from deepbots_cli.scenario.objects import AnyObject
-from deepbots_cli.scenario.part import Many, Part, Size, field
-from deepbots_cli.scenario.plain import Count, Text, Title
-from deepbots_cli.scenario.quantity import LocalName, SharedName, Signal
-from deepbots_cli.scenario.reset import Disturbance, Reset
+from deepbots_cli.scenario import fields
+from deepbots_cli.scenario.base import Many, Section, Size, visit
+from deepbots_cli.scenario.fields import Expression, LocalName, PositiveInt, Prose, Scalar, SharedName, Signal, Text
 from deepbots_cli.scenario.robot import Messages, Robot
 from deepbots_cli.scenario.task import (
     Action,
     Agent,
     Augmentation,
+    Disturbance,
     Evaluation,
     Goal,
     Observation,
+    Reset,
     Reward,
     Script,
     Solved,
@@ -28,54 +27,119 @@ from deepbots_cli.scenario.task import (
     Truncation,
 )
 from deepbots_cli.scenario.training import AnyTraining
-from deepbots_cli.scenario.world import World
+from deepbots_cli.scenario.world import AnyObject, World
 
 VERSION = 1
 """The version of the language that is read."""
 
+TITLE = Text(
+    "a name",
+    r"[A-Za-z][A-Za-z0-9_-]{0,63}",
+    "CartPole",
+    refused="a name that cannot name a folder",
+    help="use letters, digits, `_` and `-`, at most 64, and begin with a letter",
+)
 
-class Scenario(Part):
-    """One task: world, robots, messages, observation, reward, endings, resets, training."""
 
-    deepbots: Annotated[int, Count()] = field(description="Version of the scenario language: `1`.")
-    name: Annotated[str, Title()] = field(description="Name of the scenario; runs are named after it.")
-    summary: Annotated[str, Text()] = field(default="", description="One sentence that says what it is about.")
-    parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = field(
-        default={},
-        description="Figures by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode.",
-    )
-    world: World = field(description="Time and place: timestep, gravity, ground, arena.")
-    objects: dict[SharedName, AnyObject] = field(default={}, description="Bodies that are no robots, by names of your choice.")
-    robots: Annotated[dict[SharedName, Robot], Size(1, "robot")] = field(description="The robots, by names of your choice.")
-    messages: Messages = field(default=Messages(), description="How supervisor and robots talk.")
-    action: Annotated[dict[SharedName, Action], Size(1, "action")] = field(
-        description="What the agent decides, by names of your choice: a range, or choices."
-    )
-    agent: Agent = field(default=Agent(), description="How the policy is joined to the scenario.")
-    augment: Augmentation = field(default={}, description="What the supervisor adds to what the robots send, and the policy may see.")
-    signals: dict[SharedName, Signal] = field(default={}, description="Helpers for reward and endings; the policy never sees them.")
-    goal: Goal | None = field(default=None, description="Where to get, for a task with goals.")
-    observation: Annotated[Observation, Size(1, "entry")] = field(
-        description="What the policy sees, in this order: the name of a value, and the range that is mapped to [-1, 1]."
-    )
-    reward: Annotated[Reward, Size(1, "term")] = field(description="The summands of the reward, by names of your choice; plain numbers.")
-    termination: Termination = field(default=Termination(), description="What ends the task: success and failure.")
-    truncation: Truncation | None = field(default=None, description="Limits that cut an episode short.")
-    reset: Reset = field(default=Reset(), description="How an episode begins.")
-    disturbances: dict[SharedName, Disturbance] = field(default={}, description="Pushes and gusts, by names of your choice.")
-    scripts: dict[LocalName, Script] = field(
-        default={}, description="Hand-written policies by names of your choice: what each makes of every part of the action."
-    )
-    curriculum: Annotated[Many[Stage], Size(1, "stage")] = field(default=(), description="Stages of rising difficulty.")
-    evaluation: Evaluation = field(default=Evaluation(), description="How a trained policy is examined.")
-    solved: Solved | None = field(default=None, description="What counts as solved.")
-    train: AnyTraining | None = field(default=None, description="How the policy is trained.")
+class Scenario(Section):
+    """One task: world, robots, messages, observation, reward, endings, resets, training.
 
-    pruned: frozenset[Path] = frozenset()
-    """The paths that `validate` took out because they had findings; names there are known, what they mean is not."""
+    It may be built in Python of nested models, mappings and plain values. A value of a wrong type or form and an unknown key raise
+    `pydantic.ValidationError`; what only the whole scenario can tell is said by `deepbots_cli.lint` and `compile`.
+    """
 
-    def lacking(self, pruned: Iterable[Path]) -> Self:
-        """The same scenario, which is said to lack what stood at these paths."""
-        scenario = type(self)(**{name: getattr(self, name) for name in self.given})
-        scenario.__dict__["pruned"] = frozenset(pruned)
-        return scenario
+    deepbots: PositiveInt
+    """Version of the scenario language: `1`."""
+    name: Annotated[str, TITLE]
+    """Name of the scenario; runs are named after it."""
+    summary: Prose = ""
+    """One sentence that says what it is about."""
+    parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = {}
+    """Figures by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
+    world: World
+    """Time and place: timestep, gravity, ground, arena."""
+    objects: dict[SharedName, AnyObject] = {}
+    """Bodies that are no robots, by names of your choice."""
+    robots: Annotated[dict[SharedName, Robot], Size(1, "robot")]
+    """The robots, by names of your choice."""
+    messages: Messages = Field(default_factory=Messages)
+    """How supervisor and robots talk."""
+    action: Annotated[dict[SharedName, Action], Size(1, "action")]
+    """What the agent decides, by names of your choice: a range, or choices."""
+    agent: Agent = Field(default_factory=Agent)
+    """How the policy is joined to the scenario."""
+    augment: Augmentation = {}
+    """What the supervisor adds to what the robots send, and the policy may see."""
+    signals: dict[SharedName, Signal] = {}
+    """Helpers for reward and endings; the policy never sees them."""
+    goal: Goal | None = None
+    """Where to get, for a task with goals."""
+    observation: Annotated[Observation, Size(1, "entry")]
+    """What the policy sees, in this order: the name of a value, and the range that is mapped to [-1, 1]."""
+    reward: Annotated[Reward, Size(1, "term")]
+    """The summands of the reward, by names of your choice; plain numbers."""
+    termination: Termination = Field(default_factory=Termination)
+    """What ends the task: success and failure."""
+    truncation: Truncation | None = None
+    """Limits that cut an episode short."""
+    reset: Reset = Field(default_factory=Reset)
+    """How an episode begins."""
+    disturbances: dict[SharedName, Disturbance] = {}
+    """Pushes and gusts, by names of your choice."""
+    scripts: dict[LocalName, Script] = {}
+    """Hand-written policies by names of your choice: what each makes of every part of the action."""
+    curriculum: Annotated[Many[Stage], Size(1, "stage")] = ()
+    """Stages of rising difficulty."""
+    evaluation: Evaluation = Field(default_factory=Evaluation)
+    """How a trained policy is examined."""
+    solved: Solved | None = None
+    """What counts as solved."""
+    train: AnyTraining | None = None
+    """How the policy is trained."""
+
+    _pruned: frozenset[Path] = PrivateAttr(frozenset())
+
+    @property
+    def pruned(self) -> frozenset[Path]:
+        """The paths that `validate` took out because they had findings; names there are known, what they mean is not."""
+        return self._pruned
+
+    @classmethod
+    def from_yaml(cls, path: str | FilePath) -> Self:
+        """The scenario in a file, with all that the file extends and includes; files that it names get absolute paths.
+
+        Raises:
+            ScenarioError: The file has findings at error level.
+            UsageError: There is no such file.
+        """
+        from deepbots_cli.document import descend, load, shipped, to_data
+        from deepbots_cli.errors import ScenarioError
+        from deepbots_cli.scenario.validate import validate
+
+        document = load(path)
+        found = validate(document.root, document.findings) if document.root is not None else None
+        if document.root is None or found is None or document.findings.errors:
+            raise ScenarioError(list(document.findings))
+        data: Any = to_data(document.root)
+        for place, kind, value in visit(found):
+            node = descend(document.root, place)[0]
+            file = document.directory_of(node.span) / str(value)
+            if isinstance(kind, fields.FilePath) and value not in shipped.robot_names() and file.exists():
+                holder = data
+                for step in place[:-1]:
+                    holder = holder[step]
+                holder[place[-1]] = str(file.resolve())
+        return cls.model_validate(data)
+
+    def to_yaml(self) -> str:
+        """The scenario as the text of a file; values left to their defaults are left out."""
+        import yaml
+
+        return yaml.safe_dump(self.model_dump(mode="json", exclude_unset=True), sort_keys=False, allow_unicode=True, width=120)
+
+    @classmethod
+    def model_json_schema(cls, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        """The JSON Schema for editors, whatever the arguments."""
+        from deepbots_cli.scenario.json_schema import json_schema
+
+        return json_schema()

@@ -1,102 +1,133 @@
-"""The task: what the agent does and sees, what it is paid for, when an episode ends."""
-
-from __future__ import annotations
+"""The task: what the agent does and sees, what it is rewarded for, how an episode begins and ends, how a policy is evaluated."""
 
 from typing import Annotated, ClassVar
 
-from deepbots_cli.scenario.fields import Expression, Quantity, Range, Reference, Scalar
-from deepbots_cli.scenario.part import FORMS, Keys, Many, Part, Size, field
-from deepbots_cli.scenario.plain import Count, PythonPath, Real, Setting, Until
-from deepbots_cli.scenario.quantity import LocalName, OnOff, Period, Share, SharedName, Signal, Whole
+from annotated_types import Ge, Le
+from pydantic import Strict
 
-Small = Annotated[int, Count(maximum=1000)]
+from deepbots_cli.scenario.base import FORMS, Keys, Many, Section, Size
+from deepbots_cli.scenario.fields import (
+    BodyName,
+    Bool,
+    Duration,
+    Expression,
+    Length,
+    LocalName,
+    Period,
+    PositiveInt,
+    Prose,
+    Quantity,
+    RandomizableDuration,
+    Range,
+    Real,
+    Reference,
+    Scalar,
+    Setting,
+    Share,
+    SharedName,
+    Signal,
+    SmallInt,
+    Text,
+    Thickness,
+    Until,
+)
+from deepbots_cli.scenario.world import Pose
+
+PYTHON_PATH = Text("the place of a function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
 Number = Annotated[Scalar, Quantity("any")]
 Noise = Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)]
 
 
-class PythonTerm(Part):
+class PythonTerm(Section):
     """A term computed by a function of an installed package; refused unless foreign code is allowed."""
 
-    python: Annotated[str, PythonPath()] = field(description="The function, `package.module:function`.")
+    python: Annotated[str, PYTHON_PATH]
+    """The function, `package.module:function`."""
 
 
-class ContinuousAction(Part):
+class ContinuousAction(Section):
     """Numbers that the agent chooses; it acts in [-1, 1], and the range says what that means."""
 
-    range: Annotated[str, Range("any")] = field(description="What -1 and 1 of the agent stand for, such as `0.25 .. 1`.")
-    each: Annotated[str, Reference("group")] | None = field(
-        default=None, description="One number for each member of this group or actuator."
-    )
+    range: Annotated[str, Range("any")]
+    """What -1 and 1 of the agent stand for, such as `0.25 .. 1`."""
+    each: Annotated[str, Reference("group")] | None = None
+    """One number for each member of this group or actuator."""
 
 
-class DiscreteAction(Part):
+class DiscreteAction(Section):
     """One of several options."""
 
     marks: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
-    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Number] | Number, FORMS]], Size(2, "choice")] = field(
-        description="The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."
-    )
-    forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = field(
-        default={}, description="When an option may not be chosen."
-    )
+    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Number] | Number, FORMS]], Size(2, "choice")]
+    """The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."""
+    forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
+    """When an option may not be chosen."""
 
 
 Action = Annotated[DiscreteAction | ContinuousAction | Annotated[str, Range("any")], FORMS]
 
 
-class Agent(Part):
+class Agent(Section):
     """How the policy is joined to the scenario."""
 
-    repeat: Small = field(default=1, description="Control ticks for which one action of the agent is held.")
-    stack: Small = field(default=1, description="How many observations in a row the policy sees.")
-    each: Annotated[str, Reference("robot")] | None = field(default=None, description="One shared policy over the copies of this robot.")
+    repeat: SmallInt = 1
+    """Control ticks for which one action of the agent is held."""
+    stack: SmallInt = 1
+    """How many observations in a row the policy sees."""
+    each: Annotated[str, Reference("robot")] | None = None
+    """One shared policy over the copies of this robot."""
 
 
-class Observed(Part):
+class Observed(Section):
     """One entry of the observation, with more than its range."""
 
-    range: Annotated[str, Range("any", auto=True)] = field(
-        description="What is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes what is known."
-    )
-    history: Small = field(default=1, description="How many values in a row the policy sees, newest last.")
-    noise: Noise = field(default=0, description="Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value.")
-    clip: OnOff = field(default=True, description="Whether values outside the range are clipped to it.")
+    range: Annotated[str, Range("any", auto=True)]
+    """What is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes what is known."""
+    history: SmallInt = 1
+    """How many values in a row the policy sees, newest last."""
+    noise: Noise = 0
+    """Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value."""
+    clip: Bool = True
+    """Whether values outside the range are clipped to it."""
 
 
-class Goal(Part):
+class Goal(Section):
     """A task that is told by where to get: for hindsight replay."""
 
-    achieved: Annotated[Scalar, Expression("goal", boolean=False)] = field(description="What the agent has reached.")
-    desired: Annotated[Scalar, Expression("goal", boolean=False)] = field(description="What it shall reach.")
-    within: Annotated[Scalar, Quantity("any", minimum=0)] = field(
-        description="Distance between the two at which the goal counts as reached."
-    )
-    range: Annotated[str, Range("any")] = field(description="Bounds of both, for the observation.")
-    noise: Noise = field(
-        default=0, description="Standard deviation of the noise on `achieved`: in its unit, such as `5 mm`, or as `2 %` of the value."
-    )
+    achieved: Annotated[Scalar, Expression("goal", boolean=False)]
+    """What the agent has reached."""
+    desired: Annotated[Scalar, Expression("goal", boolean=False)]
+    """What it shall reach."""
+    within: Annotated[Scalar, Quantity("any", minimum=0)]
+    """Distance between the two at which the goal counts as reached."""
+    range: Annotated[str, Range("any")]
+    """Bounds of both, for the observation."""
+    noise: Noise = 0
+    """Standard deviation of the noise on `achieved`: in its unit, such as `5 mm`, or as `2 %` of the value."""
 
 
 Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=True)], FORMS]
 
 
-class Termination(Part):
+class Termination(Section):
     """Conditions that end the task; they are part of what the agent has to learn."""
 
-    success: dict[SharedName, Condition] = field(
-        default={}, description="Conditions under which the agent has succeeded, by names of your choice."
-    )
-    failure: dict[SharedName, Condition] = field(default={}, description="Conditions under which it has failed; failure beats success.")
+    success: dict[SharedName, Condition] = {}
+    """Conditions under which the agent has succeeded, by names of your choice."""
+    failure: dict[SharedName, Condition] = {}
+    """Conditions under which it has failed; failure beats success."""
 
 
-class Truncation(Part):
+class Truncation(Section):
     """Limits that only cut the episode short; they are no part of the task."""
 
-    needs: ClassVar[tuple[Keys, ...]] = (Keys(("max_steps", "max_time"), least=1, most=2),)
+    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("max_steps", "max_time"), min=1, max=2),)
 
-    max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = field(default=None, description="Steps of the agent.")
-    max_time: Period | None = field(default=None, description="Simulated time, such as `60 s`.")
+    max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = None
+    """Steps of the agent."""
+    max_time: Period | None = None
+    """Simulated time, such as `60 s`."""
 
 
 Decision = Annotated[
@@ -110,49 +141,55 @@ Script = Annotated[dict[Annotated[str, Reference("action")], Decision], Size(1, 
 Settings = dict[Annotated[str, Reference("setting")], Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()]]
 
 
-class Stage(Part):
+class Stage(Section):
     """A stage of the curriculum."""
 
-    name: LocalName = field(description="Name of the stage.")
-    set: Settings = field(
-        default={}, description="What is different: parameters by name, or other values by path, such as `reset.layout: paper`."
-    )
-    until: Annotated[str, Until()] | None = field(
-        default=None, description="When the next stage begins: `success_rate >= 0.7 over 40 episodes`, or after `50_000 steps`."
-    )
+    name: LocalName
+    """Name of the stage."""
+    set: Settings = {}
+    """What is different: parameters by name, or other values by path, such as `reset.layout: paper`."""
+    until: Annotated[str, Until()] | None = None
+    """When the next stage begins: `success_rate >= 0.7 over 40 episodes`, or after `50_000 steps`."""
 
 
-class Case(Part):
+class Case(Section):
     """One case of the evaluation."""
 
-    set: Settings = field(default={}, description="What is different: parameters by name, or other values by path.")
-    episodes: Whole | None = field(default=None, description="Episodes of this case.")
+    set: Settings = {}
+    """What is different: parameters by name, or other values by path."""
+    episodes: PositiveInt | None = None
+    """Episodes of this case."""
 
 
-class Evaluation(Part):
+class Evaluation(Section):
     """How a trained policy is examined."""
 
-    episodes: Whole = field(default=100, description="Episodes, or episodes per case.")
-    cases: dict[LocalName, Case] = field(default={}, description="Further conditions to examine it under, by names of your choice.")
+    episodes: PositiveInt = 100
+    """Episodes, or episodes per case."""
+    cases: dict[LocalName, Case] = {}
+    """Further conditions to examine it under, by names of your choice."""
 
 
-class Solved(Part):
+class Solved(Section):
     """What counts as solved."""
 
-    needs: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), least=1, most=2),)
+    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), min=1, max=2),)
 
-    mean_return: Annotated[float, Real()] | None = field(default=None, description="Least mean return over the episodes.")
-    success_rate: Share | None = field(default=None, description="Least share of successful episodes, 0 to 1.")
-    episodes: Whole = field(default=100, description="Over how many episodes in a row.")
+    mean_return: Annotated[float, Real()] | None = None
+    """Least mean return over the episodes."""
+    success_rate: Share | None = None
+    """Least share of successful episodes, 0 to 1."""
+    episodes: PositiveInt = 100
+    """Over how many episodes in a row."""
 
 
-class Measured(Part):
+class Measured(Section):
     """A value that the supervisor measures with noise. Every expression that uses the name reads the same noisy value."""
 
-    value: Signal = field(description="The exact value.")
-    noise: Noise = field(
-        default=0, description="Standard deviation of the noise on it: in its unit, such as `2 mm`, or as `2 %` of the value."
-    )
+    value: Signal
+    """The exact value."""
+    noise: Noise = 0
+    """Standard deviation of the noise on it: in its unit, such as `2 mm`, or as `2 %` of the value."""
 
 
 Augmentation = Annotated[
@@ -160,3 +197,117 @@ Augmentation = Annotated[
 ]
 Reward = dict[LocalName, Annotated[PythonTerm | Annotated[Scalar, Expression("reward")], FORMS]]
 Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Annotated[str, Range("any", auto=True)], FORMS]]
+
+
+# The beginning of an episode
+
+JointRate = Annotated[Scalar, Quantity("angular speed or speed", stage="episode")]
+JointAngle = Annotated[Scalar, Quantity("angle or length", stage="episode")]
+
+
+class JointState(Section):
+    """Where a joint is at the start, and how fast."""
+
+    position: JointAngle
+    """Position, an angle or a length."""
+    velocity: JointRate = 0
+    """Velocity."""
+
+
+class Region(Section):
+    """A rectangle in the ground plane."""
+
+    x: Annotated[str, Range("length")]
+    """From where to where along x, such as `-1 .. 1 m`."""
+    y: Annotated[str, Range("length")]
+    """From where to where along y."""
+
+
+class Placement(Pose):
+    """Where a body stands at the start: at a pose, somewhere in a region, or on a line."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = (
+        *Pose.key_rules,
+        Keys(("region", "line", "xyz")),
+        *(Keys((way, axis)) for way in ("region", "line", "on") for axis in ("x", "y")),
+        *(Keys(("on", way)) for way in ("line", "xyz")),
+    )
+
+    region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None
+    """Draws a free spot: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."""
+    on: Annotated[str, Reference("object")] | None = None
+    """Draws a free spot on the flat top of this object, a box or a cylinder: anywhere on it, or where `region` lies on it."""
+    clearance: Length = 0
+    """Least gap to other bodies, m, and of what can move to the arena and to the edge of the top that it stands on."""
+    grid: Thickness | None = None
+    """Draws the spot from a grid with this mesh, m."""
+    line: Annotated[str, Reference("line")] | None = None
+    """Stands at the beginning of this painted line, along it."""
+    at_most: PositiveInt | None = None
+    """How many copies of a group are placed; the others are absent."""
+    spacing: Annotated[Scalar, Quantity("length", 2)] | None = None
+    """From each copy of a group to the next, along x and y, such as `0 1.5 m`: a row about the spot."""
+    velocity: Annotated[Scalar, Quantity("speed", 3, "episode")] | None = None
+    """Velocity at the start, world frame."""
+    angular_velocity: Annotated[Scalar, Quantity("angular speed", 3, "episode")] | None = None
+    """Angular velocity at the start, world frame."""
+
+
+Places = dict[BodyName, Placement]
+
+
+class MapLayout(Section):
+    """A layout drawn in letters: each cell of the map holds one letter of the legend, or a dot for nothing."""
+
+    marks: ClassVar[frozenset[str]] = frozenset({"map", "cell"})
+
+    cell: Thickness
+    """Size of a cell, m."""
+    legend: Annotated[dict[Annotated[str, Reference("letter")], BodyName], Size(1, "letter")]
+    """What each letter stands for: a robot, an object, or `wall`."""
+    map: Prose
+    """The rows of the map, cells apart by blanks; the first row is the farthest along y."""
+
+
+LayoutName = Annotated[str, Reference("layout")]
+Mixture = Annotated[dict[LayoutName, Share], Size(1, "layout")]
+
+
+class Reset(Section):
+    """How an episode begins."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("layout", "place")),)
+
+    place: Places = {}
+    """Where robots and objects stand, in this order; later ones avoid earlier ones."""
+    set: dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]] = {}
+    """Positions of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`, or of a group."""
+    layout: Annotated[Mixture | LayoutName, FORMS] | None = None
+    """The layout to use, or a mixture with shares such as `{scattered: 88 %, paper: 12 %}`."""
+    layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
+    """Arrangements by names of your choice: a place for each body, or a map in letters."""
+    require: Annotated[str, Expression("require", boolean=True)] | None = None
+    """What must hold at the start; otherwise everything is drawn again."""
+    attempts: Annotated[int, Strict(), Ge(1), Le(100_000)] = 100
+    """How often to draw before giving up."""
+    settle: Duration = "0 s"
+    """Simulated time for things to come to rest before the episode begins."""
+
+
+class Disturbance(Section):
+    """A force or a torque that acts on a body now and then."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("force", "torque"), min=1, max=2), Keys(("every", "at"), min=1, max=2))
+
+    body: Annotated[str, Reference("body or link")]
+    """The robot, link or object that is pushed."""
+    force: Annotated[Scalar, Quantity("force", 3, "step")] | None = None
+    """Force in the world frame, drawn anew for each push."""
+    torque: Annotated[Scalar, Quantity("torque", 3, "step")] | None = None
+    """Torque in the world frame, drawn anew for each push."""
+    every: Annotated[Scalar, Quantity("time", stage="step", minimum=0, exclusive=True)] | None = None
+    """Time from the beginning of one push to that of the next, and before the first, unless `at` says when that is."""
+    at: RandomizableDuration | None = None
+    """Time of the first push, which is the only one without `every`."""
+    lasts: Annotated[Scalar, Quantity("time", stage="step", minimum=0)]
+    """How long a push acts."""

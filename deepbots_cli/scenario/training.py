@@ -1,63 +1,260 @@
-"""How the policy is trained: one model per algorithm, made from the table of hyperparameters."""
+"""How the policy is trained: one model per algorithm; hyperparameters have the names that Stable-Baselines3 and sb3-contrib give them.
 
-from __future__ import annotations
+A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out; `ELSEWHERE` says where
+they are set instead.
+"""
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Annotated, Any, Literal
 
-from deepbots_cli.scenario.hyperparameters import ALGORITHMS
-from deepbots_cli.scenario.part import Kinds, Many, Part, field
-from deepbots_cli.scenario.plain import Count, Word
-from deepbots_cli.scenario.quantity import Prose
+from annotated_types import Ge, Le
+from pydantic import Field, Strict
+
+from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section
+from deepbots_cli.scenario.fields import Bool, Fraction, Frequency, PositiveInt, Prose, Real, Scalar, Schedule
+
+Ramp = Annotated[Scalar, Schedule()]
+Weight = Annotated[float, Real(0)]
+Share = Annotated[Scalar, Fraction()]
+Positive = Annotated[float, Real(0, exclusive=True)]
+StepsOrAll = Annotated[int, Strict(), Ge(-1), Le(1_000_000_000)]
 
 
-class Policy(Part):
+class ActionNoise(Section):
+    """Noise on the actions while training."""
+
+    type: Literal["normal", "ornstein_uhlenbeck"]
+    """Independent (`normal`) or drifting (`ornstein_uhlenbeck`)."""
+    sigma: Ramp
+    """Standard deviation in the agent's [-1, 1], or a schedule such as `0.5 -> 0.1`."""
+    theta: Positive = 0.15
+    """How fast drifting noise returns to zero: by the factor `exp(-theta)` in a step."""
+
+
+class Hindsight(Section):
+    """Hindsight experience replay, for a scenario with a `goal`."""
+
+    type: Literal["her"]
+    """The kind of replay."""
+    n_sampled_goal: PositiveInt = 4
+    """Goals that are made up for each step."""
+    goal_selection_strategy: Literal["future", "final", "episode"] = "future"
+    """Where they come from: later in the episode, its end, or anywhere in it."""
+
+
+class Policy(Section):
     """The network of the policy."""
 
-    hidden: Many[Annotated[int, Count(maximum=8192)]] = field(
-        default=(64, 64), description="Units of each hidden layer, such as `[64, 64]`."
-    )
-    activation: Annotated[Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"], Word()] = field(
-        default="tanh", description="Activation between the layers."
-    )
+    hidden: Many[Annotated[int, Strict(), Ge(1), Le(8192)]] = (64, 64)
+    """Units of each hidden layer, such as `[64, 64]`."""
+    activation: Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"] = "tanh"
+    """Activation between the layers."""
 
 
-class Training(Part):
-    """What all algorithms have in common; the hyperparameters are fields of the model of each."""
+class Training(Section):
+    """What all algorithms have in common; each adds its hyperparameters."""
 
-    algorithm: Prose = field(description="The learning algorithm.")
-    total_timesteps: Annotated[int, Count(maximum=10**12)] = field(
-        description="Steps of the agent to train for, summed over all environments."
-    )
-    environments: Annotated[int, Count(maximum=1024)] = field(
-        default=1, description="Copies of the environment that are trained in at once."
-    )
-    policy: Policy = field(default=Policy(), description="The network of the policy.")
+    algorithm: Prose
+    """The learning algorithm."""
+    total_timesteps: Annotated[int, Strict(), Ge(1), Le(10**12)]
+    """Steps of the agent to train for, summed over all environments."""
+    environments: Annotated[int, Strict(), Ge(1), Le(1024)] = 1
+    """Copies of the environment that are trained in at once."""
+    policy: Policy = Field(default_factory=Policy)
+    """The network of the policy."""
+
+    @classmethod
+    def hyperparameter_names(cls) -> tuple[str, ...]:
+        """The algorithm's own parameters."""
+        return tuple(name for name in cls.model_fields if name not in Training.model_fields)
 
     @property
     def hyperparameters(self) -> Mapping[str, Any]:
-        """What the user set of the algorithm's own, by its names, in the order of the table."""
-        return {name: getattr(self, name) for name in ALGORITHMS[self.algorithm] if name in self.given}
+        """The hyperparameters that the user set, in the order of the model."""
+        return {name: getattr(self, name) for name in self.hyperparameter_names() if name in self.model_fields_set}
 
 
-@cache
-def training_with(algorithm: str) -> type[Training]:
-    """The model of `train` for an algorithm of the table."""
-    own = {name: field(default=None, description=entry.description) for name, entry in ALGORITHMS[algorithm].items()}
-    annotations = {name: entry.annotation | None for name, entry in ALGORITHMS[algorithm].items()}
-    return type(f"{algorithm}Training", (Training,), {**own, "__annotations__": annotations, "__module__": __name__})
+class _OnPolicy(Training):
+    learning_rate: Ramp | None = None
+    """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
+    n_steps: PositiveInt | None = None
+    """Steps of each environment between two updates."""
+    gamma: Share | None = None
+    """Discount of later rewards per step, 0 to 1."""
+    gae_lambda: Share | None = None
+    """Trade-off of bias and variance of the advantage, 0 to 1."""
+    normalize_advantage: Bool | None = None
+    """Whether advantages are normalised."""
+    ent_coef: Weight | None = None
+    """Weight of the entropy: higher explores more."""
+    vf_coef: Weight | None = None
+    """Weight of the value function in the loss."""
+    max_grad_norm: Positive | None = None
+    """Largest norm of a gradient; larger ones are scaled down."""
+    stats_window_size: PositiveInt | None = None
+    """Episodes over which progress is averaged."""
 
 
-_ACTS = {
-    "PPO": "On-policy; choices or ranges. The first to try.",
-    "A2C": "On-policy; choices or ranges. Plainer than PPO.",
-    "DQN": "Off-policy; one choice.",
-    "SAC": "Off-policy; ranges. Explores by entropy.",
-    "TD3": "Off-policy; ranges. DDPG with two critics and delayed updates.",
-    "DDPG": "Off-policy; ranges.",
-    "MaskablePPO": "PPO that heeds forbidden choices.",
-    "RecurrentPPO": "PPO with a memory (LSTM); choices or ranges.",
-    "TQC": "Off-policy; ranges. SAC with critics of many quantiles.",
+class _Proximal(_OnPolicy):
+    batch_size: Annotated[int, Strict(), Ge(2), Le(1_000_000_000)] | None = None
+    """Samples in one gradient step."""
+    n_epochs: PositiveInt | None = None
+    """Passes over the samples of a roll-out."""
+    clip_range: Ramp | None = None
+    """How far the policy may change in one update; a number or a schedule."""
+    clip_range_vf: Ramp | None = None
+    """How far the value function may change in one update; a number or a schedule."""
+    target_kl: Positive | None = None
+    """Stops an update when the policy has changed this much."""
+
+
+class _StateDependentExploration(Section):
+    use_sde: Bool | None = None
+    """Explore by noise that depends on the state instead of noise per step."""
+    sde_sample_freq: StepsOrAll | None = None
+    """Steps between two draws of that noise; -1 draws once per roll-out."""
+
+
+class _OffPolicy(Training):
+    learning_rate: Ramp | None = None
+    """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
+    buffer_size: PositiveInt | None = None
+    """Steps that are remembered."""
+    learning_starts: Annotated[int, Strict(), Ge(0), Le(1_000_000_000)] | None = None
+    """Steps before the first update."""
+    batch_size: PositiveInt | None = None
+    """Samples in one gradient step."""
+    tau: Share | None = None
+    """Share by which the target network follows, 0 to 1."""
+    gamma: Share | None = None
+    """Discount of later rewards per step, 0 to 1."""
+    train_freq: Annotated[str | int, Frequency()] | None = None
+    """Steps between two updates, or `1 episode`."""
+    gradient_steps: StepsOrAll | None = None
+    """Gradient steps in an update; -1 makes as many as steps were taken."""
+    optimize_memory_usage: Bool | None = None
+    """Keep each observation once instead of twice."""
+    n_steps: PositiveInt | None = None
+    """Steps over which a return is summed before it is estimated."""
+    replay: Annotated[Hindsight | Literal["uniform", "her"], FORMS] | None = None
+    """How remembered steps are drawn: `uniform`, or `her` for goals."""
+
+
+class _Deterministic(_OffPolicy):
+    action_noise: ActionNoise | None = None
+    """Noise on the actions while training."""
+
+
+class _SoftActorCritic(_StateDependentExploration, _Deterministic):
+    use_sde_at_warmup: Bool | None = None
+    """Use that noise already before learning starts."""
+    ent_coef: Annotated[Scalar, Real(0, text=r"auto(_\d+(\.\d+)?)?")] | None = None
+    """Weight of the entropy; `auto` learns it, `auto_0.1` from that on."""
+    target_update_interval: PositiveInt | None = None
+    """Steps between two updates of the target network."""
+    target_entropy: Annotated[Scalar, Real(text="auto")] | None = None
+    """The entropy that `ent_coef: auto` aims at."""
+    stats_window_size: PositiveInt | None = None
+    """Episodes over which progress is averaged."""
+
+
+class PPO(_StateDependentExploration, _Proximal):
+    """On-policy; choices or ranges. The first to try."""
+
+    algorithm: Literal["PPO"]
+
+
+class A2C(_StateDependentExploration, _OnPolicy):
+    """On-policy; choices or ranges. Plainer than PPO."""
+
+    algorithm: Literal["A2C"]
+    rms_prop_eps: Positive | None = None
+    """Guards RMSprop against division by zero."""
+    use_rms_prop: Bool | None = None
+    """RMSprop instead of Adam."""
+
+
+class DQN(_OffPolicy):
+    """Off-policy; one choice."""
+
+    algorithm: Literal["DQN"]
+    target_update_interval: PositiveInt | None = None
+    """Steps between two updates of the target network."""
+    exploration_fraction: Share | None = None
+    """Share of the training over which exploration goes down."""
+    exploration_initial_eps: Share | None = None
+    """Share of random actions at the start."""
+    exploration_final_eps: Share | None = None
+    """Share of random actions in the end."""
+    max_grad_norm: Positive | None = None
+    """Largest norm of a gradient; larger ones are scaled down."""
+    stats_window_size: PositiveInt | None = None
+    """Episodes over which progress is averaged."""
+
+
+class SAC(_SoftActorCritic):
+    """Off-policy; ranges. Explores by entropy."""
+
+    algorithm: Literal["SAC"]
+
+
+class TD3(_Deterministic):
+    """Off-policy; ranges. DDPG with two critics and delayed updates."""
+
+    algorithm: Literal["TD3"]
+    policy_delay: PositiveInt | None = None
+    """Updates of the critics for one of the actor."""
+    target_policy_noise: Weight | None = None
+    """Standard deviation of the noise on the target's action."""
+    target_noise_clip: Weight | None = None
+    """Largest such noise."""
+    stats_window_size: PositiveInt | None = None
+    """Episodes over which progress is averaged."""
+
+
+class DDPG(_Deterministic):
+    """Off-policy; ranges."""
+
+    algorithm: Literal["DDPG"]
+
+
+class MaskablePPO(_Proximal):
+    """PPO that heeds forbidden choices."""
+
+    algorithm: Literal["MaskablePPO"]
+
+
+class RecurrentPPO(_StateDependentExploration, _Proximal):
+    """PPO with a memory (LSTM); choices or ranges."""
+
+    algorithm: Literal["RecurrentPPO"]
+    lstm: Annotated[int, Strict(), Ge(1), Le(2048)] | None = None
+    """Units of the memory: an LSTM before the layers of actor and of critic."""
+
+
+class TQC(_SoftActorCritic):
+    """Off-policy; ranges. SAC with critics of many quantiles."""
+
+    algorithm: Literal["TQC"]
+    top_quantiles_to_drop_per_net: Annotated[int, Strict(), Ge(0), Le(1_000_000_000)] | None = None
+    """Highest quantiles to drop, per critic."""
+
+
+ALGORITHMS: Mapping[str, type[Training]] = {
+    model.__name__: model for model in (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
 }
-AnyTraining = Annotated[Training, Kinds("algorithm", tuple(ALGORITHMS), training_with, sentences=tuple(_ACTS[name] for name in ALGORITHMS))]
+AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
+
+ELSEWHERE: Mapping[str, str] = {
+    "seed": "give it when you train: `--seed 1`",
+    "device": "small networks train on the processor; there is nothing to choose",
+    "verbose": "give it when you train: `--quiet`",
+    "tensorboard_log": "every run writes its TensorBoard log into its own directory",
+    "policy_kwargs": "write `policy: {hidden: [64, 64], activation: tanh}`",
+    "net_arch": "write `policy: {hidden: [64, 64]}`",
+    "replay_buffer_class": "write `replay: her`",
+    "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
+    "lstm_hidden_size": "write `lstm: 64`",
+    "n_envs": "write `environments`",
+}
+"""What other tools set among the hyperparameters, and where it is set here."""

@@ -1,4 +1,4 @@
-"""Nodes to a validated scenario: what the models refuse becomes findings, each at its exact place.
+"""Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
 
 The first round reports. Whatever has a finding is then taken out and the rest is validated again, until it passes: later
 passes see all that is sound, and nothing is reported twice.
@@ -7,27 +7,32 @@ passes see all that is sound, and nothing is reported twice.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from functools import cache
 from typing import Any
 
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
-from deepbots_cli.document.nodes import Mapping, Path, Scalar, descend, to_data, walk
-from deepbots_cli.scenario.check import check
-from deepbots_cli.scenario.explain import about, describe, expected_at, help_for_unknown, keys_of, meant_by, name_of, place, wanted
-from deepbots_cli.scenario.part import Keys
-from deepbots_cli.scenario.refusal import Refusal
+from deepbots_cli.document.nodes import Node, Path, Scalar, descend, to_data, walk
+from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, noun_of, sections, shape_at
+from deepbots_cli.scenario.fields import FieldType, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
-from deepbots_cli.scenario.walk import parts, spec_at
+from deepbots_cli.scenario.training import ELSEWHERE, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
-
 # Characters before a value in which its key stands.
 _LOOKED_BACK = 400
+_SHOWN = 40
+_EXEMPLARY = 120
+_RESERVED = {"agents": "competing agents are kept for a later version of the language"}
+_OWN_SECTION = "it is a section of its own, which begins at the left edge: take away the blanks in front of it and of its lines"
 
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
@@ -42,8 +47,8 @@ _STAND_INS: dict[str, object] = {
 
 
 @dataclass(frozen=True)
-class _Trouble:
-    """A complaint of a model about what is at `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
+class _Problem:
+    """What is wrong at `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
 
     code: str
     path: Path
@@ -55,7 +60,7 @@ class _Trouble:
     notes: tuple[str, ...] = ()
 
 
-def validate(root: Mapping, findings: Findings) -> Scenario | None:
+def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
     """The scenario in `root`; what is wrong with it goes to `findings`.
 
     With findings, the scenario lacks what they are about (`Scenario.pruned` has the paths) and stand-ins
@@ -71,73 +76,33 @@ def validate(root: Mapping, findings: Findings) -> Scenario | None:
     for path, node in walk(root):
         if path and isinstance(node, Scalar) and node.value is None:
             span = _key_span(root, path)
-            findings.add("DB107", span, f"`{name_of(path)}` has no value", help="give it one, or take the key out")
+            findings.add("DB107", span, f"`{_name_of(path)}` has no value", help="give it one, or take the key out")
             _prune(data, path, pruned)
     _advise(root, data, findings)
 
     earlier = findings.errors  # a warning leaves its value in place, so nothing is missing because of it
-    troubles = list(islice(_key_troubles(data), findings.limit))
     for round_number in range(_ROUNDS):
-        scenario, refusals = check(Scenario, data, lenient=round_number > 0)
-        troubles += [_trouble(root, data, refusal) for refusal in refusals[: findings.limit]]
+        try:
+            scenario = Scenario.model_validate(data, context={LENIENT: round_number > 0})
+        except ValidationError as refused:
+            errors = refused.errors(include_url=False, include_input=False)[: findings.limit]
+        else:
+            scenario._pruned = frozenset(pruned)
+            return scenario
+        problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
-            news = [new for new in troubles if not (_is_follow_up(root, new, earlier) or _is_misspelt(new, troubles))]
-            found = [_finding(root, data, trouble) for trouble in _together(_in_place(root, data, news, findings))]
+            new = [problem for problem in problems if not (_is_follow_up(root, problem, earlier) or _is_misspelt(problem, problems))]
+            found = [_finding(root, data, problem) for problem in _together(_in_place(root, data, new, findings))]
             for one in found:
                 findings.append(one)
-            if findings.limit is not None and len(troubles) >= findings.limit:  # what was left aside would be in the way of later passes
+            if findings.limit is not None and len(problems) >= findings.limit:  # the rest would be in the way of later passes
                 raise TooManyFindings(found[-1])
-        for trouble in troubles:
-            _prune(data, trouble.path, pruned, trouble.missing)
-        if scenario is not None and not troubles:
-            return scenario.lacking(pruned) if pruned else scenario
-        troubles = []
+        for problem in problems:
+            _prune(data, problem.path, pruned, problem.missing)
     return None
 
 
-def _advise(root: Mapping, data: Any, findings: Findings) -> None:
-    """Say of keys without a value what they take: the text alone, which was read first, does not know."""
-    vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
-    for path, node in walk(root) if vague else ():
-        for key in node.hollow if isinstance(node, Mapping) else ():
-            if found := vague.get(key.span):
-                findings.advise(found, wanted(data, (*path, key.text)))
-
-
-def _in_place(root: Mapping, data: Any, troubles: list[_Trouble], findings: Findings) -> list[_Trouble]:
-    """The same, with a section that stands inside of another as one trouble."""
-    if not troubles:
-        return troubles
-    from deepbots_cli.scenario.displaced import HELP, displaced, hollow_sections  # only on the way to a finding
-
-    sections = displaced(root, data, [trouble.path for trouble in troubles])
-    inside = sections | hollow_sections(root, findings)
-    if not inside:
-        return troubles
-    names = {str(path[-1]) for path in sections}
-    left = [
-        trouble
-        for trouble in troubles
-        if not any(trouble.path[:depth] in inside for depth in range(1, len(trouble.path) + 1))
-        and not (trouble.code == "DB102" and not trouble.path and names.issuperset(trouble.missing))
-    ]
-    told = [_Trouble("DB101", path, f"`{path[-1]}` stands {place(path[:-1])}", HELP, at_key=True) for path in sorted(sections, key=str)]
-    return [*told, *left]
-
-
-def _together(troubles: list[_Trouble]) -> list[_Trouble]:
-    """All sections that a file lacks as one trouble: they are many while it is being written. Its notes explain all but the first."""
-    lacking = [trouble for trouble in troubles if trouble.code == "DB102" and not trouble.path]
-    if len(lacking) < 2:
-        return troubles
-    missing = tuple(key for trouble in lacking for key in trouble.missing)
-    headline = f"missing keys {', '.join(f'`{key}`' for key in missing)} {place(())}"
-    notes = tuple(trouble.help for trouble in lacking[1:] if trouble.help)
-    together = _Trouble("DB102", (), headline, lacking[0].help, missing, at_key=True, notes=notes)
-    return [together, *(trouble for trouble in troubles if trouble not in lacking)]
-
-
-def _is_readable(root: Mapping, findings: Findings) -> bool:
+def _is_readable(root: nodes.Mapping, findings: Findings) -> bool:
     node = root.get("deepbots")
     version = node.value if isinstance(node, Scalar) else None
     if node is None or not isinstance(version, int) or version <= VERSION:
@@ -145,114 +110,6 @@ def _is_readable(root: Mapping, findings: Findings) -> bool:
     headline = f"this file is written in version {node.span.text[:9]} of the language, and this deepbots reads version {VERSION}"
     findings.add("DB105", node.span, headline, help="this file needs a newer deepbots: pip install --upgrade deepbots-cli")
     return False
-
-
-def _key_troubles(data: Any) -> Iterator[_Trouble]:
-    """Keys that exclude each other, and parts that lack all of several keys."""
-    for path, part, mapping in parts(Scenario, data):
-        for keys in part.needs:
-            given = [name for name in keys.names if name in mapping]
-            if len(given) > keys.most:
-                yield _Trouble(
-                    "DB101", (*path, given[-1]), f"`{given[-1]}` cannot stand beside `{given[0]}`", "keep one of the two", at_key=True
-                )
-            elif len(given) < keys.least:
-                yield _lacking(path, keys)
-
-
-def _lacking(path: Path, keys: Keys) -> _Trouble:
-    names = " or ".join(f"`{name}`" for name in keys.names)
-    return _Trouble("DB102", path, f"missing key {names} {place(path)}", "give one of them", keys.names, at_key=True)
-
-
-def _trouble(root: Mapping, data: Any, refusal: Refusal) -> _Trouble:
-    """A refusal in our own words."""
-    code, path, help = refusal.code, refusal.path, refusal.help
-    match code, refusal.headline:
-        case "DB102", None:
-            (key,) = refusal.missing
-            return _Trouble(code, path, f"missing key `{key}` {place(path)}", about(data, (*path, key)), (key,), at_key=True)
-        case "DB101", None:
-            key = str(path[-1])
-            help, meant = help_for_unknown(data, path[:-1], key), meant_by(data, path)
-            return _Trouble(code, path, f"unknown key `{key[:60]}` {place(path[:-1])}", help, at_key=True, meant=meant)
-        case _, None:
-            node = descend(root, path)[0]
-            headline = f"expected {refusal.expected or expected_at(data, path)}, found {describe(node)}"
-            from deepbots_cli.scenario.habits import habit_of  # only on the way to a finding
-
-            help = help or keys_of(spec_at(Scenario, data, path))
-            if habit := habit_of(node):
-                help = "; ".join(filter(None, (habit.help, about(data, path) if habit.is_part else None)))
-                refusal.meant = refusal.meant or habit.meant
-        case "DB102", str(headline):
-            headline = f"{headline} {place(path)}"
-        case "DB107", str(headline):
-            headline = f"{'a key' if refusal.at_key else f'`{name_of(path)}`'} {headline}"
-        case _, str(headline):
-            pass
-    at_key = refusal.at_key or code in ("DB102", "DB107")
-    return _Trouble(code, path, headline, help, refusal.missing, at_key=at_key, meant=refusal.meant)
-
-
-def _is_follow_up(root: Mapping, trouble: _Trouble, earlier: Sequence[Finding]) -> bool:
-    """Whether something is missing or empty only because the value there was found faulty before, and left out."""
-    if trouble.code not in ("DB102", "DB107"):
-        return False
-    span = descend(root, trouble.path)[0].span
-    inside = [found.span for found in earlier if found.span.source is span.source and span.start <= found.span.start <= span.end]
-    if trouble.code == "DB107":
-        return bool(inside)
-    return any(_is_about(found, key) for found in inside for key in trouble.missing)
-
-
-def _is_about(span: Span, key: str) -> bool:
-    """Whether a finding at `span` marks this key, its value or an item of it, or a file that was to be included and may have held it."""
-    # Not all of the text before it: with tens of thousands of findings the copies took minutes.
-    before = span.source.text[max(0, span.start - _LOOKED_BACK) : span.start].rstrip()
-    list_so_far = r"\s*(\[[^][{}:]*|-[^:]*)?$"
-    return span.text.strip("'\"") == key or re.search(rf"\b({re.escape(key)}|include)['\"]?:{list_so_far}", before) is not None
-
-
-def _is_misspelt(trouble: _Trouble, troubles: list[_Trouble]) -> bool:
-    """Whether the missing key stands there in a spelling that is reported anyway."""
-    if not trouble.missing:
-        return False
-    misspelt = (other for other in troubles if other.at_key and other.meant is not None and other.path[:-1] == trouble.path)
-    return any(other.meant is not None and other.meant.text in trouble.missing for other in misspelt)
-
-
-def _finding(root: Mapping, data: Any, trouble: _Trouble) -> Finding:
-    help = trouble.help or about(data, trouble.path)
-    return Finding(trouble.code, _span(root, trouble), trouble.headline, help, notes=trouble.notes, fix=_fix(root, trouble))
-
-
-def _span(root: Mapping, trouble: _Trouble) -> Span:
-    if trouble.at_key:
-        return _key_span(root, trouble.path)
-    span = descend(root, trouble.path)[0].span
-    return span if span.begin.line == span.finish.line else _key_span(root, trouble.path)
-
-
-def _fix(root: Mapping, trouble: _Trouble) -> Fix | None:
-    node, key, _ = descend(root, trouble.path)
-    word = key if trouble.at_key else node
-    if trouble.meant is None or not isinstance(word, Scalar):
-        return None
-    return Fix.replacing(word.part(0, len(word.text)), word.text, trouble.meant.text, safe=trouble.meant.safe)
-
-
-def _key_span(root: Mapping, path: Path) -> Span:
-    """The key at `path`, the head of the item of a list, or the first line of the file."""
-    if not path:
-        return _first_line(root.span)
-    node, key, _ = descend(root, path)
-    return key.span if key is not None else _first_line(node.span)
-
-
-def _first_line(span: Span) -> Span:
-    end = span.source.text.find("\n", span.start, span.end)
-    return Span(span.source, span.start, span.end if end < 0 else end)
 
 
 def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = ()) -> None:
@@ -274,3 +131,319 @@ def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = 
     if isinstance(holder, dict) and path[-1] in holder:
         del holder[path[-1]]
         pruned.add(path)
+
+
+# Errors to problems
+
+
+def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
+    """An error of pydantic, or one of a field type or section, in the words of the language."""
+    path, kind = error["loc"], error["type"]
+    if kind == "missing":
+        *_, key = path
+        path = path[:-1]
+        return _Problem("DB102", path, f"missing key `{key}` {_place(path)}", about_key(data, (*path, key)), (str(key),), at_key=True)
+    if kind == "extra_forbidden":
+        headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
+        return _Problem("DB101", path, headline, _help_for_unknown(data, path), at_key=True, meant=meant_by(data, path))
+    node = descend(root, path)[0]
+    at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.Mapping) and "[key]" in node.entries)
+    path = path[:-1] if at_key else path
+    context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node))
+    kind = context.get("code", kind)
+    headline, help, near = context["headline"], context["help"], context["meant"]
+    if expected := context.get("expected"):
+        headline = f"expected {expected}, found {_describe(node)}"
+        help = help or _keys_of(shape_at(Scenario, data, path))
+        if hint := _typing_hint(node, data, path):
+            help, near = hint[0], near or hint[1]
+    elif kind == "DB102":
+        headline = f"{headline} {_place(path)}"
+    elif kind == "DB107":
+        headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
+    at_key = at_key or kind in ("DB101", "DB102", "DB107")
+    return _Problem(kind, path, headline, help, context["missing"], at_key=at_key, meant=near)
+
+
+def _reworded(shape: Shape | None, value: object) -> dict[str, Any]:
+    """What the field type says of a value that pydantic's own type refused; it knows units of thousands, `on` and `off`, near words."""
+    refused = mismatch("another type" if shape is None else noun_of(shape), value=value)
+    if isinstance(shape, FieldType):
+        try:
+            shape.validate(value)
+        except PydanticCustomError as error:
+            refused = error
+    return {**(refused.context or {}), "code": refused.type}
+
+
+def _describe(node: Node) -> str:
+    """What stands there, for `expected ..., found ...`."""
+    match node:
+        case nodes.Sequence():
+            return "a list"
+        case nodes.Mapping():
+            return "a mapping"
+        case Scalar(value=bool()):
+            return f"the truth value `{node.text}`"
+        case Scalar(value=int() | float()):
+            return f"the number `{_shortened(node.text)}`"
+        case Scalar():
+            return f"the text `{_shortened(node.text)}`"
+
+
+def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | None] | None:
+    """What the form of a wrong value shows, whatever was wanted in its place: what to do, and what to write where that is sure."""
+    match node:
+        case Scalar(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
+            return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`", None
+        case Scalar(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
+            return f"a line ends without a comma: `{bare[:60]}`", Meant(bare, safe=True)
+        case nodes.Sequence(items=items) if items and all(isinstance(item, nodes.Mapping) for item in items):
+            return "; ".join(filter(None, ("leave out the dashes, if keys are meant", about_key(data, path)))), None
+    return None
+
+
+def _is_follow_up(root: nodes.Mapping, problem: _Problem, earlier: Sequence[Finding]) -> bool:
+    """Whether something is missing or empty only because the value there was found faulty before, and left out."""
+    if problem.code not in ("DB102", "DB107"):
+        return False
+    span = descend(root, problem.path)[0].span
+    inside = [found.span for found in earlier if found.span.source is span.source and span.start <= found.span.start <= span.end]
+    if problem.code == "DB107":
+        return bool(inside)
+    return any(_is_about(found, key) for found in inside for key in problem.missing)
+
+
+def _is_about(span: Span, key: str) -> bool:
+    """Whether a finding at `span` marks this key, its value or an item of it, or a file that was to be included and may have held it."""
+    # Not all of the text before it: with tens of thousands of findings the copies took minutes.
+    before = span.source.text[max(0, span.start - _LOOKED_BACK) : span.start].rstrip()
+    list_so_far = r"\s*(\[[^][{}:]*|-[^:]*)?$"
+    return span.text.strip("'\"") == key or re.search(rf"\b({re.escape(key)}|include)['\"]?:{list_so_far}", before) is not None
+
+
+def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
+    """Whether the missing key stands there in a spelling that is reported anyway."""
+    if not problem.missing:
+        return False
+    misspelt = (other.meant for other in problems if other.at_key and other.path[:-1] == problem.path)
+    return any(near is not None and near.text in problem.missing for near in misspelt)
+
+
+def _together(problems: list[_Problem]) -> list[_Problem]:
+    """All sections that a file lacks as one problem: they are many while it is being written. Its notes explain all but the first."""
+    lacking = [problem for problem in problems if problem.code == "DB102" and not problem.path]
+    if len(lacking) < 2:
+        return problems
+    missing = tuple(key for problem in lacking for key in problem.missing)
+    headline = f"missing keys {', '.join(f'`{key}`' for key in missing)} {_place(())}"
+    notes = tuple(problem.help for problem in lacking[1:] if problem.help)
+    together = _Problem("DB102", (), headline, lacking[0].help, missing, at_key=True, notes=notes)
+    return [together, *(problem for problem in problems if problem not in lacking)]
+
+
+# Sections with blanks in front of them
+
+
+def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem], findings: Findings) -> list[_Problem]:
+    """The same, with a section that stands inside of another, by blanks in front of it, as one problem."""
+    displaced = {path for problem in problems if (path := _displaced(root, data, problem.path))}
+    inside = displaced | (_hollow_sections(root, findings) if problems else set())
+    if not inside:
+        return problems
+    names = {str(path[-1]) for path in displaced}
+    left = [
+        problem
+        for problem in problems
+        if not any(problem.path[:depth] in inside for depth in range(1, len(problem.path) + 1))
+        and not (problem.code == "DB102" and not problem.path and names.issuperset(problem.missing))
+    ]
+    moved = [_Problem("DB101", at, f"`{at[-1]}` stands {_place(at[:-1])}", _OWN_SECTION, at_key=True) for at in sorted(displaced, key=str)]
+    return [*moved, *left]
+
+
+def _displaced(root: nodes.Mapping, data: object, path: Path) -> Path | None:
+    """The first key on the path that is a section which the file lacks at its top, where nothing of the kind belongs."""
+    for depth in range(1, len(path)):
+        key = path[depth]
+        if key in Scenario.model_fields and key not in root.entries:
+            holder, node = shape_at(Scenario, data, path[:depth]), descend(root, path[: depth + 1])[0]
+            if isinstance(node, nodes.Mapping) and not (isinstance(holder, type) and key in holder.model_fields):
+                return path[: depth + 1]
+    return None
+
+
+def _hollow_sections(root: nodes.Mapping, findings: Findings) -> set[Path]:
+    """The entries below a section that has lost its lines to the one around it; says so where the section has no value."""
+    empty = {found.span.start: found for found in findings if found.code == "DB107"}
+    inside: set[Path] = set()
+    for path, node in walk(root) if empty else ():
+        if not path or not isinstance(node, nodes.Mapping):
+            continue
+        for key in node.hollow:
+            if key.text in Scenario.model_fields and key.text not in root.entries and key.span.start in empty:
+                findings.advise(empty[key.span.start], _OWN_SECTION)
+                inside |= {(*path, name) for name, entry in node.entries.items() if entry.key.span.start > key.span.start}
+    return inside
+
+
+# Problems to findings
+
+
+def _finding(root: nodes.Mapping, data: Any, problem: _Problem) -> Finding:
+    node, key, _ = descend(root, problem.path)
+    span, word, fix = node.span, key if problem.at_key else node, None
+    if problem.at_key or span.begin.line != span.finish.line:
+        span = _key_span(root, problem.path)
+    if problem.meant is not None and isinstance(word, Scalar):
+        fix = Fix.replacing(word.part(0, len(word.text)), word.text, problem.meant.text, safe=problem.meant.safe)
+    help = problem.help or about_key(data, problem.path)
+    return Finding(problem.code, span, problem.headline, help, notes=problem.notes, fix=fix)
+
+
+def _key_span(root: nodes.Mapping, path: Path) -> Span:
+    """The key at `path`, the head of the item of a list, or the first line of the file."""
+    node, key, _ = descend(root, path)
+    if key is not None and path:
+        return key.span
+    span = node.span
+    end = span.source.text.find("\n", span.start, span.end)
+    return Span(span.source, span.start, span.end if end < 0 else end)
+
+
+def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
+    """Say of keys without a value what they take: the text alone, which was read first, does not know."""
+    vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
+    for path, node in walk(root) if vague else ():
+        for key in node.hollow if isinstance(node, nodes.Mapping) else ():
+            if found := vague.get(key.span):
+                findings.advise(found, _wanted(data, (*path, key.text)))
+
+
+def _wanted(data: object, path: Path) -> str:
+    """What to write behind a key that has no value."""
+    told = about_key(data, path)
+    if told is not None and told.startswith(f"`{path[-1]}`"):
+        return told
+    holder = shape_at(Scenario, data, path[:-1], settled=False)
+    if isinstance(holder, Kinds) and path[-1] == holder.key:
+        return f"it is one of {_listed(holder.names)}"
+    holder = shape_at(Scenario, data, path[:-1])
+    if not isinstance(holder, MappingOf):
+        return GIVE_A_VALUE
+    match holder.value:
+        case FieldType() as shape:
+            hint = shape.help_for(None)
+        case Kinds() as shape:
+            hint = f"write it like `{{{shape.key}: {shape.names[0]}}}`"
+        case Forms() as shape:
+            hint = shape.help
+        case shape:
+            hint = _keys_of(shape)
+    return f"give it {noun_of(shape)}{f': {hint}' if hint else ''}"
+
+
+# Wording
+
+
+def _place(path: Path) -> str:
+    """Where a key stands, for a headline."""
+    if not path:
+        return "at the top level"
+    last = path[-1]
+    return f"in entry {last + 1} of `{_name_of(path)}`" if isinstance(last, int) else f"in `{_name_of(path)}`"
+
+
+def _name_of(path: Path) -> str:
+    """The innermost key of a path, short enough for a headline."""
+    return _shortened(next((step for step in reversed(path) if isinstance(step, str)), ""))
+
+
+def _shortened(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _SHOWN else f"{line[: _SHOWN - 3]}..."
+
+
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def _keys_of(shape: Shape | None) -> str | None:
+    """The keys of a section, as a sentence."""
+    return f"its keys are {_listed(shape.model_fields)}" if isinstance(shape, type) else None
+
+
+def about_key(data: object, path: Path) -> str | None:
+    """What the innermost known key of a path is for."""
+    from deepbots_cli.scenario.docs import description, example_of  # only on the way to a finding
+
+    steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
+    section = shape_at(Scenario, data, steps[:-1]) if steps else None
+    key = str(steps[-1]) if steps else ""
+    if not isinstance(section, type) or key not in section.model_fields:
+        return None
+    text = description(section, key).rstrip(".")
+    example = None if re.search("such as `|`{", text) else example_of(section, key)
+    shown = f", as in `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
+    return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
+
+
+def _help_for_unknown(data: object, path: Path) -> str | None:
+    """Where an unknown key belongs, what was probably meant, or at least what there is."""
+    *_, key = map(str, path)
+    parent = path[:-1]
+    section = shape_at(Scenario, data, parent)
+    if not isinstance(section, type):
+        return None
+    if not parent and key in _RESERVED:
+        return _RESERVED[key]
+    if issubclass(section, Training) and key in ELSEWHERE:
+        return ELSEWHERE[key]
+    known = tuple(section.model_fields)
+    here = f"here the keys are {_listed(known)}"
+    kinds = shape_at(Scenario, data, parent, settled=False)
+    others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
+    if others:
+        return f"it is a key of {_listed(others)}; {here}"
+    british = key.replace("color", "colour")
+    if british != key and british in known:
+        return f"write `{british}`: keys are in British English"
+    near = nearest(key, known)
+    belongs = _nearest_home(parent, key)
+    if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
+        return f"it belongs {belongs}; {here}"
+    return f"did you mean `{near}`? {_keys_of(section)}" if near else _keys_of(section)
+
+
+def meant_by(data: object, path: Path) -> Meant | None:
+    """The key that was probably meant by an unknown one; not certain where the language knows that one elsewhere."""
+    section = shape_at(Scenario, data, path[:-1])
+    if not isinstance(section, type):
+        return None
+    near = meant(str(path[-1]), tuple(section.model_fields), ours=True)
+    return near and near._replace(safe=near.safe and path[-1] not in _homes())
+
+
+@cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
+def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
+    """Where each key of the language is known: the paths of the sections that have it, `*` for a name of the user's own."""
+    found: dict[str, set[tuple[str, ...]]] = {}
+    for home, section, _ in sections(Scenario):
+        for key in section.model_fields if isinstance(section, type) else ():
+            found.setdefault(key, set()).add(home)
+    return {key: frozenset(places) for key, places in found.items()}
+
+
+def _nearest_home(parent: Path, key: str) -> str | None:
+    """The place of the language that knows this key and is nearest to where it stands, unless there are many."""
+    here = tuple(step for step in parent if isinstance(step, str))
+
+    def shared(home: tuple[str, ...]) -> int:
+        pairs = list(zip(home, here, strict=False))
+        return next((i for i, (known, written) in enumerate(pairs) if known not in ("*", written)), len(pairs))
+
+    found = sorted(_homes().get(key, ()), key=lambda home: (-shared(home), len(home), home))
+    if not found or len(found) > 6:
+        return None
+    best = found[0]
+    return f"under `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "at the top level"

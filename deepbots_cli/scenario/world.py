@@ -1,125 +1,354 @@
-"""The world without its bodies: time, gravity, ground, arena, terrain, painted lines."""
+"""The world: time, gravity, ground, arena, walls, terrain, painted lines; poses, and bodies that are no robots."""
 
-from __future__ import annotations
+from typing import Annotated, ClassVar, Literal
 
-from typing import Annotated, ClassVar
+from annotated_types import Ge, Le
+from pydantic import Field, Strict
 
-from deepbots_cli.scenario.fields import Expression, FilePath, Quantity, Scalar
-from deepbots_cli.scenario.part import Keys, Kinds, Many, Part, Size, field
-from deepbots_cli.scenario.plain import Count
-from deepbots_cli.scenario.quantity import (
+from deepbots_cli.scenario.base import Keys, Kinds, Many, Section, Size
+from deepbots_cli.scenario.fields import (
     Area,
-    DrawnFactor,
-    DrawnShare,
+    Bool,
+    Colour,
+    Expression,
+    Extent,
+    FilePath,
+    LocalName,
     MeshFile,
-    OnOff,
-    Paint,
     Point,
     Prose,
+    Quantity,
+    RandomizableAngle,
+    RandomizableCoordinate,
+    RandomizableCount,
+    RandomizableFactor,
+    RandomizableMass,
+    RandomizableShare,
+    Scalar,
+    Scale,
     Share,
     SharedName,
     Thickness,
-    Tick,
+    Timestep,
 )
 
 
-class Ground(Part):
+class Ground(Section):
     """The plane z = 0."""
 
-    friction: DrawnFactor = field(default=1.0, description="Coulomb's coefficient of friction.")
-    restitution: DrawnShare = field(default=0, description="Share of the speed that a bounce keeps, 0 to 1.")
-    colour: Paint | None = field(default=None, description="Colour in pictures: a word, or `'#rrggbb'`.")
+    friction: RandomizableFactor = 1.0
+    """Coulomb's coefficient of friction."""
+    restitution: RandomizableShare = 0
+    """Share of the speed that a bounce keeps, 0 to 1."""
+    colour: Colour | None = None
+    """Colour in pictures: a word, or `'#rrggbb'`."""
 
 
-class Arena(Part):
+class Arena(Section):
     """A rectangle of walls around the origin."""
 
-    size: Area = field(description="Inner size along x and y, such as `1 1 m`.")
-    wall_height: Thickness = field(default="0.1 m", description="Height of the walls, m.")
-    wall_thickness: Thickness = field(default="0.01 m", description="Thickness of the walls, m.")
-    friction: DrawnFactor = field(default=1.0, description="Friction of the walls.")
-    colour: Paint | None = field(default=None, description="Colour of the walls.")
+    size: Area
+    """Inner size along x and y, such as `1 1 m`."""
+    wall_height: Thickness = "0.1 m"
+    """Height of the walls, m."""
+    wall_thickness: Thickness = "0.01 m"
+    """Thickness of the walls, m."""
+    friction: RandomizableFactor = 1.0
+    """Friction of the walls."""
+    colour: Colour | None = None
+    """Colour of the walls."""
 
 
-class Wall(Part):
+class Wall(Section):
     """A wall along a line of straight pieces."""
 
-    through: Annotated[Many[Point], Size(2, "point")] = field(description="The corners in the ground plane, such as `[0 0 m, 1 0 m]`.")
-    closed: OnOff = field(default=False, description="Whether the last corner is joined to the first.")
-    height: Thickness = field(default="0.1 m", description="Height, m.")
-    thickness: Thickness = field(default="0.01 m", description="Thickness, m.")
-    friction: DrawnFactor = field(default=1.0, description="Friction of its sides.")
-    colour: Paint | None = field(default=None, description="Colour of the wall.")
+    through: Annotated[Many[Point], Size(2, "point")]
+    """The corners in the ground plane, such as `[0 0 m, 1 0 m]`."""
+    closed: Bool = False
+    """Whether the last corner is joined to the first."""
+    height: Thickness = "0.1 m"
+    """Height, m."""
+    thickness: Thickness = "0.01 m"
+    """Thickness, m."""
+    friction: RandomizableFactor = 1.0
+    """Friction of its sides."""
+    colour: Colour | None = None
+    """Colour of the wall."""
 
 
-class Line(Part):
+class Line(Section):
     """A line painted on the ground: no body, nothing to bump into."""
 
-    through: Annotated[Many[Point], Size(2, "point")] = field(description="The points of the line in the ground plane.")
-    closed: OnOff = field(default=False, description="Whether the last point is joined to the first.")
-    width: Thickness = field(description="Width of the stroke, m.")
-    reflectance: Share = field(default=0, description="Light that the paint throws back, 0 (black) to 1 (white).")
-    colour: Paint = field(default="black", description="Colour in pictures.")
+    through: Annotated[Many[Point], Size(2, "point")]
+    """The points of the line in the ground plane."""
+    closed: Bool = False
+    """Whether the last point is joined to the first."""
+    width: Thickness
+    """Width of the stroke, m."""
+    reflectance: Share = 0
+    """Light that the paint throws back, 0 (black) to 1 (white)."""
+    colour: Colour = "black"
+    """Colour in pictures."""
 
 
-class Terrain(Part):
+class Terrain(Section):
     """Ground that is not flat; heights count from z = 0."""
 
-    type: Prose = field(description="What gives the ground its shape.")
-    friction: DrawnFactor = field(default=1.0, description="Friction of the ground.")
-    colour: Paint | None = field(default=None, description="Colour of the ground.")
+    type: Prose
+    """What gives the ground its shape."""
+    friction: RandomizableFactor = 1.0
+    """Friction of the ground."""
+    colour: Colour | None = None
+    """Colour of the ground."""
 
 
 class Pit(Terrain):
     """A bowl around the origin."""
 
-    height: Thickness = field(description="Four times the height of the rim above the bottom, m.")
-    radius: Thickness | None = field(default=None, description="Radius of the rim, m; 3.18 m unless given.")
-    noise: Share = field(default=0, description="Share of the height that lumps in the ground take away; they are the same in every world.")
+    type: Literal["pit"]
+    height: Thickness
+    """Four times the height of the rim above the bottom, m."""
+    radius: Thickness | None = None
+    """Radius of the rim, m; 3.18 m unless given."""
+    noise: Share = 0
+    """Share of the height that lumps in the ground take away; they are the same in every world."""
 
 
 class Heightfield(Terrain):
     """Heights from a grey picture."""
 
-    file: Annotated[str, FilePath("picture")] = field(description="The picture; black is low, white is high.")
-    size: Area = field(description="Size along x and y, m.")
-    height: Thickness = field(description="Height of white above black, m.")
+    type: Literal["heightfield"]
+    file: Annotated[str, FilePath("picture")]
+    """The picture; black is low, white is high."""
+    size: Area
+    """Size along x and y, m."""
+    height: Thickness
+    """Height of white above black, m."""
 
 
 class Formula(Terrain):
     """Heights as an expression."""
 
-    heights: Annotated[Scalar, Expression("field", boolean=False)] = field(
-        description="Height at the place `x`, `y` (lengths), such as `5 cm * sin(x / m * 90 deg)`."
-    )
-    size: Area = field(description="Size along x and y, m.")
+    type: Literal["formula"]
+    heights: Annotated[Scalar, Expression("field", boolean=False)]
+    """Height at the place `x`, `y` (lengths), such as `5 cm * sin(x / m * 90 deg)`."""
+    size: Area
+    """Size along x and y, m."""
 
 
 class MeshTerrain(Terrain):
     """Ground from a mesh file."""
 
-    file: MeshFile = field(description="The mesh.")
-    scale: Annotated[Scalar, Quantity("number", components=3)] | None = field(default=None, description="Factors along x, y and z.")
+    type: Literal["mesh"]
+    file: MeshFile
+    """The mesh."""
+    scale: Scale | None = None
+    """Factors along x, y and z."""
 
 
 TERRAINS: dict[str, type[Terrain]] = {"pit": Pit, "heightfield": Heightfield, "formula": Formula, "mesh": MeshTerrain}
 
 
-class World(Part):
+class World(Section):
     """Time and place of the simulation."""
 
-    needs: ClassVar[tuple[Keys, ...]] = (Keys(("ground", "terrain")),)
+    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("ground", "terrain")),)
 
-    timestep: Tick = field(description="One control tick: robots sense and act this often, such as `32 ms`.")
-    substeps: Annotated[int, Count(maximum=10_000)] = field(default=1, description="Physics steps in one control tick.")
-    gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = field(
-        default="0 0 -9.81 m/s^2", description="Gravity in the world frame, m/s^2."
-    )
-    ground: Ground = field(default=Ground(), description="The plane that everything stands on.")
-    arena: Arena | None = field(default=None, description="A rectangle of walls around the origin.")
-    walls: dict[SharedName, Wall] = field(default={}, description="Further walls, by names of your choice.")
-    terrain: Annotated[Terrain, Kinds("type", tuple(TERRAINS), TERRAINS.__getitem__)] | None = field(
-        default=None, description="Ground that is not flat."
-    )
-    lines: dict[SharedName, Line] = field(default={}, description="Lines painted on the ground, by names of your choice.")
-    light: DrawnFactor = field(default=1.0, description="Brightness of the light in pictures; 1 is ordinary.")
+    timestep: Timestep
+    """One control tick: robots sense and act this often, such as `32 ms`."""
+    substeps: Annotated[int, Strict(), Ge(1), Le(10_000)] = 1
+    """Physics steps in one control tick."""
+    gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
+    """Gravity in the world frame, m/s^2."""
+    ground: Ground = Field(default_factory=Ground)
+    """The plane that everything stands on."""
+    arena: Arena | None = None
+    """A rectangle of walls around the origin."""
+    walls: dict[SharedName, Wall] = {}
+    """Further walls, by names of your choice."""
+    terrain: Annotated[Terrain, Kinds("type", TERRAINS)] | None = None
+    """Ground that is not flat."""
+    lines: dict[SharedName, Line] = {}
+    """Lines painted on the ground, by names of your choice."""
+    light: RandomizableFactor = 1.0
+    """Brightness of the light in pictures; 1 is ordinary."""
+
+
+# Poses
+
+_ONE_WAY = tuple(Keys((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
+
+Coordinate = Annotated[Scalar, Quantity("length")]
+Angle = Annotated[Scalar, Quantity("angle")]
+
+
+class SensorFrame(Section):
+    """A frame on a link, fixed once and for all."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = _ONE_WAY
+
+    x: Coordinate = 0
+    """Position along x of the link, m."""
+    y: Coordinate = 0
+    """Position along y of the link, m."""
+    z: Coordinate = 0
+    """Position along z of the link, m."""
+    xyz: Annotated[Scalar, Quantity("length", components=3)] | None = None
+    """All three coordinates at once, such as `30 0 40 mm`."""
+    roll: Angle = 0
+    """Turn about x."""
+    pitch: Angle = 0
+    """Turn about y."""
+    yaw: Angle = 0
+    """Turn about z; left is positive."""
+    rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = None
+    """Roll, pitch and yaw at once, such as `0 0 90 deg`."""
+
+
+class Pose(Section):
+    """A pose in the world, which may be drawn in every episode."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = _ONE_WAY
+
+    x: RandomizableCoordinate | None = None
+    """Position along x of the world, m."""
+    y: RandomizableCoordinate | None = None
+    """Position along y of the world, m."""
+    z: RandomizableCoordinate | None = None
+    """Height above the ground or the terrain, m."""
+    xyz: Annotated[Scalar, Quantity("length", 3, "episode")] | None = None
+    """All three coordinates at once."""
+    roll: RandomizableAngle | None = None
+    """Turn about x; `any` draws it from the whole circle."""
+    pitch: RandomizableAngle | None = None
+    """Turn about y; `any` draws it from the whole circle."""
+    yaw: RandomizableAngle | None = None
+    """Turn about z; `any` draws it from the whole circle."""
+    rpy: Annotated[Scalar, Quantity("angle", 3, "episode")] | None = None
+    """Roll, pitch and yaw at once."""
+
+
+# Bodies
+
+
+class Material(Section):
+    """What a body is made of; in `one_of`, a variant overrides it."""
+
+    mass: RandomizableMass | None = None
+    """Mass, kg; by default as much as water has in this shape. A mesh that can move needs one."""
+    colour: Colour | None = None
+    """Colour: a word, `'#rrggbb'`, or `choice(red | green)`."""
+    friction: RandomizableFactor | None = None
+    """Coulomb's coefficient of friction."""
+    spinning_friction: RandomizableFactor | None = None
+    """Friction against spinning on the spot."""
+    rolling_friction: RandomizableFactor | None = None
+    """Friction against rolling."""
+    restitution: RandomizableShare | None = None
+    """Share of the speed that a bounce keeps, 0 to 1."""
+    fixed: Bool | None = None
+    """Whether it never moves; by default false."""
+    solid: Bool | None = None
+    """Whether things bump into it; `false` makes a mark that is only seen."""
+
+
+class Shaped(Material):
+    """A body of one shape."""
+
+    shape: Prose
+    """The shape of the body."""
+
+
+class Box(Shaped):
+    """A box."""
+
+    shape: Literal["box"]
+    size: Extent
+    """Lengths along x, y and z, such as `10 10 10 cm`."""
+
+
+class Sphere(Shaped):
+    """A ball."""
+
+    shape: Literal["sphere"]
+    radius: Thickness
+    """Radius, m."""
+
+
+class Cylinder(Shaped):
+    """A cylinder along z."""
+
+    shape: Literal["cylinder"]
+    radius: Thickness
+    """Radius, m."""
+    height: Thickness
+    """Height, m."""
+
+
+class Capsule(Shaped):
+    """A cylinder along z with half a ball on either end."""
+
+    shape: Literal["capsule"]
+    radius: Thickness
+    """Radius, m."""
+    height: Thickness
+    """Height of the cylinder between the half balls, m."""
+
+
+class Mesh(Shaped):
+    """A body from a mesh file."""
+
+    shape: Literal["mesh"]
+    file: MeshFile
+    """The mesh."""
+    scale: Scale | None = None
+    """Factors along x, y and z."""
+
+
+SHAPES: dict[str, type[Shaped]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "mesh": Mesh}
+
+
+class Placed(Section):
+    """What an object has besides its shape."""
+
+    pose: Pose = Field(default_factory=Pose)
+    """Where it stands unless `reset` places it."""
+    count: RandomizableCount = 1
+    """How many copies there are; the name then names a group."""
+
+
+class BoxObject(Placed, Box):
+    """A box in the world."""
+
+
+class SphereObject(Placed, Sphere):
+    """A ball in the world."""
+
+
+class CylinderObject(Placed, Cylinder):
+    """A cylinder in the world."""
+
+
+class CapsuleObject(Placed, Capsule):
+    """A capsule in the world."""
+
+
+class MeshObject(Placed, Mesh):
+    """A mesh in the world."""
+
+
+class VariedObject(Placed, Material):
+    """Copies of different shapes: each is drawn from the variants."""
+
+    one_of: Annotated[dict[LocalName, Annotated[Shaped, Kinds("shape", SHAPES)]], Size(1, "variant")]
+    """The variants that each copy is drawn from, by names of your choice."""
+
+
+OBJECTS: dict[str, type[Placed]] = {
+    "box": BoxObject,
+    "sphere": SphereObject,
+    "cylinder": CylinderObject,
+    "capsule": CapsuleObject,
+    "mesh": MeshObject,
+}
+AnyObject = Annotated[Placed, Kinds("shape", OBJECTS, marked={"one_of": VariedObject})]

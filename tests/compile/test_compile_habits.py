@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.habits import _OTHER_NAMES, other_name
-from deepbots_cli.scenario.objects import OBJECTS
+from deepbots_cli.scenario.fields import _OTHER_NAMES, other_name
 from deepbots_cli.scenario.sensors import SENSORS
+from deepbots_cli.scenario.world import OBJECTS
 from tests.compile.conftest import shipped_text
 
 

@@ -161,9 +161,9 @@ def test_the_reference_is_current(name: str):
 
 def test_every_algorithm_of_the_language_can_be_trained_with():
     from deepbots_cli.learning.algorithms import ALGORITHMS
-    from deepbots_cli.scenario import hyperparameters
+    from deepbots_cli.scenario.training import ALGORITHMS as DECLARED
 
-    assert set(ALGORITHMS) == set(hyperparameters.ALGORITHMS)
+    assert set(ALGORITHMS) == set(DECLARED)
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "docs" / "build_reference.py"], ids=lambda page: page.name)

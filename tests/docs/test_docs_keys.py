@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
@@ -17,13 +16,12 @@ from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
 from deepbots_cli.document.load import merge
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data, without
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data, walk, without
 from deepbots_cli.document.nodes import replace as replaced
-from deepbots_cli.scenario import Scenario, hyperparameters
-from deepbots_cli.scenario.examples import example_of, table
-from deepbots_cli.scenario.part import Alternatives, Kinds, Listed, Mapped, Part, Spec, fields
-from deepbots_cli.scenario.training import Training, training_with
-from deepbots_cli.scenario.walk import parts
+from deepbots_cli.scenario import Scenario
+from deepbots_cli.scenario.base import Section, fields, sections, shape_at
+from deepbots_cli.scenario.docs import example_of, examples
+from deepbots_cli.scenario.training import ALGORITHMS, Training
 
 ROOT = FilePath(__file__).parents[2]
 FOLDERS = ("tests/data/hosts", "tests/data/scenarios", "tests/channel", "tests/placement", "scenarios")
@@ -35,7 +33,7 @@ FOREIGN = frozenset({"python"})  # refused unless foreign code is allowed
 class Key(NamedTuple):
     """A key of the language, and the part that declares it."""
 
-    owner: type[Part]
+    owner: type[Section]
     name: str
 
     def __str__(self) -> str:
@@ -47,34 +45,15 @@ class Place(NamedTuple):
 
     document: Document
     path: Path
-    part: type[Part]
+    part: type[Section]
     keys: frozenset[str]
 
 
-def models(spec: Spec, kind: str = "") -> Iterator[tuple[type[Part], str]]:
-    """Every part below a spec, and the key that tells its kind."""
-    match spec:
-        case Mapped(value=inner) | Listed(item=inner):
-            yield from models(inner)
-        case Alternatives(options=options):
-            for option in options:
-                yield from models(option)
-        case Kinds(key=key, marked=marked):
-            for name in spec.names:
-                yield from models(spec.model(name), key)
-            for _, part in marked:
-                yield from models(part)
-        case type():
-            yield spec, kind
-            for inner in fields(spec).values():
-                yield from models(inner)
+def declared(part: type[Section], name: str) -> type[Section]:
+    return [base for base in part.__mro__ if issubclass(base, Section) and name in base.model_fields][-1]
 
 
-def declared(part: type[Part], name: str) -> type[Part]:
-    return [base for base in part.__mro__ if issubclass(base, Part) and name in base.declared][-1]
-
-
-PARTS = list(dict.fromkeys(models(Scenario)))
+PARTS = list(dict.fromkeys((section, kind) for _, section, kind in sections(Scenario) if isinstance(section, type)))
 KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in fields(part) if name != kind}, key=str)
 KEYS = [key for key in KEYS if not issubclass(key.owner, Training) or key.owner is Training]
 
@@ -85,8 +64,10 @@ def places() -> tuple[Place, ...]:
     for host in HOSTS:
         document = load(host)
         assert document.root is not None
-        for path, part, data in parts(Scenario, to_data(document.root)):
-            found.append(Place(document, path, part, frozenset(data)))
+        data = to_data(document.root)
+        for path, node in walk(document.root):
+            if isinstance(node, Mapping) and isinstance(part := shape_at(Scenario, data, path), type):
+                found.append(Place(document, path, part, frozenset(node.entries)))
     return tuple(found)
 
 
@@ -98,7 +79,7 @@ def fitting(key: Key) -> list[Place]:
 
 def excluded(place: Place, key: Key) -> set[str]:
     """The keys that cannot stand beside this one."""
-    groups = [set(keys.names) for keys in place.part.needs if keys.most == 1 and key.name in keys.names]
+    groups = [set(keys.names) for keys in place.part.key_rules if keys.max == 1 and key.name in keys.names]
     return set().union(*groups) & place.keys - {key.name}
 
 
@@ -144,23 +125,23 @@ def tried(key: Key) -> tuple[Checked | None, str]:
 
 
 @pytest.mark.parametrize("part", dict.fromkeys(part for part, _ in PARTS), ids=lambda part: part.__name__)
-def test_every_key_has_an_example(part: type[Part]):
+def test_every_key_has_an_example(part: type[Section]):
     kinds = {kind for model, kind in PARTS if model is part}
     assert [name for name in fields(part) if example_of(part, name) is None and name not in kinds] == []
 
 
 def test_every_example_is_of_a_key():
-    known = {base.__name__: set(base.declared) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Part)}
-    known["Training"] |= {name for part, _ in PARTS if part.__name__.endswith("Training") for name in fields(part)}
-    assert [f"{part}.{key}" for part, keys in table().items() for key in keys if key not in known.get(part, set())] == []
+    known = {base.__name__: set(base.model_fields) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Section)}
+    known["Training"] |= {name for part, _ in PARTS if issubclass(part, Training) for name in fields(part)}
+    assert [f"{part}.{key}" for part, keys in examples().items() for key in keys if key not in known.get(part, set())] == []
 
 
 @pytest.mark.parametrize(
     "part",
-    dict.fromkeys(part for part, _ in PARTS if part.__module__.endswith(("sensors", "actuators", "objects", "world"))),
+    dict.fromkeys(part for part, _ in PARTS if part.__module__.endswith(("sensors", "actuators", "world"))),
     ids=lambda part: part.__name__,
 )
-def test_every_part_stands_in_a_scenario_that_runs(part: type[Part]):
+def test_every_part_stands_in_a_scenario_that_runs(part: type[Section]):
     assert any(place.part is part for place in places())
 
 
@@ -171,9 +152,9 @@ def test_an_example_lints_clean_in_its_place(key: Key):
         assert checked is not None, said
 
 
-@pytest.mark.parametrize("algorithm", hyperparameters.ALGORITHMS)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_examples_of_an_algorithm_lint_clean_together(algorithm: str):
-    own = {key: found.data for key in hyperparameters.ALGORITHMS[algorithm] if (found := example_of(training_with(algorithm), key))}
+    own = {key: found.data for key in ALGORITHMS[algorithm].hyperparameter_names() if (found := example_of(ALGORITHMS[algorithm], key))}
     text = json.dumps({"deepbots": 1, "train": {"algorithm": algorithm, "total_timesteps": 100_000} | own})
     said = [findings_of(check(loads(f"{text[:-1]}, extends: {host}}}", base=ROOT / "tests" / "data" / "hosts"))) for host in LEARNERS]
     assert [] in said

@@ -11,7 +11,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler.known import known
-from deepbots_cli.scenario.export import FILE_NAME, to_text
+from deepbots_cli.scenario.json_schema import FILE_NAME, to_text
 from tests.lsp.client import Client, Message, position
 
 ROOT = Path(__file__).parents[2]

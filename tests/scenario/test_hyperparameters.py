@@ -8,8 +8,7 @@ import pytest
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.hyperparameters import ALGORITHMS, ELSEWHERE
-from deepbots_cli.scenario.training import Training
+from deepbots_cli.scenario.training import ALGORITHMS, ELSEWHERE, Training
 
 Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 EXCLUDED = {"self", "policy", "env", "verbose", "device", "seed", "tensorboard_log", "policy_kwargs", "_init_setup_model"} | {
@@ -25,13 +24,13 @@ def signature(algorithm: str) -> inspect.Signature:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_table_has_what_the_algorithm_takes(algorithm: str) -> None:
-    assert set(ALGORITHMS[algorithm]) - OURS == set(signature(algorithm).parameters) - EXCLUDED
+    assert set(ALGORITHMS[algorithm].hyperparameter_names()) - OURS == set(signature(algorithm).parameters) - EXCLUDED
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Check, cartpole: str) -> None:
     parameters = signature(algorithm).parameters
-    own = {name: parameters[name].default for name in ALGORITHMS[algorithm] if name not in OURS}
+    own = {name: parameters[name].default for name in ALGORITHMS[algorithm].hyperparameter_names() if name not in OURS}
     train = {"algorithm": algorithm, "total_timesteps": 1000} | {name: value for name, value in own.items() if value is not None}
     text = "\n".join(line for line in cartpole.splitlines() if not line.startswith("train:")) + f"\ntrain: {json.dumps(train)}\n"
     scenario, findings = check(text)
@@ -42,7 +41,7 @@ def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Che
 
 
 def test_what_is_said_elsewhere_is_no_hyperparameter() -> None:
-    assert not [name for name in ELSEWHERE if any(name in own for own in ALGORITHMS.values())]
+    assert not [name for name in ELSEWHERE if any(name in model.model_fields for model in ALGORITHMS.values())]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from deepbots_cli.compiler.known import known
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.scenario.export import json_schema, to_text
+from deepbots_cli.scenario.json_schema import json_schema, to_text
 from tests.fuzz.mutations import case
 from tests.fuzz.workbench import Workbench
 
@@ -93,8 +93,6 @@ def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
         ("Disturbance", "body", {"cart", "cart.pole"}),
         ("Stage", "set", {"fall_angle", "track", "wheel_speed"}),
         ("JointSensor.cart", "latency", set()),
-        ("Arena", "wall_height", {"track"}),
-        ("Mount.cart", "yaw", {"fall_angle"}),
         ("ContinuousAction", "each", {"cart.wheels"}),
     ],
 )

@@ -8,9 +8,9 @@ import pytest
 
 from deepbots_cli.document import descend, load
 from deepbots_cli.scenario import Scenario, validate, visit
-from deepbots_cli.scenario.fields import Expression, Pattern, Quantity, Range, Reference, count_literal
-from deepbots_cli.scenario.part import Part, fields
-from deepbots_cli.scenario.plain import read_schedule
+from deepbots_cli.scenario.base import sections
+from deepbots_cli.scenario.docs import description
+from deepbots_cli.scenario.fields import Expression, Pattern, Quantity, Range, Reference, count_literal, read_schedule
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
@@ -73,28 +73,11 @@ def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
 
 
 def test_every_key_has_a_sentence_for_the_editor() -> None:
-    def parts(part: type[Part], seen: set[type[Part]]) -> set[type[Part]]:
-        if part not in seen:
-            seen.add(part)
-            for spec in fields(part).values():
-                for inner in inner_parts(spec):
-                    parts(inner, seen)
-        return seen
-
-    def inner_parts(spec: object) -> list[type[Part]]:
-        if isinstance(spec, type):
-            return [spec]
-        inner = [getattr(spec, name) for name in ("item", "value") if hasattr(spec, name)] + list(getattr(spec, "options", ()))
-        if hasattr(spec, "names"):
-            return [*map(spec.model, spec.names), *(model for _, model in spec.marked)]  # type: ignore[attr-defined]
-        return [part for one in inner for part in inner_parts(one)]
-
-    found = parts(Scenario, set())
+    found = {section for _, section, _ in sections(Scenario) if isinstance(section, type)}
     assert len(found) > 50
-    for part in found:
-        for name, info in part.declared.items():
-            assert info.description, f"{part.__name__}.{name}"
-            assert info.description.endswith("."), f"{part.__name__}.{name}"
+    for section in found:
+        for key in section.model_fields:
+            assert description(section, key).endswith("."), f"{section.__name__}.{key}"
 
 
 @pytest.mark.parametrize(

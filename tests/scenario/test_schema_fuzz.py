@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import load, to_data
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.export import json_schema
+from deepbots_cli.scenario.json_schema import json_schema
 
 Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 Place = tuple[str | int, ...]

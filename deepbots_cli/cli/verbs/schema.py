@@ -15,7 +15,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.known import known
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError
-from deepbots_cli.scenario.export import to_text
+from deepbots_cli.scenario.json_schema import to_text
 
 
 def command(

@@ -1,0 +1,393 @@
+"""The base of the models: sections, unions of them, sizes; and the shape of what may stand under a key.
+
+A key of a section is one annotated field of its model, with its sentence as a docstring below. `shape_of` reads an annotation:
+
+    FieldType     a single value (fields.py); int, bool, str and Literal are read as `Plain` and `Word`
+    Section       a mapping with known keys: the model class itself
+    MappingOf     a mapping with names that the user chooses
+    ListOf        a list
+    Forms         a union that is discriminated by the form of the value
+    Kinds         a union of sections that is discriminated by the word under one key
+
+The compiler, the language server, the JSON Schema and the reference pages all go by these shapes. A nested section is validated by
+its own validator, which pydantic builds when a scenario first has such a section: a scenario uses a third of the models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError, ValidationInfo, model_validator
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.scenario.fields import FieldType, Plain, Word, article, at, choose_from, count, error, mismatch, word_meant
+
+T = TypeVar("T")
+Many = tuple[T, ...]
+"""A list in the file, a tuple in the model."""
+
+LENIENT = "lenient"
+"""The key of the validation context that lets lists and mappings have too few entries, since faulty ones were taken out."""
+
+_is_building: ContextVar[bool] = ContextVar("_is_building", default=False)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """How many of these keys a section may have at once."""
+
+    names: tuple[str, ...]
+    min: Literal[0, 1] = 0
+    max: int = 1
+
+    def errors(self, data: Mapping[str, object]) -> Iterator[InitErrorDetails]:
+        """What is wrong with the keys of a section."""
+        given = [name for name in self.names if name in data]
+        if len(given) > self.max:
+            refused = error("DB101", f"`{given[-1]}` cannot stand beside `{given[0]}`", "keep one of the two")
+            yield InitErrorDetails(type=refused, loc=(given[-1],), input=data[given[-1]])
+        elif len(given) < self.min:
+            names = " or ".join(f"`{name}`" for name in self.names)
+            yield InitErrorDetails(type=error("DB102", f"missing key {names}", "give one of them", missing=self.names), input=data)
+
+
+class Section(BaseModel):
+    """A mapping whose keys the language knows."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+    key_rules: ClassVar[tuple[Keys, ...]] = ()
+    marks: ClassVar[frozenset[str]] = frozenset()
+    """Among several forms that are mappings, the keys that tell this one."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _check_keys(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
+        own = [found for keys in cls.key_rules for found in keys.errors(data)] if isinstance(data, Mapping) else []
+        try:
+            section = handler(data)
+        except ValidationError as others:
+            if own:
+                own += [
+                    InitErrorDetails(type=PydanticCustomError(e["type"], e["msg"], e.get("ctx")), loc=e["loc"], input=e["input"])
+                    for e in others.errors(include_url=False)
+                ]
+            else:
+                raise
+        if own:
+            raise ValidationError.from_exception_data(cls.__name__, own)
+        return section
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        if _is_building.get():
+            return core_schema.with_info_plain_validator_function(lambda value, info: cls.model_validate(value, context=info.context))
+        token = _is_building.set(True)
+        try:
+            return handler(source)
+        finally:
+            _is_building.reset(token)
+
+
+@dataclass(frozen=True)
+class Size:
+    """The least number of entries of a list or mapping, and what one is called."""
+
+    min: int = 1
+    noun: str = "entry"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_after_validator_function(self._check, handler(source))
+
+    def _check(self, value: Any, info: ValidationInfo) -> Any:
+        if len(value) < self.min and not (info.context and info.context.get(LENIENT)):
+            if not value:
+                raise error("DB107", "is empty", f"give at least {count(self.min, self.noun)}")
+            raise error("DB106", f"expected at least {count(self.min, self.noun)}, found {len(value)}")
+        return value
+
+
+ANY_SIZE = Size(0)
+
+
+@dataclass(frozen=True)
+class ListOf:
+    """The shape of a list."""
+
+    item: Shape
+    size: Size = ANY_SIZE
+
+
+@dataclass(frozen=True)
+class MappingOf:
+    """The shape of a mapping with keys of the user's own."""
+
+    key: FieldType
+    value: Shape
+    size: Size = ANY_SIZE
+
+
+@dataclass(frozen=True)
+class Forms:
+    """A union that is discriminated by the form of the value; sections with `marks` come first. `FORMS` marks one in an annotation."""
+
+    options: tuple[Shape, ...] = ()
+    annotations: tuple[Any, ...] = ()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(_forms_of(source).validate)
+
+    def validate(self, value: object, info: ValidationInfo) -> object:
+        chosen = self.index(value)
+        if chosen is None:
+            raise mismatch(noun_of(self), self.help, value=value)
+        return _validator(self.annotations[chosen]).validate_python(value, context=info.context)
+
+    @property
+    def help(self) -> str | None:
+        """How the first option that is a single value is written."""
+        hints = (option.help_for(None) for option in self.options if isinstance(option, FieldType))
+        return next((hint for hint in hints if hint), None)
+
+    def index(self, value: object) -> int | None:
+        """Which option `value`, raw or validated, has the form of."""
+        return next((i for i, option in enumerate(self.options) if _fits(option, value)), None)
+
+    def choose(self, value: object) -> Shape | None:
+        index = self.index(value)
+        return None if index is None else self.options[index]
+
+
+FORMS = Forms()
+
+
+def _fits(shape: Shape, value: object) -> bool:
+    if isinstance(value, Section):
+        return shape is type(value)
+    match shape:
+        case FieldType():
+            # The field type itself refuses a single value of the wrong type, not the choice between the forms.
+            return shape.holds(list(value)) if isinstance(value, (list, tuple)) else not isinstance(value, dict)
+        case ListOf():
+            return isinstance(value, (list, tuple))
+        case MappingOf() | Kinds():
+            return isinstance(value, dict)
+        case type():
+            return isinstance(value, dict) and (not shape.marks or not shape.marks.isdisjoint(value))
+        case _:
+            return False
+
+
+@cache
+def _validator(annotation: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(annotation)
+
+
+@cache
+def _forms_of(annotation: Any) -> Forms:
+    options = get_args(annotation)
+    return Forms(tuple(map(shape_of, options)), options)
+
+
+@dataclass(frozen=True, eq=False)
+class Kinds:
+    """A union of sections that is discriminated by the word under `key`.
+
+    `marked` holds the models that have no such word and are known by another key.
+    """
+
+    key: str
+    models: Mapping[str, type[Section]]
+    marked: Mapping[str, type[Section]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.models)
+
+    @property
+    def every(self) -> tuple[type[Section], ...]:
+        """Each model once."""
+        return tuple(dict.fromkeys((*self.models.values(), *self.marked.values())))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(self.validate)
+
+    def find(self, value: object) -> type[Section] | None:
+        """The model for `value`, raw or validated; None if its kind is unknown."""
+        if isinstance(value, Section):
+            return type(value) if type(value) in self.every else None
+        if not isinstance(value, Mapping):
+            return None
+        word = value.get(self.key)
+        if isinstance(word, str) and word in self.models:
+            return self.models[word]
+        return next((model for mark, model in self.marked.items() if word is None and mark in value), None)
+
+    def validate(self, value: object, info: ValidationInfo) -> Section:
+        model = self.find(value)
+        if model is not None:
+            return model.model_validate(value, context=info.context)
+        if not isinstance(value, Mapping):
+            raise mismatch("a mapping", f"write it like `{{{self.key}: {self.names[0]}}}`", value=value)
+        if self.key not in value:
+            wanted = " or ".join(f"`{key}`" for key in (self.key, *self.marked))
+            help = f"give `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
+            raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.marked))
+        word = value[self.key]
+        if not isinstance(word, str):
+            raise at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names), value=word))
+        unknown = error("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=word_meant(word, self.names))
+        raise at(self.key, unknown)
+
+
+Shape = FieldType | type[Section] | ListOf | MappingOf | Forms | Kinds
+
+
+def noun_of(shape: Shape) -> str:
+    """What a finding calls a value of this shape."""
+    match shape:
+        case FieldType():
+            return shape.noun
+        case ListOf(item=item):
+            return f"a list of {item.plural}" if isinstance(item, FieldType) else "a list"
+        case Forms(options=options):
+            return " or ".join(dict.fromkeys(noun_of(option) for option in options))
+        case _:
+            return "a mapping"
+
+
+@cache
+def fields(section: type[Section]) -> Mapping[str, Shape]:
+    """The keys of a section, in order, each with its shape."""
+    return {name: shape_of(info.annotation, tuple(info.metadata)) for name, info in section.model_fields.items()}
+
+
+def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
+    """The shape of an annotation, None apart; one that has no shape is a mistake in a model."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return shape_of(arguments[0], (*annotation.__metadata__, *metadata))
+    size = ANY_SIZE
+    for item in metadata:
+        match item:
+            case Forms():
+                return _forms_of(annotation)
+            case FieldType() | Kinds():
+                return item
+            case Size():
+                size = item
+    if origin is Literal:
+        return Word(arguments)
+    if origin in (Union, UnionType):
+        (only,) = (option for option in arguments if option is not NoneType)
+        return shape_of(only, metadata)
+    if origin is dict and isinstance(key := shape_of(arguments[0]), FieldType):
+        return MappingOf(key, shape_of(arguments[1]), size)
+    if origin is tuple:
+        return ListOf(shape_of(arguments[0]), size)
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation
+    if annotation in (int, bool, str):
+        return Plain.of(annotation, [each for item in metadata for each in (item.metadata if isinstance(item, FieldInfo) else [item])])
+    raise TypeError(f"no shape for {annotation!r}")
+
+
+# Walking
+
+
+def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:
+    """Every single value that the user wrote in a validated section: its path, its field type, and the value as it was written.
+
+    A chosen key comes with the path of its entry, the field type of the key and the key itself as value, right before what the
+    entry holds. Values left to their defaults are not visited.
+    """
+    for name, shape in fields(type(section)).items():
+        if name in section.model_fields_set:
+            yield from _visit(shape, getattr(section, name), (*path, name))
+
+
+def _visit(shape: Shape, value: object, path: Path) -> Iterator[tuple[Path, FieldType, object]]:
+    if isinstance(value, Section):
+        yield from visit(value, path)
+        return
+    match shape, value:
+        case FieldType(), tuple():
+            for index, item in enumerate(value):
+                yield (*path, index), shape, item
+        case FieldType(), _:
+            yield path, shape, value
+        case ListOf(), tuple():
+            for index, item in enumerate(value):
+                yield from _visit(shape.item, item, (*path, index))
+        case MappingOf(), Mapping():
+            for key, item in value.items():
+                yield (*path, key), shape.key, key
+                yield from _visit(shape.value, item, (*path, key))
+        case Forms(), _:
+            chosen = shape.choose(value)
+            if chosen is not None:
+                yield from _visit(chosen, value, path)
+
+
+def settle(shape: Shape, data: object) -> Shape | None:
+    """The shape with its forms and kinds decided by the data."""
+    match shape:
+        case Forms():
+            chosen = shape.choose(data)
+            return None if chosen is None else settle(chosen, data)
+        case Kinds():
+            return shape.find(data)
+        case _:
+            return shape
+
+
+def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) -> Shape | None:
+    """The shape of the value at `path` in raw data; None where data and language part.
+
+    Unless `settled`, the last one still has its forms and kinds.
+    """
+    for step in path:
+        match settle(shape, data), data:
+            case (ListOf(item=item), list()) if isinstance(step, int) and 0 <= step < len(data):
+                shape, data = item, data[step]
+            case (MappingOf(value=value), dict()) if step in data:
+                shape, data = value, data[step]
+            case (type() as section, dict()) if step in data and (below := fields(section).get(str(step))) is not None:
+                shape, data = below, data[step]
+            case _:
+                return None
+    return settle(shape, data) if settled else shape
+
+
+def sections(shape: Shape) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
+    """Every section and every union of kinds below a shape: its path, and the key that tells its kind.
+
+    In the path `*` stands for a name that the user chooses.
+    """
+    yield from _sections(shape, (), "")
+
+
+def _sections(shape: Shape, path: tuple[str, ...], mark: str) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
+    match shape:
+        case ListOf(item=inner):
+            yield from _sections(inner, path, "")
+        case MappingOf(value=inner):
+            yield from _sections(inner, (*path, "*"), "")
+        case Forms(options=options):
+            for option in options:
+                yield from _sections(option, path, "")
+        case Kinds():
+            yield path, shape, ""
+            for name, model in (*shape.models.items(), *shape.marked.items()):
+                yield from _sections(model, path, shape.key if name in shape.models else "")
+        case type():
+            yield path, shape, mark
+            for name, below in fields(shape).items():
+                yield from _sections(below, (*path, name), "")

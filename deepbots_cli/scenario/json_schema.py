@@ -1,0 +1,292 @@
+"""The JSON Schema of a scenario, for editors that complete, explain and check while one types.
+
+    python -m deepbots_cli.scenario.json_schema      writes it to schemas/
+
+It says what a file may look like before `extends` and `include` are resolved, and refuses nothing that the compiler takes. Keys are
+therefore demanded at the top level alone, and of a file that extends none; `lint` knows of the others after the merge.
+
+Every section is one definition. Of `anyOf` or `oneOf` over several forms an editor shows what is wrong with each of them, and offers
+the keys of all. Unions are therefore `if` and `then`: a form is chosen as the compiler chooses it, by the word under one key, by a key
+that tells the form, or by the shape of the data. Beside the standard, the schema has what the YAML language server knows:
+`enumDescriptions`, `errorMessage`, `patternErrorMessage`, and `defaultSnippets`, which it offers as values. It offers `examples` too,
+but shows them once more below the text of a hover.
+
+For one scenario the schema also lists names. Those that another file defines (joints and links of a robot file) are listed and
+checked. Those that the scenario itself defines are only offered: the schema is older than the next name in the file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli.document import shipped
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields, noun_of
+from deepbots_cli.scenario.docs import about, about_kind, default_of, description, example_of, example_text, unit_of
+from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Pattern, Range, Reference, Word
+from deepbots_cli.scenario.robot import Robot
+from deepbots_cli.scenario.scenario import VERSION, Scenario
+
+Json = dict[str, Any]
+
+FILE_NAME = f"deepbots-{VERSION}.schema.json"
+INCLUDE: Json = {"$ref": "#/$defs/include"}
+
+
+# Names
+
+
+@dataclass(frozen=True)
+class Offer:
+    """Names for one kind of value, each with what is said of it; with `only`, others are mistakes unless they are patterns."""
+
+    names: Mapping[str, str]
+    only: bool = False
+
+    def added_to(self, schema: Json, noun: str) -> Json:
+        """The schema of a value called `noun`, with the names as an enumeration beside whatever else may stand there.
+
+        Where anything else may, one of the two forms always holds. Both have titles, or the YAML language server would show the
+        texts of both.
+        """
+        if not self.names:
+            return schema
+        known: Json = {"title": "a known name", "enum": list(self.names)}
+        if any(self.names.values()):
+            known["enumDescriptions"] = list(self.names.values())
+        if self.only:
+            return {"anyOf": [known, {"title": "a pattern", "type": "string", "pattern": r"[*?\[]"}]}
+        return schema | {"anyOf": [known, {"title": noun, "not": {"enum": list(self.names)}}]}
+
+
+Names = Mapping[str, Offer]
+"""Offers by the topic of a value (`topic_of`)."""
+
+_LANGUAGE: Names = {
+    "robot file": Offer(dict.fromkeys(shipped.robot_names(), "a robot that comes with deepbots")),
+    "region": Offer({"arena": "the floor of the arena"}),
+    "colour": Offer(dict.fromkeys(COLOURS, "")),
+    "known range": Offer({"auto": "the interval that is known of the value"}),
+}
+
+
+@dataclass(frozen=True)
+class Known:
+    """The names of one scenario: those that are the same everywhere, and those that differ from robot to robot."""
+
+    everywhere: Names = field(default_factory=dict)
+    robots: Mapping[str, Names] = field(default_factory=dict)
+
+
+def topic_of(shape: Shape) -> str:
+    """The word under which names for a value of this shape are looked up; empty where there are none."""
+    match shape:
+        case Reference(kind=kind) | FilePath(kind=kind):
+            return kind
+        case Pattern(kind=kind):
+            return f"{kind} pattern"
+        case Expression(context=context):
+            return f"{context} expression"
+        case Color():
+            return "colour"
+        case Range(auto=True):
+            return "known range"
+        case _:
+            return ""
+
+
+# Shapes
+
+
+def json_schema(known: Known | None = None) -> Json:
+    """The schema (draft 2020-12), in stable order; without names of a scenario it is the one that is committed."""
+    sentence = "A file with the value of this mapping; what stands beside it is merged over it.\n\nExample: include: parts/arena.yaml"
+    definitions: Json = {"include": {"type": "string", "description": sentence}}
+    _Writer(definitions, known or Known(), {**_LANGUAGE, **(known.everywhere if known else {})}).reference(Scenario)
+    required = [name for name, info in Scenario.model_fields.items() if info.is_required()]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **({} if known else {"$id": FILE_NAME}),
+        "title": "deepbots scenario",
+        "$ref": f"#/$defs/{Scenario.__name__}",
+        "if": {"not": {"anyOf": [{"required": ["extends"]}, {"required": ["include"]}]}},
+        "then": {"required": required},
+        "$defs": definitions,
+    }
+
+
+def to_text(known: Known | None = None) -> str:
+    """The schema as it is written to a file: what is said of a key stands on one line."""
+    return re.sub(r"\n {5,}", " ", json.dumps(json_schema(known), indent=1)) + "\n"
+
+
+_ACROSS_FILES: Json = {
+    "extends": {"type": "string", "description": "Another scenario that this one changes.\n\nExample: extends: cartpole.yaml"},
+    "remove": {
+        "type": "array",
+        "items": {"type": "string"},
+        "description": "Paths to take out of the extended scenario.\n\nExample: remove: [observation.tip_speed]",
+    },
+}
+
+
+class _Writer:
+    """Writes shapes as schemas; `definitions` holds those of the sections that were met.
+
+    `names` are listed where they may stand. Within a robot they are those of that robot, whose sections are definitions of their
+    own, told apart by `suffix`.
+    """
+
+    def __init__(self, definitions: Json, known: Known, names: Names, suffix: str = "") -> None:
+        self.definitions = definitions
+        self._known = known
+        self._names = names
+        self._suffix = suffix
+
+    def schema(self, shape: Shape) -> Json:
+        match shape:
+            case FieldType():
+                return self._single(shape)
+            case ListOf(item=item):
+                return {"type": "array", "items": self.schema(item)}
+            case MappingOf():
+                return self._mapping(shape)
+            case Forms():
+                return self._forms(shape)
+            case Kinds():
+                return self._kinds(shape)
+            case _:
+                return self.reference(shape)
+
+    def reference(self, section: type[Section]) -> Json:
+        name = f"{section.__name__}{self._suffix}"
+        if name not in self.definitions:
+            self.definitions[name] = {}  # holds the place in the order
+            self.definitions[name] = self._section(section)
+        return {"$ref": f"#/$defs/{name}"}
+
+    def _single(self, shape: FieldType) -> Json:
+        schema, offer = shape.json_schema(), self._names.get(topic_of(shape))
+        if offer is None or not offer.names:
+            return schema
+        if isinstance(shape, Reference) and shape.several:
+            one = offer.added_to({"type": "string"}, shape.noun)
+            return schema | {"items": one, "anyOf": [{"title": shape.noun, "type": "array"}, *one.get("anyOf", ())]}
+        return offer.added_to(schema, shape.noun)
+
+    def _mapping(self, shape: MappingOf) -> Json:
+        key = self._single(shape.key)
+        if forms := key.get("anyOf"):
+            key = {**key, "anyOf": [*forms, {"const": "include"}]}
+        properties: Json = {"include": INCLUDE}
+        if shape.value is Robot and not self._suffix:
+            for robot, names in self._known.robots.items():
+                properties[robot] = _Writer(self.definitions, self._known, {**self._names, **names}, f".{robot}").reference(Robot)
+        return {"type": "object", "properties": properties, "propertyNames": key, "additionalProperties": self.schema(shape.value)}
+
+    def _forms(self, shape: Forms) -> Json:
+        """Names are listed beside the forms, where the YAML language server looks for what it may offer; there all forms hold."""
+        plain = [option.json_schema() if isinstance(option, FieldType) else self.schema(option) for option in shape.options]
+        schema = plain.pop()
+        for option, form in zip(reversed(shape.options[:-1]), reversed(plain), strict=True):
+            schema = {"if": _form_of(option), "then": form, "else": self._with_marks(option, schema)}
+        offer = next((self._names[topic] for option in shape.options if (topic := topic_of(option)) in self._names), None)
+        return schema | (offer.added_to({}, noun_of(shape)) if offer else {})
+
+    def _with_marks(self, form: Shape, other: Json) -> Json:
+        """The other forms, and the keys that would make it this one: they do not stand there, and are offered."""
+        if not isinstance(form, type) or not form.marks:
+            return other
+        marks = {key: self._property(form, key) for key in fields(form) if key in form.marks}
+        return other | {"properties": marks | other.get("properties", {})}
+
+    def _kinds(self, shape: Kinds) -> Json:
+        key = shape.key
+        branches: list[Json] = [
+            {"if": {"properties": {key: {"const": name}}, "required": [key]}, "then": self.reference(model)}
+            for name, model in shape.models.items()
+        ]
+        for mark, model in shape.marked.items():
+            branches.append({"if": {"required": [mark], "not": {"required": [key]}}, "then": self.reference(model)})
+        kinds = {"enum": list(shape.models), "enumDescriptions": [about_kind(shape, name) for name in shape.models]}
+        first = shape.models[shape.names[0]]
+        properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
+        properties |= {mark: {"description": _text(model, mark)} for mark, model in shape.marked.items()}
+        return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
+
+    def _section(self, section: type[Section]) -> Json:
+        properties = {name: self._property(section, name) for name in fields(section)}
+        if section is Scenario:
+            properties |= _ACROSS_FILES
+        schema: Json = {
+            "type": "object",
+            "description": about(section),
+            "properties": properties | {"include": INCLUDE},
+            "additionalProperties": False,
+        }
+        excluding = [pair for keys in section.key_rules if keys.max == 1 for pair in combinations(keys.names, 2)]
+        return schema | ({"allOf": list(map(_excluding, excluding))} if excluding else {})
+
+    def _property(self, section: type[Section], key: str) -> Json:
+        shape = fields(section)[key]
+        schema = self.schema(shape)
+        own = next(iter(offer.names), "") if (offer := self._names.get(topic_of(shape))) and offer.only else ""
+        for keyword in ("additionalProperties", "items"):  # entries have no sentence of their own, unless they are sections
+            entries = schema.get(keyword)
+            if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
+                schema = schema | {keyword: entries | {"description": description(section, key)}}
+        schema = schema | {"description": _text(section, key, own)}  # `joint: left_wheel` is no example for an arm
+        default = section.model_fields[key].default
+        if isinstance(default, (str, int, float)) and default != "":
+            schema["default"] = default
+        example, listed = example_of(section, key), isinstance(shape, Word) or "anyOf" in schema or own
+        if example and type(example.data) in (str, int, float) and example.data != default and not listed:
+            escaped = re.sub(r"([\\$}])", r"\\\1", example.text)
+            schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{escaped}}}"}]
+        return schema
+
+
+def _text(section: type[Section], key: str, example: str = "") -> str:
+    """The sentence about a key, then its unit, default and example; an `example` goes before that of the key."""
+    unit, default = unit_of(fields(section)[key]), default_of(section, key)
+    facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
+    facts += ["Required."] if section.model_fields[key].is_required() else [f"Default: {default}."] if default else []
+    shown = example or example_text(section, key)
+    return "\n\n".join([description(section, key), " ".join([*facts, *([f"Example: {key}: {shown}"] if shown else [])])]).strip()
+
+
+def _excluding(pair: tuple[str, str]) -> Json:
+    first, second = pair
+    return {
+        "if": {"required": [first, second]},
+        "then": {"properties": {second: False}, "errorMessage": f"`{second}` cannot stand beside `{first}`"},
+    }
+
+
+def _form_of(shape: Shape) -> Json:
+    """What data of this shape looks like from outside, told apart from the other forms."""
+    match shape:
+        case ListOf():
+            return {"type": "array"}
+        case FieldType():
+            return {"type": ["string", "number", "boolean"]}
+        case type() if shape.marks:
+            return {"type": "object", "anyOf": [{"required": [mark]} for mark in sorted(shape.marks)]}
+        case _:
+            return {"type": "object"}
+
+
+def main() -> None:
+    """Write the schema to `schemas/` below the working directory."""
+    target = Path("schemas") / FILE_NAME
+    target.parent.mkdir(exist_ok=True)
+    target.write_text(to_text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
