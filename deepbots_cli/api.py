@@ -203,7 +203,7 @@ def make(
     """The Gymnasium environment of a scenario.
 
     Args:
-        engine: `pybullet`, or `exact` for the worlds whose equations that engine knows.
+        engine: `pybullet`, or an engine that another package registers.
         render_mode: None, or `rgb_array`.
 
     Raises:

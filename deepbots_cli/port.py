@@ -5,8 +5,8 @@ by name. Whatever happens in every step is bound once, when the environment is b
 out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
 steps return equal values.
 
-A further engine is one module in `engines/` with a class that fits `Engine`, and its line in
-`engines/__init__.py`.
+A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots_cli.engines`, or in
+`engines/`, with its line in `engines/__init__.py`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.uint8]
 
+SERVO_TIME = 0.02
+"""s in which the servo of an engine, without stiffness, closes all but 1/e of its error."""
 Capability = Literal["contacts", "rendering"]
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
@@ -244,7 +246,7 @@ class Engine(Protocol):
         With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m), one per joint, the torque is
         `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
         None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
-        `engines.servo.SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
+        `SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
         """
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:

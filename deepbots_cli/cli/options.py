@@ -96,5 +96,5 @@ Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Take
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of every random number.")]
 Engine = Annotated[
-    str, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet, or exact where equations are known.")
+    str, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet, or an engine of another package.")
 ]

@@ -3,13 +3,8 @@
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 quiet.py       what a native library prints, kept off the terminal
 
-exact.py       a rail cart-pole and free bodies, exactly
-motion.py      their equations of motion
-lump.py        links that do not move against each other, as one body
-
 solids.py      objects and walls as one-link robots
 kinematics.py  inverse kinematics of chains of joints
-servo.py       springs and dampers on joints
 lookup.py      things by name
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
@@ -32,7 +27,6 @@ if TYPE_CHECKING:
 
 ENGINES = {
     "pybullet": "deepbots_cli.engines.pybullet:PyBulletEngine",
-    "exact": "deepbots_cli.engines.exact:ExactEngine",
 }
 _OF_EXTRA_SIM = ("pybullet", "numpy", "trimesh", "yourdfpy")
 

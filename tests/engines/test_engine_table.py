@@ -12,13 +12,13 @@ from deepbots_cli.errors import UsageError, installing
 
 
 def test_an_unknown_engine_lists_those_there_are_and_the_nearest(worlds):
-    with pytest.raises(UsageError, match=r"no engine 'pybulet'; there are pybullet, exact; did you mean 'pybullet'\?"):
+    with pytest.raises(UsageError, match=r"no engine 'pybulet'; there are pybullet.*; did you mean 'pybullet'\?"):
         create("pybulet", worlds.rail())
 
 
 def test_every_engine_of_the_table_can_be_made(worlds, build):
     assert set(names()) >= set(ENGINES)
-    for name in ENGINES:
+    for name in names():
         assert build(name, worlds.rail()).name == name
 
 
@@ -40,7 +40,6 @@ sys.modules["pybullet"] = None
 from deepbots_cli.engines import create
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.program.world import WorldModel
-create("exact", WorldModel(0.02, 1, ground=None))
 try:
     create("pybullet", WorldModel(0.02, 1))
 except MissingExtraError as error:
@@ -48,9 +47,3 @@ except MissingExtraError as error:
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == f"running a scenario needs the 'sim' extra; {installing('sim')}\n"
-
-
-def test_the_exact_engine_needs_no_simulator():
-    script = "import sys, deepbots_cli.engines.exact; print([m for m in ('numpy', 'pybullet') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"

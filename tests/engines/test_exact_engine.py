@@ -6,12 +6,12 @@ from dataclasses import replace
 from math import cos, pi, sin, sqrt
 
 import pytest
+from exact_engine.lump import joined
+from exact_engine.motion import CartPole, RigidBody
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import frames
-from deepbots_cli.engines.lump import joined
-from deepbots_cli.engines.motion import CartPole, RigidBody
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import View

@@ -36,7 +36,7 @@ def command(
     full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
     stage: Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Begin in this stage of the curriculum.")] = None,
     engine: Annotated[
-        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet by default, or exact.")
+        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet by default.")
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: Json = False,

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.engines.lump import held_by
 from deepbots_cli.engines.pybullet.library import BASE
 from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet.loadable import held_by
 from deepbots_cli.frames import HERE, Frame
 from deepbots_cli.port import STILL
 

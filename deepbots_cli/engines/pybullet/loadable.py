@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from deepbots_cli.engines.lump import held_by
+from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import HERE, Frame
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.meshes import checked_bytes
@@ -50,6 +51,19 @@ def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
         raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
     trace = TRACE * mass
     return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
+
+
+def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
+    """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
+    members = {first: HERE}
+    waiting = [first]
+    while waiting:
+        parent = waiting.pop()
+        for joint in model.joints:
+            if joint.parent == parent and joint.type == "fixed":
+                members[joint.child] = frames.inside(members[parent], frames.frame(joint.origin))
+                waiting.append(joint.child)
+    return members
 
 
 def dressed(model: RobotModel) -> RobotModel:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.engines.pybullet.library import FAINT, GAINS, STRONGEST, UNREACHABLE
 from deepbots_cli.engines.pybullet.library import pybullet as p
-from deepbots_cli.engines.servo import SERVO_TIME
+from deepbots_cli.port import SERVO_TIME
 
 if TYPE_CHECKING:
     from deepbots_cli.port import JointReader, MotorWriter, TorqueReader

@@ -19,12 +19,11 @@ from typing import TYPE_CHECKING, Literal
 from deepbots_cli import frames
 from deepbots_cli.engines import solids
 from deepbots_cli.engines.lookup import find
-from deepbots_cli.engines.lump import joined
-from deepbots_cli.engines.motion import CartPole, Drive, RigidBody
-from deepbots_cli.engines.servo import Servo
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
 from deepbots_cli.robots import inertia
+from exact_engine.lump import joined
+from exact_engine.motion import CartPole, Drive, RigidBody
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
@@ -50,6 +49,23 @@ if TYPE_CHECKING:
     )
     from deepbots_cli.program.world import RobotBody, WorldModel
     from deepbots_cli.robots.model import RobotModel
+
+
+class Servo:
+    """Exerts `stiffness * (target - position) - damping * velocity` once it has targets; `act` renews it."""
+
+    def __init__(self, read: JointReader, exert: MotorWriter, stiffness: Sequence[float], damping: Sequence[float] | None) -> None:
+        self.targets: Sequence[float] | None = None
+        self._read, self._exert = read, exert
+        self._gains = tuple(zip(stiffness, damping or (0.0,) * len(stiffness), strict=True))
+
+    def aim(self, targets: Sequence[float]) -> None:
+        self.targets = tuple(targets)
+
+    def act(self) -> None:
+        if self.targets is not None:
+            sides = zip(self._gains, self.targets, self._read(), strict=True)
+            self._exert([stiffness * (target - state[0]) - damping * state[1] for (stiffness, damping), target, state in sides])
 
 
 class ExactEngine:

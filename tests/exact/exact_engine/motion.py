@@ -1,6 +1,18 @@
 """Equations of motion in closed form, integrated by Runge and Kutta's fourth-order rule in steps of at most `FINE`.
 
 A motion keeps its state between calls of `advance(dt)`, and says where its links are and how they move.
+
+Cart-pole: axes may point anywhere. With x along the unit vector a, the angle t about b, the pole's centre at R(t) r from the hinge,
+u = b x Rr, n = b x u, total mass M + m, the pole's mass m and its moment of inertia J about the hinge, gravity g, damping c and d:
+
+    (M + m) x"  + m (a.u) t"  =  F + (M + m) g.a - m (a.n) t'^2 - c x'
+    m (a.u) x"  +    J    t"  =  T + m g.u - d t'
+
+These are Lagrange's equations of the two bodies: kinetic energy (M + m) x'^2 / 2 + m (a.u) x' t' + J t'^2 / 2, potential energy of both
+in g. For a level rail and an upright pole with its centre at l, a.u = l cos t and a.n = -l sin t, which is the textbook's pair.
+
+Rigid bodies: the centre of mass follows a parabola; the attitude follows from the angular momentum L, which is constant, by
+q' = w q / 2 with w = L / I in the body's present attitude.
 """
 
 from __future__ import annotations
@@ -10,11 +22,11 @@ from dataclasses import dataclass, replace
 from math import ceil, cos, isfinite, sin
 
 from deepbots_cli import frames
-from deepbots_cli.engines.lump import Lump
-from deepbots_cli.engines.servo import SERVO_TIME
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import HERE, Frame, Quaternion, Triple, add, cross, dot, inverse, multiply, rotate, scaled, subtract
+from deepbots_cli.port import SERVO_TIME
 from deepbots_cli.robots.model import Joint
+from exact_engine.lump import Lump
 
 FINE = 5e-4  # s; keeps the energy of a pendulum that goes round to 1e-10 over 10 s
 SWEEPS = 30  # rounds in which motors on both joints settle what each has to exert

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli import frames
+from deepbots_cli.engines.pybullet.loadable import held_by
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import HERE, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
 from deepbots_cli.robots import inertia
@@ -60,19 +61,6 @@ def joined(model: RobotModel, first: str) -> Lump:
     for part_mass, at, own in parts:
         tensor = _plus(tensor, _plus(own, _of_point(part_mass, subtract(at, centre))))
     return Lump(first, mass, centre, tensor, members)
-
-
-def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
-    """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
-    members = {first: HERE}
-    waiting = [first]
-    while waiting:
-        parent = waiting.pop()
-        for joint in model.joints:
-            if joint.parent == parent and joint.type == "fixed":
-                members[joint.child] = frames.inside(members[parent], frames.frame(joint.origin))
-                waiting.append(joint.child)
-    return members
 
 
 def _of_point(mass: float, at: Triple) -> Matrix:
