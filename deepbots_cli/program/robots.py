@@ -213,6 +213,8 @@ Actuator = Motor | Thrust | Cartesian
 MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
 Timing = Literal["immediate", "paper"]
 Direction = Literal["to_robot", "from_robot"]
+Order = Literal["sent", "arrival", "newest"]
+OnLoss = Literal["hold", "zero", "skip"]
 
 LAYOUT_VERSION = 2
 """Of the hash of message layouts."""
