@@ -2,12 +2,12 @@
 
 The way of the data, and the packages along it:
 
-    text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ IR ─▶ generated Python ─▶ environment ─▶ run
-    source      schema     compiler (with lang, urdf)             ir       compiler.emit     runtime      learning
+    text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
+    document    scenario   compiler (with expressions, robots)    program       compiler.emit     runtime      learning
 
-ir/           the compiled scenario       canonical.py  its JSON and its digest
-task.py       the checked task, before    port.py       what the runtime asks of an engine
+program/      the checked scenario        canonical.py  its JSON and its digest
 interface.py  what policy and world agree on
+port.py       what the runtime asks of an engine
 frames.py     rotations and frames        footprint.py  what bodies cover of the ground
 arrays.py     expressions over arrays    terrain/      heights of the ground
 api.py        from scenario to environment

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli import canonical
 from deepbots_cli.cli.ageing import timing
 from deepbots_cli.cli.tables import Row, formula
-from deepbots_cli.compiler.joints import carries
+from deepbots_cli.compiler.robots import carries
 from deepbots_cli.document import Mapping, Node, descend, one_line
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.frames import roll_pitch_yaw

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from deepbots_cli import api
 from deepbots_cli.cli import copying
-from deepbots_cli.compiler.known import known
+from deepbots_cli.compiler.inventory import known
 from deepbots_cli.errors import UsageError
 from deepbots_cli.scenario.json_schema import to_text
 

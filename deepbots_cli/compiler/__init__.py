@@ -3,27 +3,20 @@
     check     nodes ─▶ spec (schema) ─▶ names ─▶ typed expressions ─▶ Program   this module
     emit      Program ─▶ Python                                                 emit/
 
-namespace.py    one flat namespace, each name typed when first asked for
-scopes.py       what an expression may see from its place
-variations.py   figures that every episode draws anew
-values.py       texts to typed trees, findings at their places; lost.py names that earlier findings took away
-world.py        timestep, ground, arena, objects; strokes.py painted lines and walls
-terrain.py      ground that is not flat
-bodies.py       objects; colours.py, files.py meshes and pictures
-robots.py       robot files, overrides.py their changes, matching.py patterns and groups, joints.py what joints measure
-controllers.py  messages of a robot; actuators.py what it drives, drives.py limits and response of that,
-                confines.py what is beyond those of the robot file
-sensing.py      its sensors: sensors.py the kinds, mounts.py frames on links, beams.py rays, optics.py cameras, faults.py how they err
-actions.py      what the agent decides; observations.py what it sees; goals.py where it shall get; scripts.py policies by hand
-copies.py       several of one robot under one policy
-channels.py     what messages meet on their way, draws that are repeated; ages.py of readings
-scoring.py      signals, reward, endings; foreign.py those in Python; training.py how the policy is trained
-cases.py        the scenario once more for each case of the evaluation and each stage of the curriculum
-resets.py       how an episode begins: layouts.py, groups.py; places.py where a body stands, room.py whether it can;
-                starts.py joints, poses.py their named positions
-disturbances.py pushes while an episode runs
-inputs.py       the files that it was made from, as a run keeps copies of them
-inventory.py    the names of a scenario by kind, for editors; known.py those that its JSON Schema lists
+values.py       texts to typed trees, findings at their places; values that every episode draws anew; colours
+namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place
+world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
+robots.py       robot files and their changes, patterns and groups, what joints measure
+controllers.py  actuators and their limits, poses, commands and messages of a robot
+sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
+channels.py     latency, loss and range of messages, repeated draws, disturbances
+policy.py       action, observation, goal, scripts, copies of a robot
+scoring.py      signals, reward, endings, limits; the age of readings
+places.py       placements, layouts, maps, and whether there is room
+resets.py       how an episode begins: arrangements, groups, joints
+variants.py     training; cases of the evaluation and stages of the curriculum
+inputs.py       the files that the scenario was made from, as a run keeps copies of them
+inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """
 
 from __future__ import annotations
@@ -33,28 +26,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from deepbots_cli.compiler.actions import Actions
-from deepbots_cli.compiler.ages import with_reading_ages
-from deepbots_cli.compiler.channels import is_repeated_as_a_whole, route
+from deepbots_cli.compiler.channels import disturbances, is_repeated_as_a_whole, route
 from deepbots_cli.compiler.controllers import Controller
-from deepbots_cli.compiler.copies import copies
-from deepbots_cli.compiler.disturbances import disturbances
-from deepbots_cli.compiler.goals import Goals
-from deepbots_cli.compiler.groups import group
 from deepbots_cli.compiler.inputs import Inputs
-from deepbots_cli.compiler.lost import lost_names
-from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.observations import Observations
-from deepbots_cli.compiler.resets import arrangement
+from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
+from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
+from deepbots_cli.compiler.resets import arrangement, group, joint_starts
 from deepbots_cli.compiler.robots import RobotScene, load_robot
-from deepbots_cli.compiler.scopes import ParameterScope
-from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation
-from deepbots_cli.compiler.scripts import scripts
-from deepbots_cli.compiler.starts import joint_starts
-from deepbots_cli.compiler.strokes import lines, pieces
-from deepbots_cli.compiler.training import training
-from deepbots_cli.compiler.values import Values
-from deepbots_cli.compiler.world import WorldBuilder
+from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
+from deepbots_cli.compiler.values import Values, lost_names
+from deepbots_cli.compiler.variants import training
+from deepbots_cli.compiler.world import WorldBuilder, lines, pieces
 from deepbots_cli.diagnostics import Finding, Findings, Fix, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
@@ -120,7 +102,7 @@ def _with_cases(document: Document) -> Checked:
     checked = _check(document)
     if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked
-    from deepbots_cli.compiler.cases import with_cases  # brings the back end, which most linting does without
+    from deepbots_cli.compiler.variants import with_cases  # brings the back end, which most linting does without
 
     variants, program = with_cases(document, checked.spec, checked.program, checked.findings, _check)
     return replace(checked, program=None if checked.findings.errors else program, variants=variants)

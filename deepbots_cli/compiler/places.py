@@ -1,27 +1,239 @@
-"""One entry of `reset.place` or of a layout: where a body stands, and how it moves."""
+"""Where bodies stand at the start: placements, regions, layouts and maps, and whether there is room for them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import atan2, pi
+from math import atan2, hypot, pi
 
 from deepbots_cli import footprint
-from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.room import check_room, has_top
-from deepbots_cli.compiler.scopes import ParameterScope
+from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
+from deepbots_cli.compiler.values import Text
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, TIME, Dimension
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import TURN, exact
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Invocation, Pick, Stage, Type, Typed
-from deepbots_cli.program.resets import MAX_SPOTS, Cells, Placement, Region, Top
+from deepbots_cli.footprint import Footprint, Patch
+from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
 from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import WorldModel
+from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
+from deepbots_cli.robots.model import Box, Cylinder, Mesh
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import MapLayout
 from deepbots_cli.scenario.task import Placement as PlacementSpec
 from deepbots_cli.scenario.task import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
+
+_DWARFS = 16.0
+"""Times the area of a top that a body covers whose unit has slipped."""
+
+
+def check_room(place: Placement, region: Region, world: WorldModel, namespace: Namespace, path: Path) -> None:
+    """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
+    values = namespace.values
+    kinds = _footprints_of(place, world, namespace)
+    if not kinds:
+        return
+    least = min(kinds, key=lambda kind: kind.narrowest)
+    is_fixed = _is_fixed(place, world, namespace)
+    needed = 2 * least.narrowest + (0.0 if is_fixed else 2 * place.clearance)
+    width, depth = (region.high[axis] - region.low[axis] for axis in (0, 1))
+    arena = world.arena
+    span = values.key_span((*path, "region"))
+    copies = _copies(place, namespace)
+    if arena is not None and needed > min(arena.size):
+        headline = (
+            f"`{place.body}` needs {needed:.3g} m{'' if is_fixed else ' with its clearance'}, and the arena is {min(arena.size):.3g} m wide"
+        )
+        values.findings.add("DB105", span, headline, help="give a larger arena, or less clearance")
+    elif arena is not None and any(
+        region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
+    ):
+        headline = f"no spot of the region is far enough within the walls of the arena for `{place.body}`"
+        values.findings.add("DB105", span, headline, help="let it reach into the arena, which lies about the origin")
+    elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
+        headline = f"a grid of {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
+        values.findings.add("DB105", values.key_span((*path, "grid")), headline, help="give a larger region, or a smaller mesh")
+    elif arena is not None and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]:
+        headline = f"{copies} copies of {area:.3g} m^2 cannot stand in {arena.size[0] * arena.size[1]:.3g} m^2"
+        values.findings.add("DB105", span, headline, help="give a larger arena, or fewer copies")
+
+
+def has_top(thing: ObjectBody) -> bool:
+    """Whether other bodies can stand on an object: a single one with a level top that is solid."""
+    return thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
+
+
+def check_surroundings(common: Sequence[Placement], layouts: Sequence[Layout], world: WorldModel, namespace: Namespace) -> None:
+    """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that covers its region."""
+    for layout in layouts or (Layout("", 1.0, ()),):
+        standing = {place.body: place for place in (*common, *layout.placements)}
+        for place in standing.values():
+            path: Path = tuple(place.owner.split("."))
+            match place.spot:
+                case Top() as spot:
+                    _check_top(place, spot, standing, world, namespace, path)
+                case Region() as region:
+                    _check_covered(place, region, standing, world, namespace, path)
+
+
+def _check_top(place: Placement, spot: Top, standing: Mapping[str, Placement], world: WorldModel, namespace: Namespace, path: Path) -> None:
+    """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is too small or elsewhere."""
+    add, span = namespace.values.findings.add, namespace.values.span((*path, "on"))
+    support, stack = standing[spot.of], [place.body]
+    below: Placement | None = support
+    while below is not None and below.body not in stack:
+        stack.append(below.body)
+        below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
+    if below is not None and below.body != next(body for body in standing if body in stack):
+        return  # the circle is reported once, of the first of its bodies
+    if below is not None and below.body == place.body:
+        notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
+        add("DB207", span, f"`{place.body}` stands on itself", help="let one of them stand on the ground", notes=notes)
+        return
+    if any(_figure(support, turn) != 0.0 for turn in ("roll", "pitch")):
+        add("DB203", span, f"the top of `{spot.of}` is not level", help="let it stand upright, without `roll` and `pitch`")
+        return
+    kinds = _footprints_of(place, world, namespace)
+    top = footprint.of_shape(next(thing.shape for thing in world.objects if thing.name == spot.of))
+    margin = 0.0 if _is_fixed(place, world, namespace) else place.clearance
+    turns = None if _is_tilted(place) else _turn_between(place, support)
+    copies = _copies(place, namespace)
+    if kinds and not any(_fits(top, kind, turns, margin) for kind in kinds) and not _is_tilted(place):
+        edge = f" and keeps {margin:.3g} m from its edge" if margin else ""
+        covers = f"`{place.body}`, which covers {_size(min(kinds, key=lambda kind: kind.area))}{edge}"
+        ways = [
+            *(["less clearance"] if margin else []),
+            *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
+        ]
+        help = " or ".join(["give a larger top", *ways])
+        if min(kind.area for kind in kinds) > _DWARFS * top.area:
+            help = f"check the size of `{place.body}`: a length without a unit is in metres"
+        add("DB105", span, f"the top of `{spot.of}`, {_size(top)}, is too small for {covers}", help=help)
+    elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
+        headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
+        add("DB105", span, headline, help="give a larger top, or fewer copies")
+    elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
+        (reach_x, reach_y), span = patch.extent, namespace.values.key_span((*path, "region"))
+        sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
+        help = f"leave out `region` to use the whole top, which covers {sides}"
+        add("DB105", span, f"no spot of the region lies on the top of `{spot.of}`", help=help)
+
+
+def _check_covered(
+    place: Placement, region: Region, standing: Mapping[str, Placement], world: WorldModel, namespace: Namespace, path: Path
+) -> None:
+    """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
+
+    The distance from a convex patch is greatest at a corner of the region: it is enough to look there.
+    """
+    kinds = _footprints_of(place, world, namespace)
+    if not kinds or world.terrain is not None:
+        return
+    inner = 0.0 if _is_tilted(place) else min(kind.narrowest - hypot(*kind.middle) for kind in kinds)
+    corners = [(x, y) for x in (region.low[0], region.high[0]) for y in (region.low[1], region.high[1])]
+    for thing in world.objects:
+        other = standing.get(thing.name)
+        if other is place or thing.pooled or thing.variants or isinstance(thing.shape, Mesh):
+            continue
+        patch = _standing_patch(thing, other)
+        least = inner + max(place.clearance, other.clearance if other else 0.0)
+        if patch is not None and all(patch.distance(*corner) < least - 1e-6 for corner in corners):
+            headline = f"`{place.body}` finds no place: what `{thing.name}` covers leaves no free spot in the region"
+            onto = f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or " if has_top(thing) and other else ""
+            namespace.values.findings.add(
+                "DB105", namespace.values.key_span((*path, "region")), headline, help=f"{onto}move the region clear of it"
+            )
+            return
+
+
+def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
+    """What an object covers that rises above level ground; None where it does not, or where it stands is not fixed."""
+    low, high = footprint.bounds_of_shape(thing.shape)
+    if place is None:  # a piece of a wall
+        (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
+        return footprint.of_shape(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
+    height = -low[2] if place.rests else _figure(place, "z")
+    if _is_tilted(place) or height is None or height + high[2] < 1e-6:
+        return None
+    return _patch(place, footprint.of_shape(thing.shape))
+
+
+def _patch(place: Placement, covered: Footprint) -> Patch | None:
+    """What a body covers that stands upright at fixed coordinates; None where they are drawn."""
+    x, y, yaw = (_figure(place, key) for key in ("x", "y", "yaw"))
+    yaw = 0.0 if covered.half is None else yaw
+    return None if place.spot is not None or x is None or y is None or yaw is None else covered.at(x, y, yaw + place.heading)
+
+
+def _figure(place: Placement, key: str) -> float | None:
+    """A coordinate in m or rad; None where it is drawn."""
+    coordinate = place.coordinates.get(key)
+    if coordinate is None:
+        return 0.0
+    found = constant(coordinate.typed)
+    return None if found is None else float(found[0])
+
+
+def _is_tilted(place: Placement) -> bool:
+    return any(_figure(place, turn) != 0.0 for turn in ("roll", "pitch"))
+
+
+def _turn_between(place: Placement, support: Placement) -> float | None:
+    """By how much a body is turned against what it stands on, rad; None where that is drawn."""
+    yaw, below = _figure(place, "yaw"), _figure(support, "yaw")
+    return None if yaw is None or below is None else yaw + place.heading - below - support.heading
+
+
+def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) -> bool:
+    """Whether a body fits on a top: in the middle, at this turn, or as far as is known at any."""
+    if turn is not None or top.half is None or kind.half is None:
+        middle = kind._replace(middle=(0.0, 0.0))
+        return top.at(0.0, 0.0, 0.0).holds(middle.at(0.0, 0.0, turn or 0.0), margin - 1e-6)
+    return kind.narrowest + margin <= top.narrowest + 1e-6 and kind.radius + margin <= top.radius + 1e-6
+
+
+def _misses(region: Region, patch: Patch) -> bool:
+    reach = patch.extent
+    return any(
+        region.low[axis] > middle + reach[axis] or region.high[axis] < middle - reach[axis] for axis, middle in ((0, patch.x), (1, patch.y))
+    )
+
+
+def _size(covered: Footprint) -> str:
+    return f"{2 * covered.half[0]:.3g} by {2 * covered.half[1]:.3g} m" if covered.half else f"{2 * covered.radius:.3g} m across"
+
+
+def _copies(place: Placement, namespace: Namespace) -> int:
+    """How many copies are placed at most."""
+    group = namespace.groups.get(place.body)
+    return 1 if group is None else min(group.capacity, group.capacity if place.at_most is None else place.at_most)
+
+
+def _is_fixed(place: Placement, world: WorldModel, namespace: Namespace) -> bool:
+    group = namespace.groups.get(place.body)
+    return any(thing.name in (place.body, *(group.copies if group else ())) and thing.fixed for thing in world.objects)
+
+
+def _footprints_of(place: Placement, world: WorldModel, namespace: Namespace) -> list[Footprint]:
+    group = namespace.groups.get(place.body)
+    return _footprints(place.body, world, group.copies[0] if group else place.body)
+
+
+def _footprints(body: str, world: WorldModel, first: str) -> list[Footprint]:
+    """Of each form that a body may take; none that is known for a mesh."""
+    for robot in world.robots:
+        if robot.name in (body, first):
+            return [footprint.of_robot(robot.model)]
+    for thing in world.objects:
+        if thing.name == first:
+            shapes = [variant.shape for variant in thing.variants] or [thing.shape]
+            return [] if any(isinstance(shape, Mesh) for shape in shapes) else [footprint.of_shape(shape) for shape in shapes]
+    return []
+
 
 _TURNS = ("roll", "pitch", "yaw")
 
@@ -227,3 +439,146 @@ def owner_of(path: Path) -> str:
 
 def _length(figure: float) -> Constant:
     return Constant(Type(LENGTH, interval=exact(figure)), 0, 0, (figure,))
+
+
+_NOTHING = "."
+_WALL = "wall"
+_MAX_CELLS = 250_000
+
+
+class Layouts:
+    """The layouts that episodes use. `walls` are the bodies that stand in cells of walls, absent in other layouts."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace, places: Places, world: WorldModel) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._values = namespace.values
+        self._places = places
+        self._world = world
+        self._fixed = ParameterScope(namespace, Context.FIXED)
+        self.walls: list[ObjectBody] = []
+
+    def used(self) -> tuple[Layout, ...]:
+        """Each layout with its share; all others are read for their findings alone."""
+        given, layouts = self._spec.reset.layout, self._spec.reset.layouts
+        shares = self._shares() if isinstance(given, dict) else {given: 1.0} if given is not None else dict.fromkeys(list(layouts)[:1], 1.0)
+        if given is None and len(layouts) > 1:
+            help = f"name one, or a mixture: `layout: {next(iter(layouts))}`"
+            self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
+        for name in shares:
+            if name not in layouts:
+                path: Path = ("reset", "layout", name) if isinstance(given, dict) else ("reset", "layout")
+                span = self._values.key_span(path) if isinstance(given, dict) else self._values.span(path)
+                self._values.unknown(span, "layout", name, list(layouts))
+        found = {name: tuple(self._layout(name, used=name in shares)) for name in layouts}
+        return tuple(Layout(name, share, found[name]) for name, share in shares.items() if name in found)
+
+    def _shares(self) -> dict[str, float]:
+        given = self._spec.reset.layout
+        assert isinstance(given, dict)  # as the caller found
+        path: Path = ("reset", "layout")
+        read = {name: self._values.number((*path, name), share, NUMBER, self._fixed) for name, share in given.items()}
+        shares = {name: share for name, share in read.items() if share is not None}
+        if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
+            headline = f"shares of {100 * sum(shares.values()):g} % together"
+            self._values.findings.add("DB105", self._values.key_span(path), headline, help="let them add up to 100 %")
+        return shares
+
+    def _layout(self, name: str, *, used: bool) -> list[Placement]:
+        path: Path = ("reset", "layouts", name)
+        layout = self._spec.reset.layouts[name]
+        if isinstance(layout, MapLayout):
+            return self._map(name, layout, path, used=used)
+        return self._places.placements(layout, path, used=used)
+
+    # Maps
+
+    def _map(self, name: str, layout: MapLayout, path: Path, *, used: bool) -> list[Placement]:
+        """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is the origin."""
+        cell = self._values.number((*path, "cell"), layout.cell, LENGTH, self._fixed)
+        text = self._values.text((*path, "map"), layout.map)
+        rows = _rows(text) if self._is_small(text) else []
+        if cell is None or not rows or not self._is_even(rows):
+            return []
+        self._check_size(len(rows[0]) * cell, len(rows) * cell, (*path, "cell"))
+        legend = self._legend(layout, path)
+        spots: dict[str, list[tuple[float, float]]] = {letter: [] for letter in legend}
+        for number, row in enumerate(rows):
+            for column, (letter, span) in enumerate(row):
+                if letter in spots:
+                    spots[letter].append(((column - (len(row) - 1) / 2) * cell, ((len(rows) - 1) / 2 - number) * cell))
+                elif letter != _NOTHING and letter not in layout.legend:
+                    self._values.unknown(span, "letter", letter, [_NOTHING, *layout.legend])
+        bodies: dict[str, list[tuple[float, float]]] = {}
+        for letter, body in legend.items():
+            bodies.setdefault(body, []).extend(spots[letter])
+        return [self._standing(name, body, cell, tuple(found), path, used=used) for body, found in bodies.items() if found]
+
+    def _legend(self, layout: MapLayout, path: Path) -> dict[str, str]:
+        """The letters whose bodies are known."""
+        found = {}
+        for letter, body in layout.legend.items():
+            if body == _WALL or self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
+                found[letter] = body
+            else:
+                known = [*self._namespace.named(Origin.ROBOT, Origin.OBJECT), _WALL]
+                self._values.unknown(self._values.span((*path, "legend", letter)), "robot or object", body, known)
+        return found
+
+    def _is_small(self, text: Text) -> bool:
+        if len(text.text.split()) <= _MAX_CELLS:
+            return True
+        self._values.findings.add("DB005", text.span, f"a map of more than {_MAX_CELLS:_} cells", help="use larger cells")
+        return False
+
+    def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
+        for row in rows[1:]:
+            if len(row) != len(rows[0]):
+                headline = f"a row of {len(row)} cells below one of {len(rows[0])}"
+                self._values.findings.add("DB106", row[0][1], headline, help="write a dot for each empty cell, and blanks between cells")
+                return False
+        return True
+
+    def _check_size(self, width: float, depth: float, path: Path) -> None:
+        arena = self._world.arena
+        if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
+            headline = f"a map of {width:g} by {depth:g} m in an arena of {arena.size[0]:g} by {arena.size[1]:g} m"
+            self._values.findings.add("DB105", self._values.key_span(path), headline, help="give smaller cells, or a larger arena")
+
+    def _standing(
+        self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: Path, *, used: bool
+    ) -> Placement:
+        """The body on the spots of its letters, in the attitude of its own `pose`."""
+        if body == _WALL and self._namespace.origin(_WALL) not in (Origin.ROBOT, Origin.OBJECT):
+            name = f"{layout} wall"
+            if used:
+                self._build(name, cell, len(spots))
+            return Placement(name, {}, rests=True, spot=Cells(spots), owner=owner_of((*path, _WALL)))
+        home = self._places.at_home(body)
+        turned = {key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")}
+        return replace(home, coordinates=turned, spot=Cells(spots), owner=owner_of((*path, body)))
+
+    def _build(self, name: str, cell: float, count: int) -> None:
+        arena = self._world.arena
+        height, colour = (arena.wall_height, arena.colour or WALL_COLOUR) if arena else (0.1, WALL_COLOUR)
+        number = Constant(Type(NUMBER, interval=exact(float(count))), 0, 0, (float(count),))
+        span = self._values.key_span(("reset", "layouts"))
+        bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
+        if bodies > MAX_BODIES:
+            headline = f"the world has {bodies:_} bodies, the walls of maps among them, more than {MAX_BODIES}"
+            self._values.findings.add("DB005", span, headline, help="put up long walls under `world.walls`, or use larger cells")
+            return
+        group = Group(name, count, Expression("count", span, "", number, name))
+        self._namespace.groups[name] = group
+        self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
+
+
+def _rows(text: Text) -> list[list[tuple[str, Span]]]:
+    """The cells of each row that is not empty, with their places in the file."""
+    return [row for row in _lines(text) if row]
+
+
+def _lines(text: Text) -> Iterator[list[tuple[str, Span]]]:
+    for line in re.finditer(r"[^\n]+", text.text):
+        cells = re.finditer(r"\S+", line[0])
+        yield [(cell[0], text.part(line.start() + cell.start(), line.start() + cell.end())) for cell in cells]

@@ -1,27 +1,314 @@
-"""Robot files into the scenario: found, read, changed as the scenario asks, and their parts named."""
+"""Robot files with the changes of the scenario: names, patterns and groups of links and joints, and what joints measure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
-from deepbots_cli.compiler.joints import hull, joint_dimension, joint_interval
-from deepbots_cli.compiler.matching import Group, expand, unmatched
-from deepbots_cli.compiler.overrides import Overrides
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.values import Values, colour, figure
 from deepbots_cli.diagnostics import Findings, Fix, Span
 from deepbots_cli.document import Document, files, shipped
-from deepbots_cli.document.nodes import Path as NodePath
-from deepbots_cli.expressions.types import Kind, Scope, Subject, shown
-from deepbots_cli.robots import meshes
-from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import intervals
+from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, Dimension
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type, shown
+from deepbots_cli.frames import HERE, Frame, inside
+from deepbots_cli.frames import frame as pose_frame
+from deepbots_cli.robots import edits, meshes
+from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
+from deepbots_cli.scenario.fields import choose_from
+from deepbots_cli.scenario.robot import JointOverride, LinkOverride
 from deepbots_cli.scenario.robot import Robot as RobotSpec
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace
+
+
+def joint_dimension(joint: Joint) -> Dimension:
+    """Of a joint's position: a length where it slides, else an angle."""
+    return LENGTH if joint.type == "prismatic" else ANGLE
+
+
+def effort_of(joint: Joint) -> Dimension:
+    """Of what drives it: a force where it slides, else a torque."""
+    return FORCE if joint.type == "prismatic" else TORQUE
+
+
+def sensed_dimension(kind: str, joint: Joint) -> Dimension:
+    """Of what a sensor of this kind measures at a joint."""
+    position = joint_dimension(joint)
+    return {"joint_position": position, "joint_velocity": position / TIME, "joint_torque": effort_of(joint)}[kind]
+
+
+def joint_interval(joint: Joint) -> Interval:
+    """The positions that the limits of the joint leave."""
+    if joint.limit.lower is None or joint.limit.upper is None:
+        return EVERYTHING
+    return Interval(joint.limit.lower, joint.limit.upper)
+
+
+def carries(model: RobotModel, joint: Joint, link: str) -> bool:
+    """Whether the link moves when the joint does."""
+    above = {other.child: other for other in model.joints}
+    while link in above:
+        if above[link].name == joint.name:
+            return True
+        link = above[link].parent
+    return False
+
+
+def held(model: RobotModel, link: str) -> tuple[str, Frame]:
+    """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame in its frame."""
+    above = {joint.child: joint for joint in model.joints if not joint.moves}
+    frame = HERE
+    for _ in model.joints:  # no more than there are, whatever circle a forged model may hold
+        joint = above.get(link)
+        if joint is None:
+            break
+        link, frame = joint.parent, inside(pose_frame(joint.origin), frame)
+    return link, frame
+
+
+def hull(joints: Iterable[Joint]) -> Interval:
+    """The positions that the limits of any of the joints leave."""
+    return intervals.hull([joint_interval(joint) for joint in joints])
+
+
+Group = tuple[Kind, tuple[str, ...]]
+"""Joints or links, and the short names of its members."""
+
+
+def expand(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, Group]) -> tuple[tuple[str, ...], list[str]]:
+    """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
+    found: dict[str, None] = {}
+    missing = []
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        matched = tuple(member for member in groups[pattern][1] if member in names) if pattern in groups else match(names, pattern)
+        if not matched:
+            missing.append(pattern)
+        found.update(dict.fromkeys(matched))
+    return tuple(found), missing
+
+
+def match(names: Iterable[str], pattern: str) -> tuple[str, ...]:
+    """The one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in their given order."""
+    known = tuple(names)
+    return (pattern,) if pattern in known else tuple(name for name in known if fnmatchcase(name, pattern))
+
+
+def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
+    """DB206 for a pattern, DB302 or DB201 for a plain name, with what there is."""
+    if not set(pattern) & set("*?["):
+        values.unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
+    else:
+        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choose_from(pattern, names))
+
+
+def joint_missing(values: Values, span: Span, pattern: str, model: RobotModel) -> None:
+    """A joint where one is needed that moves: it does not exist, or it cannot move."""
+    joint = next((joint for joint in model.joints if joint.name == pattern), None)
+    if joint is not None:
+        motionless(values, span, joint, model)
+    else:
+        unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
+
+
+def links_of(values: Values, links: Sequence[str], groups: Mapping[str, Group], spec: object, place: Path) -> tuple[str, ...]:
+    """The links that `link` or `links` of the sensor or actuator at `place` names; none after a finding."""
+    one = getattr(spec, "link", None)
+    if one is not None:
+        if one not in links:
+            values.unknown(values.span((*place, "link")), "link", one, links)
+        return (one,) if one in links else ()
+    patterns = getattr(spec, "links", None) or ()  # neither is left where the schema had a finding about it
+    names, missing = expand(links, patterns, groups)
+    for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
+        if pattern in missing:
+            span = values.span((*place, "links") if isinstance(patterns, str) else (*place, "links", index))
+            unmatched(values, span, pattern, "link", links)
+    return () if missing else names
+
+
+def motionless(values: Values, span: Span, joint: Joint, model: RobotModel) -> None:
+    names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
+    help = f"joints that move are {names}" if names else "no joint of this robot can move"
+    values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)
+
+
+def joints_of(values: Values, model: RobotModel, groups: Mapping[str, Group], spec: object, place: Path) -> tuple[Joint, ...]:
+    """The joints that `joint` or `joints` of the sensor or actuator at `place` names; none after a finding."""
+    key = "joint" if getattr(spec, "joint", None) is not None else "joints"
+    patterns = getattr(spec, key) or ()  # neither is left where the schema had a finding about it
+    names, missing = expand([joint.name for joint in model.moving_joints], patterns, groups)
+    for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
+        if pattern in missing:
+            span = values.span((*place, key) if isinstance(patterns, str) else (*place, key, index))
+            joint_missing(values, span, pattern, model)
+    if missing or not names:
+        return ()
+    joints = tuple(model.joint(name) for name in names)
+    if len({joint_dimension(joint) for joint in joints}) > 1:
+        values.findings.add("DB404", values.span((*place, key)), "turning and sliding joints together", help="name them apart")
+        return ()
+    return joints
+
+
+# Keys of an override: what `edits.with_friction` and the table of variations call them.
+_CONTACT = {
+    "friction": ("lateral", "lateral_friction"),
+    "spinning_friction": ("spinning", "spinning_friction"),
+    "rolling_friction": ("rolling", "rolling_friction"),
+    "restitution": ("restitution", "restitution"),
+}
+
+
+_UNKNOWN = Symbol("urdf", None, refused="the robot file does not say")
+
+
+@dataclass(frozen=True)
+class _WithUrdf:
+    """The scope of an override: the scenario's, and `urdf`, the figure of the robot file."""
+
+    outer: Scope
+    figure: Symbol
+
+    @property
+    def context(self) -> Context:
+        return self.outer.context
+
+    def lookup(self, name: str) -> Symbol | None:
+        return self.figure if name == "urdf" else self.outer.lookup(name)
+
+    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
+        return self.outer.subject(name, kinds)
+
+    def names(self) -> Iterable[str]:
+        return ["urdf", *self.outer.names()]
+
+    def subjects(self) -> Iterable[str]:
+        return self.outer.subjects()
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """The changes that stand in the scenario at `path`, the robot's.
+
+    A figure that is drawn is drawn for each link or joint that a pattern means.
+    """
+
+    path: Path
+    groups: Mapping[str, Group]
+    namespace: Namespace
+    scope: Scope
+
+    @property
+    def values(self) -> Values:
+        return self.namespace.values
+
+    def apply(self, model: RobotModel, spec: RobotSpec) -> RobotModel:
+        """The model with all changes made that can be made; findings about the others."""
+        links, joints = [link.name for link in model.links], [joint.name for joint in model.joints]
+        for pattern, change in spec.links.items():
+            place: Path = (*self.path, "links", pattern)
+            for name in self._members(links, pattern, place, "link"):
+                model = self._change_link(model, model.link(name), change, place)
+        for pattern, joint_change in spec.joints.items():
+            place = (*self.path, "joints", pattern)
+            for name in self._members(joints, pattern, place, "joint"):
+                joint = model.joint(name)
+                if joint.moves:
+                    model = self._change_joint(model, joint, joint_change, place)
+                elif name == pattern:
+                    motionless(self.values, self.values.key_span(place), joint, model)
+        return model
+
+    def _members(self, names: list[str], pattern: str, place: Path, what: str) -> tuple[str, ...]:
+        members, missing = expand(names, pattern, self.groups)
+        if missing:
+            unmatched(self.values, self.values.key_span(place), pattern, what, names)
+        return members
+
+    def _figure(
+        self, place: Path, given: object, urdf: float | None, dimension: Dimension, what: str | None = None, of: str = ""
+    ) -> float | None:
+        """The SI value of a change; None where none is given, or after a finding.
+
+        `what` is its entry in the table of variations if an episode may draw it, `of` the link or joint.
+        """
+        own = Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,)) if urdf is not None else _UNKNOWN
+        scope = _WithUrdf(self.scope, own)
+        if what is None:
+            return self.values.figure(place, given, dimension, scope)
+        return figure(self.namespace, place, given, dimension, scope, what, (str(self.path[-1]), of))
+
+    def _change_link(self, model: RobotModel, link: Link, change: LinkOverride, place: Path) -> RobotModel:
+        factors = self.values.figures((*place, "stretch"), change.stretch, NUMBER, self.scope, SPACE)
+        if factors:
+            x, y, z = factors
+            model = self._accepted(model, edits.stretch(model, link.name, (x, y, z)), (*place, "stretch"))
+        if change.density is not None:
+            model = self._change_density(model, link.name, change, place)
+        elif change.mass is not None:
+            model = self._change_mass(model, model.link(link.name), change.mass, place)
+        contact = {
+            field: self._figure((*place, key), getattr(change, key), None, NUMBER, what, link.name)
+            for key, (field, what) in _CONTACT.items()
+        }
+        paint = colour(self.namespace, (*place, "colour"), change.colour, (str(self.path[-1]), link.name))
+        model = edits.with_friction(model, link.name, **contact)
+        return edits.with_colour(model, link.name, paint) if paint else model
+
+    def _change_density(self, model: RobotModel, link: str, change: LinkOverride, place: Path) -> RobotModel:
+        if change.mass is not None:
+            span = self.values.key_span((*place, "density"))
+            self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
+            return model
+        density = self._figure((*place, "density"), change.density, None, MASS / LENGTH**3)
+        return self._accepted(model, edits.with_density(model, link, density), (*place, "density")) if density else model
+
+    def _change_mass(self, model: RobotModel, link: Link, given: object, place: Path) -> RobotModel:
+        if link.inertial is None and link.name != place[-1]:
+            return model  # a pattern means the links that have a mass
+        mass = self._figure((*place, "mass"), given, link.inertial.mass if link.inertial else None, MASS, "mass", link.name)
+        if mass == 0 and not self.namespace.varies("mass", (str(self.path[-1]), link.name)):
+            self.values.findings.add("DB105", self.values.span((*place, "mass")), "`mass` is 0 kg", help="give more than 0 kg")
+        return self._accepted(model, edits.with_mass(model, link.name, mass), (*place, "mass")) if mass else model
+
+    def _accepted(self, old: RobotModel, new: RobotModel | str, place: Path) -> RobotModel:
+        """The changed model, or the old one and a finding that says why it cannot be changed so."""
+        if isinstance(new, str):
+            self.values.findings.add("DB105", self.values.span(place), new)
+            return old
+        return new
+
+    def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride, place: Path) -> RobotModel:
+        position, effort, limit = joint_dimension(joint), effort_of(joint), joint.limit
+        damping = self._figure((*place, "damping"), change.damping, joint.damping, effort * TIME / position, "joint_damping", joint.name)
+        friction = self._figure((*place, "friction"), change.friction, joint.friction, effort, "joint_friction", joint.name)
+        torque = self._figure((*place, "max_torque"), change.max_torque, limit.effort, effort)
+        velocity = self._figure((*place, "max_velocity"), change.max_velocity, limit.velocity, position / TIME)
+        limit = replace(
+            limit,
+            effort=limit.effort if torque is None else torque,
+            velocity=limit.velocity if velocity is None else velocity,
+        )
+        if change.range is not None:
+            limit = self._range(joint, limit, change.range, (*place, "range"))
+        return edits.with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
+
+    def _range(self, joint: Joint, limit: Limit, given: str, place: Path) -> Limit:
+        """`limit` with both ends as the scenario gives them."""
+        if joint.type == "continuous":
+            headline = "a range for a joint that the robot file calls continuous"
+            self.values.findings.add("DB203", self.values.span(place), headline, help="make it revolute in the robot file")
+            return limit
+        ends = self.values.ends(self.values.text(place, given), "the range of a joint", self.scope, dimension=joint_dimension(joint))
+        return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +316,7 @@ class RobotScene:
     """A robot of the scenario: its specification, its body as changed by it, and its named groups."""
 
     name: str
-    path: Path
+    path: FilePath
     spec: RobotSpec
     file: RobotFile
     model: RobotModel
@@ -65,7 +352,7 @@ class RobotScene:
 
 def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namespace, scope: Scope) -> RobotScene | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
-    path: NodePath = ("robots", name)
+    path: Path = ("robots", name)
     values = namespace.values
     located = _locate(spec.urdf, (*path, "urdf"), document, values)
     if located is None:
@@ -90,7 +377,7 @@ def _tell(found: Findings, values: Values, has_mass: Sequence[Span]) -> None:
             values.findings.append(finding)
 
 
-def _locate(reference: str, path: NodePath, document: Document, values: Values) -> Path | None:
+def _locate(reference: str, path: Path, document: Document, values: Values) -> FilePath | None:
     span = values.span(path)
     if reference.startswith("package://"):
         found = meshes.in_package(reference)
@@ -99,7 +386,7 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
         values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
         return None
     beside = files.resolve(reference, document.directory_of(span), document.roots)
-    if isinstance(beside, Path):
+    if isinstance(beside, FilePath):
         return beside
     by_name = shipped.robot_path(reference)
     if by_name is not None:
@@ -112,7 +399,7 @@ def _locate(reference: str, path: NodePath, document: Document, values: Values) 
     return None
 
 
-def _groups(model: RobotModel, spec: RobotSpec, path: NodePath, values: Values) -> dict[str, Group]:
+def _groups(model: RobotModel, spec: RobotSpec, path: Path, values: Values) -> dict[str, Group]:
     groups: dict[str, Group] = {}
     joints, links = [joint.name for joint in model.moving_joints], [link.name for link in model.links]
     for name, patterns in spec.groups.items():

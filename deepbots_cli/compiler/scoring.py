@@ -1,28 +1,46 @@
-"""What the episode is worth and when it ends: signals, reward, endings, truncation, solved."""
+"""Signals, reward and endings, those in Python among them; limits of an episode; the age of readings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.foreign import foreign
-from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.scopes import ParameterScope, SupervisorScope
-from deepbots_cli.compiler.values import Text, Values
-from deepbots_cli.compiler.variations import noise
+from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
+from deepbots_cli.compiler.sensing import is_fact
+from deepbots_cli.compiler.values import Text, Values, noise
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, TIME
-from deepbots_cli.expressions.intervals import EVERYTHING
-from deepbots_cli.expressions.types import Context, Stage, Symbol, Typed
+from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
+from deepbots_cli.expressions.types import Constant, Context, Invocation, Stage, Symbol, Type, Typed, walk
 from deepbots_cli.expressions.unification import expect
-from deepbots_cli.program.task import Ending, Outcome, Truncation
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot
+from deepbots_cli.program.task import Choices, Ending, Outcome, Truncation
 from deepbots_cli.program.training import Solved
-from deepbots_cli.program.values import Expression
+from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Measured, PythonTerm
 
+
+def foreign(name: str, given: PythonTerm, path: Path, namespace: Namespace, *, boolean: bool) -> Expression:
+    """The term at `path`, of which nothing is known but whether it is a truth value."""
+    values = namespace.values
+    text = values.text((*path, "python"), given.python)
+    if namespace.document.allow_code:
+        headline = f"`{name}` runs Python code: {given.python}"
+        values.findings.add("DB410", text.span, headline, help="say what it computes as an expression, if the language can")
+    else:
+        help = "write an expression, or allow it with --allow-code if you trust the package"
+        values.findings.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help=help)
+    module, _, function = given.python.partition(":")
+    kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), stage=Stage.STEP)
+    nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
+    return Expression(name, text.span, text.text, nothing, ".".join(map(str, path)), foreign=Foreign(module, function))
+
+
 _SHOWN = 60
-MOST_ENDINGS = 200
+MAX_ENDINGS = 200
 """Whatever is paid is held against every one of them."""
 NO_SUCCESS = "a success rate, where nothing counts as success"
 
@@ -46,9 +64,9 @@ class Signals:
             ("success", spec.termination.success),
             ("failure", spec.termination.failure),
         )
-        if len(spec.termination.success) + len(spec.termination.failure) > MOST_ENDINGS:
+        if len(spec.termination.success) + len(spec.termination.failure) > MAX_ENDINGS:
             help = "join conditions with `or`"
-            self._values.findings.add("DB005", self._values.key_span(("termination",)), f"more than {MOST_ENDINGS} endings", help=help)
+            self._values.findings.add("DB005", self._values.key_span(("termination",)), f"more than {MAX_ENDINGS} endings", help=help)
             for name in (*spec.termination.success, *spec.termination.failure):
                 self._values.lose(name)
             outcomes = ()
@@ -152,3 +170,46 @@ def solved(spec: Scenario, values: Values) -> Solved | None:
         values.findings.add("DB407", values.span(("solved", "success_rate")), NO_SUCCESS, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return Solved(spec.solved.episodes, mean_return, rate)
+
+
+def with_reading_ages(program: Program) -> Program:
+    """The program with a further field in the messages of robots for each sensor whose age the supervisor asks for.
+
+    A sensor that is read when the message is written, as perfect ones are, is as old as the message.
+    """
+    if all(is_fact(sensor) for robot in program.robots for sensor in robot.sensors):
+        return program
+    calls = (node for value in _judged(program) for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
+    asked = dict.fromkeys(call.subjects[0].name for call in calls)
+    return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program
+
+
+def _judged(program: Program) -> Iterator[Expression]:
+    """What the supervisor computes in a step."""
+    for part in program.action:
+        if isinstance(part, Choices):
+            yield from (option.forbidden for option in part.options if option.forbidden is not None)
+    yield from program.signals
+    yield from (entry.value for entry in program.observation)
+    yield from program.reward
+    yield from (ending.value for ending in program.endings)
+    if program.goal is not None:
+        yield from (program.goal.achieved, program.goal.desired)
+    for script in program.scripts:
+        for decided in script.parts:
+            yield from decided.values
+    for robot in program.robots:
+        yield from robot.receive
+
+
+def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:
+    taken = {value.name for value in robot.emit}
+    sensors = {f"{robot.name}.{sensor.name}": sensor for sensor in robot.sensors}
+    ages = []
+    for name in asked:
+        if name in sensors and not is_fact(sensors[name]):
+            field = f"{sensors[name].name}_age"
+            while field in taken:
+                field += "_"
+            ages.append((sensors[name].name, field))
+    return replace(robot, ages=tuple(ages)) if ages else robot

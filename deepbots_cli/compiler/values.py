@@ -1,21 +1,87 @@
-"""Texts of the scenario to typed trees: each parsed and checked in its scope, each finding at its place."""
+"""Texts to typed trees, with findings at their places; values that every episode draws anew.
+
+Names whose definitions had findings are kept apart: later uses of them are not reported.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
-from deepbots_cli.document.nodes import Mapping, Path, Scalar, descend
+from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
+from deepbots_cli.document.nodes import Sequence as SequenceNode
 from deepbots_cli.expressions import check, parser, syntax, unification
-from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.dimensions import NUMBER, Dimension
+from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import Components, NoNames, Redraw, Report, Rewriting, Scope, Stage, Typed, TypedRange, zero
+from deepbots_cli.expressions.types import (
+    Components,
+    Constant,
+    Invocation,
+    NoNames,
+    Redraw,
+    Report,
+    Rewriting,
+    Scope,
+    Stage,
+    Type,
+    Typed,
+    TypedRange,
+    Vector,
+    zero,
+)
 from deepbots_cli.expressions.unification import expect, expect_range
-from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
+from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.values import Expression, Noise
+from deepbots_cli.program.world import Colour
+from deepbots_cli.scenario.fields import COLOURS, FieldType, Quantity, choose_from, colour_options, other_name
+from deepbots_cli.scenario.validate import meant_by
+
+if TYPE_CHECKING:
+    from deepbots_cli.compiler.namespace import Namespace
+
+
+_KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
+ANY = "*"
+"""Stands for all names: those of a section that is no mapping cannot be told."""
+
+_OF_NAMES = frozenset({"parameters", "augment", "signals", "success", "failure"})
+_REACH = 200  # how far before a finding its key may stand, in characters
+
+
+def lost_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> set[str]:
+    """The names in what the schema took out of `root`, and the keys at and right before the findings `found`."""
+    names: set[str] = set()
+    data = to_data(root)
+    for path in pruned:
+        node, key, steps = descend(root, path)
+        if steps == len(path):
+            near = meant_by(data, path)
+            names.update([key.text] if key else [], [near.text] if near else [], _names(node))
+            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, Mapping):
+                names.add(ANY)
+    for span in found:
+        before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _REACH), span.start)
+        names.update([before[1]] if before else [])
+        names.update([span.text] if span.end - span.start < _REACH else [])
+    return names
+
+
+def _names(node: Node) -> Iterator[str]:
+    """All keys below `node`, and the items of its lists."""
+    match node:
+        case Mapping():
+            for name, entry in node.entries.items():
+                yield name
+                yield from _names(entry.value)
+        case SequenceNode():
+            for item in node.items:
+                yield from [item.text] if isinstance(item, Scalar) else _names(item)
 
 
 class Text(NamedTuple):
@@ -302,3 +368,121 @@ class Values:
 
 def _figure(number: float, unit: str) -> str:
     return f"{number:g}" if unit == "1" else f"{number:g} {unit}"
+
+
+def figure(
+    namespace: Namespace, path: Path, given: object, dimension: Dimension, scope: Scope, what: str, of: tuple[str, ...]
+) -> float | None:
+    """The SI value of a figure that an episode may vary; None where none is given, and after a finding.
+
+    `what` is its entry in the table of variations (`emit.variations`), `of` whose it is. A drawn figure
+    is noted there, and the middle of its interval returned.
+    """
+    found = figures(namespace, path, given, dimension, scope, what, of)
+    return found[0] if found else None
+
+
+def forget(namespace: Namespace, what: str, of: tuple[str, ...]) -> None:
+    """A figure that is given again, as for a link that two patterns mean, replaces what was to be drawn."""
+    namespace.variations[:] = [known for known in namespace.variations if (known.what, known.of) != (what, of)]
+
+
+def figures(
+    namespace: Namespace,
+    path: Path,
+    given: object,
+    dimension: Dimension,
+    scope: Scope,
+    what: str,
+    of: tuple[str, ...],
+    components: Components | None = None,
+    spread: Components | None = None,
+) -> tuple[float, ...] | None:
+    """The same for a vector of `components`, or for one figure that is drawn anew for each of `spread`."""
+    if given is None:
+        return None
+    values = namespace.values
+    text, called = values.text(path, given), f"`{path[-1]}`"
+    typed = values.quantity(text, called, scope, dimension, components or spread, Stage.EPISODE)
+    if typed is None or not _is_bounded(typed, text, called, values):
+        return None
+    count = len(components or spread or ("",))
+    forget(namespace, what, of)
+    if typed.type.stage is Stage.FIXED:
+        fixed = values.fixed(typed, text, called)
+        return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
+    owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
+    value = Expression(str(path[-1]), text.span, text.text, typed, owner, spread)
+    namespace.variations.append(RandomizedParameter(what, of, value, count))
+    return (_middle(typed.type.interval),) * count
+
+
+def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) -> Noise | None:
+    """The noise on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of the value.
+
+    None for a deviation of 0, and after a finding.
+    """
+    text = values.text(path, given)
+    if of.type.boolean or of.type.picture:
+        help = "take it out, or give it to the number behind it"
+        values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
+        return None
+    components = of.type.components
+    deviation = values.quantity(text, "the noise", scope, None, components, Stage.EPISODE)
+    if deviation is None or zero(deviation):
+        return None
+    relative = deviation.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
+    if not relative:
+        deviation = expect(deviation, values.report(text), "the noise", dimension=of.type.dimension, components=components)
+    std = deviation and Expression("noise", text.span, text.text, deviation, ".".join(map(str, path)), components)
+    return Noise(std, relative) if std else None
+
+
+def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:
+    """Whether what is drawn keeps the bounds that its field has: a normal draw has none, and would break them now and then."""
+    reach, kind = typed.type.interval, text.kind
+    if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
+        return True
+    end = "least" if kind.minimum is not None and reach.low == -math.inf else "greatest"
+    if end == "greatest" and (kind.maximum is None or reach.high < math.inf):
+        return True
+    help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
+    values.findings.add("DB105", text.span, f"{called} is drawn without a {end} value", help=help)
+    return False
+
+
+def _middle(reach: Interval) -> float:
+    """Of an interval without one, the end that it has."""
+    ends = [end for end in (reach.low, reach.high) if math.isfinite(end)]
+    return sum(ends) / len(ends) if ends else 0.0
+
+
+def colour(namespace: Namespace, path: Path, given: str | None, of: tuple[str, str] | None = None) -> Colour | None:
+    """The colour at `path`, None where none is given.
+
+    Of several to draw from it is the first, and the draw is noted as a variation of a body and link, `of`; without
+    one, a draw is a finding.
+    """
+    if given is None:
+        return None
+    if of is not None:
+        namespace.colours[:] = [known for known in namespace.colours if known.of != of]  # as for a link that two patterns mean
+    options = [_paint(word) for word in colour_options(given)]
+    if len(options) > 1 and of is None:
+        help = "it is the same in every episode; give one colour"
+        namespace.values.findings.add("DB407", namespace.values.span(path), "a draw of a colour that is fixed", help=help)
+    elif len(options) > 1 and of is not None:
+        owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
+        text, single = namespace.values.text(path, given), Type(stage=Stage.EPISODE)
+        ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
+        which = Invocation(single, 0, 0, "integer", (), ends, 0)
+        shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
+        drawn = Vector(single, 0, len(text.text), (which, *shades))
+        namespace.colours.append(RandomizedParameter("colour", of, Expression("colour", text.span, text.text, drawn, owner)))
+    return options[0]
+
+
+def _paint(word: str) -> Colour:
+    if word.startswith("#"):
+        return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
+    return (*COLOURS[word], 1.0)

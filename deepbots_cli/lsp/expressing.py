@@ -10,7 +10,7 @@ from lsprotocol.types import CompletionItemKind
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import definition
-from deepbots_cli.compiler.scopes import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check

@@ -7,7 +7,7 @@ import re
 from lsprotocol import types
 
 from deepbots_cli.compiler.inventory import Named, definition, names
-from deepbots_cli.compiler.scopes import RobotScope
+from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.document import Scalar, descend
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import UNITS

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from deepbots_cli.compiler.scopes import RobotScope
+from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.values import Reading, Text
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import parser, syntax

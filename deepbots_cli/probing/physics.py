@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from math import degrees, radians
 from typing import Any
 
-from deepbots_cli.compiler.joints import joint_dimension
+from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.probing.probed import Probed
 from deepbots_cli.probing.report import Missed, Overlap, Where

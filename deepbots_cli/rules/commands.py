@@ -8,7 +8,7 @@ from typing import TypeGuard
 
 from deepbots_cli import frames
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.joints import carries, joint_dimension
+from deepbots_cli.compiler.robots import carries, joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.expressions.dimensions import TIME

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from deepbots_cli.compiler.sensors import SENSOR_KINDS, is_fact, reading
+from deepbots_cli.compiler.sensing import SENSOR_KINDS, is_fact, reading
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World

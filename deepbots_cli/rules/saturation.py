@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint, frames
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.joints import held
+from deepbots_cli.compiler.robots import held
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import Interval, exact

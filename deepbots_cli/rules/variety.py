@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.joints import joint_dimension
+from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.functions import FUNCTIONS, Family

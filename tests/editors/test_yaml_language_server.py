@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.known import known
+from deepbots_cli.compiler.inventory import known
 from deepbots_cli.scenario.json_schema import FILE_NAME, to_text
 from deepbots_cli.scenario.sensors import SENSORS
 from tests.editors.conftest import ROOT, Type

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.compiler.matching import match
+from deepbots_cli.compiler.robots import match
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.meshes import beside

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.known import known
+from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import to_data
 from deepbots_cli.document.parse import parse

@@ -20,13 +20,10 @@ Build = Callable[..., Scene]
 ATTITUDE = Pose((0, 0, 1), (0, 0, 0))
 
 
-def ranger(
-    *turns: float,
-    reach: float = 5.0,
-    combined: str = "each",
-    mount: Pose = Pose(),  # noqa: B008
-    lookup: CalibrationTable | None = None,
-) -> Sensor:
+HERE = Pose()
+
+
+def ranger(*turns: float, reach: float = 5.0, combined: str = "each", mount: Pose = HERE, lookup: CalibrationTable | None = None) -> Sensor:
     """Rays at these yaw angles (deg)."""
     rays = tuple(Pose(rpy=(0, 0, turn * DEGREE)) for turn in turns)
     names = tuple(f"r{index}" for index in range(len(turns))) if combined == "each" else ()

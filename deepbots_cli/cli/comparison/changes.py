@@ -65,12 +65,12 @@ def _of_items(one: Side, other: Side, before: dict[str, Item], after: dict[str, 
     altered = _altered_parameters(one, other)
     for path in dict.fromkeys((*before, *after)):
         old, new = before.get(path), after.get(path)
-        if old and new and old.value == new.value:
+        if old and new and _values(old.value) == _values(new.value):
             continue
         if path.startswith("order of ") and not (old and new and _is_reordered(old.value, new.value)):
             continue  # other names, which are told one by one
         shown = _place(path, one, other)
-        if old and new and _rounded(old.value) == _rounded(new.value):
+        if old and new and _values(old.value, digits=12) == _values(new.value, digits=12):
             yield Change(f"last digits of {shown}", Group.cosmetic, "changed", "", "")
             continue
         group = min((item.group for item in (old, new) if item), key=list(Group).index)
@@ -83,14 +83,14 @@ def _of_items(one: Side, other: Side, before: dict[str, Item], after: dict[str, 
         yield Change(shown, group, kind, *texts, through)
 
 
-def _rounded(value: object) -> object:
-    """A value whose figures have twelve digits: `urdf * uniform(0.9 .. 1.1)` has its middle a last digit beside the file's figure."""
+def _values(value: object, digits: int = 17) -> object:
+    """A value as tuples of its members, to compare; `urdf * uniform(0.9 .. 1.1)` has its middle a last digit beside the file's value."""
     if isinstance(value, float):
-        return float(f"{value:.12g}")
+        return float(f"{value:.{digits}g}")
     inside = members(value)
     if inside is not None:
-        return (type(value).__name__, *map(_rounded, inside.values()))
-    return tuple(map(_rounded, value)) if isinstance(value, tuple) else value
+        return (type(value).__name__, *((name, _values(member, digits)) for name, member in inside.items()))
+    return tuple(_values(item, digits) for item in value) if isinstance(value, tuple) else value
 
 
 def _is_reordered(old: object, new: object) -> bool:
@@ -141,11 +141,13 @@ def _settings(scenario: Program, section: Literal["cases", "curriculum"]) -> dic
     found: dict[str, object] = {}
     for entry in getattr(scenario, section):
         made = items(entry.program)
-        different = {
-            path: (item.value if (item := made.get(path)) else None) for path in {**base, **made} if base.get(path) != made.get(path)
-        }
+        different = {path: _value(made.get(path)) for path in {**base, **made} if _value(base.get(path)) != _value(made.get(path))}
         found[entry.name] = (getattr(entry, "episodes", None), getattr(entry, "until", None), different)
     return found
+
+
+def _value(item: Item | None) -> object:
+    return _values(item.value) if item else None
 
 
 def _figures(old: Item | None, new: Item | None) -> tuple[str, str]:

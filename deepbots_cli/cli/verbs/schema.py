@@ -12,7 +12,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import editing, terminal
 from deepbots_cli.cli.options import AllowPaths
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.known import known
+from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError
 from deepbots_cli.scenario.json_schema import to_text

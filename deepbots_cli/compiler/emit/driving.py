@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from deepbots_cli import frames
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
-from deepbots_cli.compiler.joints import held
+from deepbots_cli.compiler.robots import held
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Thrust
 

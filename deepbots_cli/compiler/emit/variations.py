@@ -1,6 +1,6 @@
 """The figures that an episode may vary, and the statement that sets each.
 
-One entry per word of `ir.Variation`: the code, made of the names that say whose figure it is, and of the values.
+One entry per word of `RandomizedParameter`: the code, made of the names that say whose figure it is, and of the values.
 """
 
 from __future__ import annotations

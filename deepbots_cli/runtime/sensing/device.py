@@ -49,7 +49,7 @@ class Device:
         self._under_way: deque[tuple[int, int, Reading]] = deque()
 
     def vary(self, figure: str, values: Sequence[float]) -> None:
-        """Give this episode's figures of a fault (a field of `ir.Faults`), one per component, or the latency in s."""
+        """Give this episode's figures of a fault (a field of `NoiseModel`), one per component, or the latency in s."""
         if figure == "latency":
             (self._latency,) = values
         elif self._chain is not None:

@@ -1,7 +1,7 @@
-"""The scenario under other settings: a case of the evaluation, a stage of the curriculum.
+"""The training section, and the scenario under other settings: cases of the evaluation and stages of the curriculum.
 
-Each is the same file with its `set` made, as `--set` would make it, and checked as a whole. What goes wrong only then is
-a finding where it stands in the file. A policy has to fit all of them, so what it sees, does and sends must be the same.
+Each case and stage is the same file with its `set` made, as `--set` would make it, and checked as a whole. A policy has to fit
+all of them, so what it sees, does and sends must be the same.
 """
 
 from __future__ import annotations
@@ -12,21 +12,100 @@ from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import interface
 from deepbots_cli.compiler.scoring import NO_SUCCESS
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.load import place
 from deepbots_cli.document.nodes import follow, measure, without
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
-from deepbots_cli.program.training import Criterion
-from deepbots_cli.scenario.fields import read_until
+from deepbots_cli.program.task import ActionRange, Agent, Choices, Truncation
+from deepbots_cli.program.training import ActionNoise, Criterion, Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.scenario.fields import read_schedule, read_until
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import DiscreteAction
+from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
+from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler import Checked
 
-MOST = 64
+
+_ONE_CHOICE = frozenset({"DQN"})
+_CHOICES = frozenset({"DQN", "MaskablePPO"})
+_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
+
+Action = tuple[Choices | ActionRange, ...]
+
+
+def training(spec: Scenario, values: Values, action: Action, agent: Agent, limits: Truncation, tick: float) -> Training | None:
+    """The training section; `tick` is the timestep in s.
+
+    An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
+    """
+    if spec.train is None:
+        return None
+    _check_algorithm(spec, spec.train.algorithm, values, action)
+    own = spec.train.hyperparameters
+    figures = []
+    for name, given in own.items():
+        if name != "replay" and (isinstance(given, (bool, int, float, str)) or given is None):
+            ramp = read_schedule(given) if isinstance(given, str) else None
+            figures.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
+    replay = _hindsight(own.get("replay"), spec, values)
+    starts = own.get("learning_starts")
+    if replay is not None and starts is not None and limits != Truncation():
+        rows = spec.train.environments * (agent.each.count if agent.each else 1)
+        longest = rows * limits.last_step(tick * agent.repeat)
+        if starts < longest:
+            headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
+            values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
+    return Training(
+        spec.train.algorithm,
+        spec.train.total_timesteps,
+        spec.train.environments,
+        tuple(figures),
+        Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
+        _action_noise(own.get("action_noise")),
+        replay,
+    )
+
+
+def _action_noise(given: ActionNoiseSpec | None) -> ActionNoise | None:
+    if given is None:
+        return None
+    start, end = read_schedule(given.sigma) or (0.0, 0.0)  # the schema has read it before
+    return ActionNoise(given.type, Schedule(start, end), given.theta)
+
+
+def _hindsight(given: HindsightSpec | str | None, spec: Scenario, values: Values) -> Hindsight | None:
+    if given is None or given == "uniform":
+        return None
+    if spec.goal is None and not values.is_lost("goal"):
+        help = "add a `goal`, with what is achieved and what is desired, or take `replay` out"
+        values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a goal to make up", help=help)
+    return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
+
+
+def _check_algorithm(spec: Scenario, algorithm: str, values: Values, action: Action) -> None:
+    intervals = [part for part in action if isinstance(part, ActionRange)]
+    if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
+        headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
+    elif algorithm in _CHOICES and intervals:
+        headline, help = "a range, where `MaskablePPO` can only choose between options", "use PPO, or give the action as `choices`"
+    elif algorithm in _INTERVALS and len(intervals) < len(action):
+        headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
+    elif intervals and len(intervals) < len(action):
+        headline, help = "no algorithm acts by both choices and ranges", "give the ranges as choices, or the choices as ranges"
+    elif algorithm != "MaskablePPO" and any(isinstance(part, DiscreteAction) and part.forbid for part in spec.action.values()):
+        headline, help = f"{algorithm} does not heed what `forbid` forbids", "use MaskablePPO, or take `forbid` out"
+    else:
+        return
+    values.findings.add("DB612", values.span(("train", "algorithm")), headline, help=help)
+
+
+MAX_VARIANTS = 64
 """Cases and stages of one scenario; each is compiled."""
-MOST_VALUES = 40_000
+MAX_VALUES = 40_000
 """Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
 
 _FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
@@ -44,8 +123,10 @@ def with_cases(
         return (), program
     maker = _Maker(document, document.root, program, findings, check)
     count, size = len(spec.evaluation.cases) + len(spec.curriculum), measure(document.root)[0]
-    if count > MOST or count * size > MOST_VALUES:
-        many = f"more than {MOST} cases and stages" if count > MOST else f"{count} cases and stages of a scenario with {size:_} values"
+    if count > MAX_VARIANTS or count * size > MAX_VALUES:
+        many = f"more than {MAX_VARIANTS} cases and stages"
+        if count <= MAX_VARIANTS:
+            many = f"{count} cases and stages of a scenario with {size:_} values"
         maker.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
         return (), program
     maker.check_order(spec)

@@ -1,0 +1,584 @@
+"""The policy: what the agent decides and sees, its goal, hand-written policies, and copies of a robot under one policy."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+
+from deepbots_cli.compiler.controllers import driven_parts
+from deepbots_cli.compiler.namespace import GOAL_IS_LATE, Namespace, Origin, ParameterScope, SupervisorScope
+from deepbots_cli.compiler.values import Text, noise
+from deepbots_cli.document.nodes import Mapping as MappingNode
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import syntax
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.types import SPACE, Components, Context, Invocation, Reference, Stage, Symbol, Type, Typed, children
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect
+from deepbots_cli.program.task import (
+    MAX_CONDITIONS,
+    MAX_OBSERVED_BYTES,
+    MAX_OBSERVED_NUMBERS,
+    ActionPart,
+    ActionRange,
+    Choices,
+    Goal,
+    ImageObservation,
+    Observation,
+    Option,
+    RobotCopies,
+    Script,
+    ScriptedChoice,
+    ScriptedRange,
+    action_names,
+)
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import MAX_BODIES
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
+
+_NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
+_TOGETHER: tuple[tuple[Path, str], ...] = (
+    (("goal",), "a goal"),
+    (("world", "terrain"), "terrain"),
+    (("reset", "require"), "`require`"),
+    (("reset", "layout"), "layouts"),
+)
+
+
+def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
+    """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
+    name, values = spec.agent.each, namespace.values
+    for robot, given in spec.robots.items():
+        if "count" in given.model_fields_set and robot != name and not values.is_lost("each"):
+            headline = f"copies of `{robot}` without a policy for each are not supported yet"
+            help = f"write `agent: {{each: {robot}}}`, which lets one policy act for every copy"
+            values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
+    if name is None:
+        return None
+    if name not in spec.robots:
+        values.unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
+        return None
+    _refuse_others(spec, name, namespace)
+    path, scope = ("robots", name), ParameterScope(namespace, Context.FIXED)
+    robot_spec = spec.robots[name]
+    count = values.number((*path, "count"), robot_spec.count, NUMBER, scope)
+    if robot_spec.spacing is None and values.is_lost("spacing"):
+        return None
+    if robot_spec.spacing is None:
+        help = f"say how far they stand apart, as in `robots.{name}.spacing: 0 0.5 0 m`"
+        values.findings.add("DB102", values.span(("agent", "each")), f"the copies of `{name}` have no `spacing`", help=help)
+        return None
+    spacing = values.numbers((*path, "spacing"), robot_spec.spacing, LENGTH, SPACE, scope)
+    if count is None or spacing is None:
+        return None
+    if not 1 <= count <= MAX_BODIES:
+        values.findings.add("DB105", values.span((*path, "count")), f"{count:g} copies", help=f"give 1 to {MAX_BODIES}")
+        return None
+    x, y, z = spacing
+    return RobotCopies(name, int(count), (x, y, z))
+
+
+def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
+    """DB108 for what would have to be agreed upon between the copies."""
+    values, paths = namespace.values, list(_TOGETHER)
+    paths += [(("robots", other), f"the robot `{other}`") for other in spec.robots if other != name]
+    paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.model_fields_set]
+    paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
+    for path, what in paths:
+        if values.stands(path):
+            values.findings.add("DB108", values.key_span(path), f"{what} beside copies of `{name}` is not supported yet", help=_NOT_YET)
+
+
+class Actions:
+    """The parts of the action, and the variables that they set."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._values = namespace.values
+        self._parts: dict[str, Choices | ActionRange | None] = {}
+        for name, part in spec.action.items():
+            if isinstance(part, DiscreteAction):
+                self._define_choices(name, part)
+            else:
+                self._define_interval(name, part)
+        namespace.built_in["previous_action"] = self._own_action
+
+    def parts(self) -> tuple[Choices | ActionRange, ...]:
+        for name in self._namespace.named(Origin.ACTION):
+            self._namespace.settle(name)
+        return tuple(part for part in self._parts.values() if part is not None)
+
+    def with_conditions(self, action: tuple[ActionPart, ...]) -> tuple[ActionPart, ...]:
+        """The action with the conditions that forbid options, which may use only values that the policy may see."""
+        conditions = {(part, option): condition for part, option, condition in self._forbidden()}
+        return tuple(
+            replace(part, options=tuple(replace(option, forbidden=conditions.get((part.name, option.name))) for option in part.options))
+            if isinstance(part, Choices)
+            else part
+            for part in action
+        )
+
+    def _forbidden(self) -> list[tuple[str, str, Expression]]:
+        scope = SupervisorScope(self._namespace, Context.FORBID)
+        found = []
+        choices = [(name, part) for name, part in self._spec.action.items() if isinstance(part, DiscreteAction)]
+        for name, part in choices:
+            for option, given in part.forbid.items():
+                place: Path = ("action", name, "forbid", option)
+                if option not in part.choices:
+                    self._values.unknown(self._values.key_span(place), "choice", option, list(part.choices))
+                text = self._values.text(place, given)
+                typed = self._values.expression(text, scope, boolean=True)
+                typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+                if typed is not None and option in part.choices:
+                    found.append((name, option, Expression(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
+            always = {option for part, option, condition in found if part == name and constant(condition.typed) == (True,)}
+            if always == set(part.choices):
+                span = self._values.key_span(("action", name, "forbid"))
+                self._values.findings.add(
+                    "DB105", span, f"every option of `{name}` is always forbidden", help="leave one that may be chosen"
+                )
+        return found
+
+    def _own_action(self, context: Context) -> Symbol:
+        """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
+        name = "previous_action"
+        if context is Context.RECEIVE:
+            return Symbol(name, None, refused="it arrives with the action; use the action variable")
+        parts = self.parts()
+        if not parts:
+            written = self._values.root.get("action")  # of which findings may have left nothing
+            has_some = isinstance(written, MappingNode) and written.entries
+            return Symbol(name, None, refused=None if has_some else "the agent does nothing in this scenario")
+        if len(parts) < len(self._parts):
+            return Symbol(name, None)
+        components = action_names(parts)
+        if all(isinstance(part, Choices) for part in parts):
+            return Symbol(name, Type(NUMBER, components, boolean=True, stage=Stage.STEP))
+        return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), stage=Stage.STEP))
+
+    def _define_choices(self, name: str, part: DiscreteAction) -> None:
+        """Each option sets the variable called like the action, or the variables that it lists."""
+        named = [variable for given in part.choices.values() if isinstance(given, dict) for variable in given]
+        variables = tuple(dict.fromkeys(named)) or (name,)
+        place: Path = ("action", name, "choices")
+        figures = {option: self._figures((*place, option), given, variables, bool(named)) for option, given in part.choices.items()}
+        for index, variable in enumerate(variables):
+            column = [row[index] for row in figures.values()]
+            symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP))
+            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
+        self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in figures.items()))
+
+    def _figures(self, place: Path, given: object, variables: tuple[str, ...], named: bool) -> tuple[float, ...]:
+        """What one option makes of each of the variables; 0 after a finding."""
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        if not isinstance(given, dict):
+            if named:
+                help = f"write what it sets, as in `{{{variables[0]}: 1}}`"
+                self._values.findings.add("DB103", self._values.span(place), "a number, where other choices set variables", help=help)
+                self._values.lose(str(place[1]))
+                return (0.0,) * len(variables)
+            return (self._values.number(place, given, NUMBER, scope) or 0.0,)
+        missing = [variable for variable in variables if variable not in given]
+        if missing:
+            headline = f"the choice `{place[-1]}` leaves `{missing[0]}` open, which other choices set"
+            self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be")
+        found = {variable: self._values.number((*place, variable), figure, NUMBER, scope) for variable, figure in given.items()}
+        return tuple(found.get(variable) or 0.0 for variable in variables)
+
+    def _define_interval(self, name: str, part: ContinuousAction | str) -> None:
+        self._parts[name] = None
+        self._namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
+
+    def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
+        place: Path = ("action", name) if isinstance(part, str) else ("action", name, "range")
+        text = self._values.text(place, part)
+        ends = self._values.ends(text, "the range of an action", ParameterScope(self._namespace, Context.FIXED))
+        components: Components | None = ()
+        if isinstance(part, ContinuousAction) and part.each is not None:
+            components = self._group(part.each, ("action", name, "each"))
+        elif self._values.is_lost("each"):
+            components = None
+        if ends is None or components is None:
+            return Symbol(name, None)
+        low, high = ends.low[0], ends.high[0]
+        self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
+        return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), stage=Stage.STEP))
+
+    def _group(self, reference: str, place: Path) -> Components | None:
+        """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
+        robot_name, _, rest = reference.partition(".")
+        robot = self._namespace.robots.get(robot_name)
+        subject = self._namespace.subject(reference)
+        if subject is not None and subject.components:
+            return subject.components
+        if robot is not None and rest in robot.spec.actuators:
+            return driven_parts(robot, robot.spec.actuators[rest])
+        if not self._namespace.is_broken(reference):
+            scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
+            known = dict.fromkeys(f"{scene.name}.{part}" for scene in scenes for part in (*scene.groups, *scene.spec.actuators))
+            self._values.unknown(self._values.span(place), "group or actuator", reference, list(known))
+        return None
+
+
+def _itself(symbol: Symbol) -> Symbol:
+    return symbol
+
+
+Bounds = tuple[tuple[float, ...], tuple[float, ...]]
+
+LEAST_SIDE = 36
+"""Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
+
+
+class Observations:
+    """Reads the entries of the observation."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._values = namespace.values
+
+    def entries(self) -> tuple[Observation, ...]:
+        found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
+        self._check_size(found)
+        self._check_pictures(found)
+        self._check_keys(found)
+        return found
+
+    def _entry(self, key: str, given: Observed | str) -> Observation | None:
+        place: Path = ("observation", key)
+        spec = Observed.model_construct(range=given) if isinstance(given, str) else given
+        text = self._values.key_text(place)
+        typed = self._observed(text)
+        range_text = self._values.text(place if isinstance(given, str) else (*place, "range"), spec.range)
+        if typed is None:
+            if range_text.text != "auto":
+                self._values.range(range_text, ParameterScope(self._namespace, Context.FIXED))
+            return None
+        bounds = self._bounds(typed, range_text)
+        scope = ParameterScope(self._namespace, Context.FIELD)
+        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.model_fields_set else None
+        if bounds is None:
+            return None
+        kind = ImageObservation if typed.type.picture else Observation
+        return kind(Expression(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, added)
+
+    def _observed(self, text: Text) -> Typed | None:
+        tree = self._values.parsed(text)
+        if tree is None:
+            return None
+        if not isinstance(tree, syntax.Name):
+            self._values.findings.add(
+                "DB103",
+                text.span,
+                "an expression where a name is needed",
+                help="name the expression under `augment`, and observe that name",
+            )
+            return None
+        return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
+
+    def _bounds(self, typed: Typed, text: Text) -> Bounds | None:
+        count = len(typed.type.components or ("",))
+        if typed.type.picture:
+            if text.text != "auto":
+                self._values.findings.add("DB403", text.span, "a range for a picture", help="write `auto`: its pixels are seen as 0 to 255")
+                return None
+            return (), ()
+        if typed.type.boolean:
+            if text.text != "auto":
+                self._values.findings.add("DB403", text.span, "a range for a truth value", help="write `auto`: it is seen as 0 or 1")
+                return None
+            return (0.0,) * count, (1.0,) * count
+        if text.text == "auto":
+            low, high = typed.type.interval.low, typed.type.interval.high
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                self._values.findings.add("DB102", text.span, "the range of this value is not known", help="give it: `lo .. hi unit`")
+                return None
+            return (low,) * count, (high,) * count
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        components = typed.type.components or None
+        ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
+        return (ends.low, ends.high) if ends else None
+
+    def _check_size(self, entries: tuple[Observation, ...]) -> None:
+        stack = self._spec.agent.stack
+        seen = stack * sum(len(entry.low) * entry.history for entry in entries)
+        pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
+        for found, most, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
+            if found > most:
+                headline = f"an observation of {found} {what}, which is more than {most}"
+                help = "shorten its histories, or the stack of the agent"
+                self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
+
+    def _check_pictures(self, entries: tuple[Observation, ...]) -> None:
+        """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
+
+        It tells the channels, which histories and stacks add to, from the sides by their being fewest.
+        """
+        for entry in entries if self._spec.train is not None else ():
+            picture = entry.value.typed.type.picture
+            if picture is None:
+                continue
+            rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.stack
+            if min(rows, columns) < LEAST_SIDE:
+                headline = f"pictures of {columns} x {rows} pixels, where the network needs {LEAST_SIDE} x {LEAST_SIDE}"
+                self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
+            elif channels >= min(rows, columns):
+                headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
+                self._values.findings.add("DB612", entry.value.span, headline, help="shorten the history, or raise the `resolution`")
+
+    def _check_keys(self, entries: tuple[Observation, ...]) -> None:
+        """Pictures stand under keys of their own, in which a dot is an underscore."""
+        taken = {"observation", "achieved_goal", "desired_goal"}
+        for entry in entries:
+            key = entry.value.name.replace(".", "_")
+            if entry.value.typed.type.picture and key in taken:
+                headline = f"the picture `{entry.value.name}` would stand under the key `{key}`, which is taken"
+                self._values.findings.add("DB202", entry.value.span, headline, help="send it under another name")
+            taken |= {key} if entry.value.typed.type.picture else set()
+
+
+_RECOMPUTED = ("achieved", "desired", "goal_reached")
+
+
+class Goals:
+    """Reads `goal`, and gives the names in it their meaning."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._values = namespace.values
+        self._valued: dict[str, Expression] = {}
+        if spec.goal is not None:
+            namespace.built_in["goal_reached"] = self._reached
+            namespace.define("achieved", Origin.GOAL, ("goal", "achieved"), self._achieved)
+            namespace.define("desired", Origin.GOAL, ("goal", "desired"), self._desired)
+
+    def goal(self, rewards: Iterable[Expression]) -> Goal | None:
+        """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
+        spec, values = self._spec.goal, self._values
+        if spec is None:
+            return None
+        for name in self._namespace.named(Origin.GOAL):
+            self._namespace.settle(name)
+        achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        dimension = achieved.typed.type.dimension if achieved else None
+        text = values.text(("goal", "within"), spec.within)
+        within = values.quantity(text, "`within`", scope, dimension)
+        least = values.fixed(within, text, "`within`") if within else None
+        text = values.text(("goal", "range"), spec.range)
+        components = achieved.typed.type.components if achieved else None
+        ends = values.ends(text, "the range of a goal", scope, dimension=dimension, components=components) if achieved else None
+        self._check_repeat()
+        _check_rewards(rewards, self._namespace)
+        if achieved is None or desired is None or ends is None or least is None:
+            return None
+        return Goal(achieved, desired, ends.low, ends.high, float(least[0]))
+
+    def _check_repeat(self) -> None:
+        if self._spec.agent.repeat > 1:
+            span = self._values.span(("agent", "repeat"))
+            help = "take `repeat` out, and make the timestep longer"
+            self._values.findings.add("DB709", span, "a reward over several ticks, which hindsight cannot recompute", help=help)
+
+    def _achieved(self) -> Symbol:
+        typed = self._expression("achieved")
+        typed = typed and expect(typed, self._values.report(self._text("achieved")), "what is achieved", components=ANY_SHAPE)
+        return self._defined("achieved", typed)
+
+    def _desired(self) -> Symbol:
+        """Of the dimension and the components of what is achieved."""
+        typed, achieved = self._expression("desired"), self._namespace.settle("achieved")
+        if typed is None or achieved is None or achieved.type is None:
+            return Symbol("desired", None)
+        wanted = achieved.type
+        report = self._values.report(self._text("desired"))
+        typed = expect(typed, report, "what is desired", dimension=wanted.dimension, components=wanted.components)
+        return self._defined("desired", typed and typed._replace(type=typed.type._replace(components=wanted.components)))
+
+    def _text(self, name: str) -> Text:
+        return self._values.text(("goal", name), getattr(self._spec.goal, name))
+
+    def _expression(self, name: str) -> Typed | None:
+        return self._values.expression(self._text(name), SupervisorScope(self._namespace, Context.GOAL), boolean=False)
+
+    def _defined(self, name: str, typed: Typed | None) -> Symbol:
+        if typed is None:
+            return Symbol(name, None)
+        text = self._text(name)
+        added = None
+        if self._spec.goal is not None and name == "achieved" and "noise" in self._spec.goal.model_fields_set:
+            scope = ParameterScope(self._namespace, Context.FIELD)
+            added = noise(self._values, ("goal", "noise"), self._spec.goal.noise, typed, scope)
+        self._valued[name] = Expression(name, text.span, text.text, typed, f"goal.{name}", noise=added)
+        return Symbol(name, typed.type._replace(stage=Stage.STEP))
+
+    def _reached(self, context: Context) -> Symbol:
+        name = "goal_reached"
+        if context not in (Context.REWARD, Context.ENDING):
+            return Symbol(name, None, refused=GOAL_IS_LATE)
+        for part in self._namespace.named(Origin.GOAL):
+            symbol = self._namespace.settle(part)
+            if symbol is None or symbol.type is None:
+                return Symbol(name, None)
+        return Symbol(name, Type(boolean=True, stage=Stage.STEP))
+
+
+def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
+    """A finding for each term that hindsight cannot recompute."""
+    for term in terms:
+        if term.foreign is not None:
+            help = "write an expression of `achieved` and `desired`"
+            namespace.values.findings.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help=help)
+        for odd in _beyond(term.typed):
+            text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
+            headline = f"the term `{term.name}` rests on more than what is achieved and desired"
+            help = "use `achieved`, `desired`, `goal_reached` and fixed figures: hindsight recomputes the reward for other goals"
+            namespace.values.findings.add("DB709", text.part(odd.start, odd.end), headline, help=help)
+            break
+
+
+def _beyond(value: Typed) -> Iterator[Typed]:
+    """The parts of a value that are not made of the goal and of fixed figures."""
+    match value:
+        case Reference(symbol=symbol) if symbol.value is None and symbol.name not in _RECOMPUTED:
+            yield value
+        case Invocation(function=function) if FUNCTIONS[function].family is not Family.PURE:
+            yield value
+        case _:
+            for part in children(value):
+                yield from _beyond(part)
+
+
+_WORD = re.compile(r"\w+", re.ASCII)
+
+
+def scripts(spec: Scenario, namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
+    """The scripts without findings, which decide every part of the `action`."""
+    reader = _Reader(namespace, {part.name: part for part in action}, list(spec.action))
+    found = (reader.script(name, given) for name, given in spec.scripts.items())
+    return tuple(script for script in found if script is not None)
+
+
+class _Reader:
+    """Reads scripts for one action; `names` are those of all its parts, `parts` has those without findings."""
+
+    def __init__(self, namespace: Namespace, parts: Mapping[str, Choices | ActionRange], names: list[str]) -> None:
+        self._namespace = namespace
+        self._values = namespace.values
+        self._scope = SupervisorScope(namespace, Context.SCRIPT)
+        self._parts = parts
+        self._names = names
+
+    def script(self, name: str, given: Mapping[str, object]) -> Script | None:
+        place: Path = ("scripts", name)
+        for part in given:
+            if part not in self._names:
+                self._values.unknown(self._values.key_span((*place, part)), "action", part, self._names)
+        for part in self._names:
+            if part not in given and not self._values.is_lost(part):
+                headline = f"the script `{name}` does not decide `{part}`"
+                self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
+        decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
+        parts = [decided.get(part) for part in self._names]
+        return Script(name, tuple(part for part in parts if part is not None)) if all(parts) else None
+
+    def _example(self, name: str) -> str | None:
+        """How a part may be decided."""
+        match self._parts.get(name):
+            case Choices(options=options) if options:
+                return f"name an option, as in `{name}: {options[0].name}`"
+            case ActionRange(low=low, high=high, unit=unit):
+                return f"give a value, as in `{name}: {f'{(low + high) / 2:g} {unit}'.removesuffix(' 1')}`"
+            case _:
+                return None
+
+    def _decision(self, place: Path, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
+        if isinstance(part, ActionRange):
+            if isinstance(given, dict):
+                return self._aims(place, part, given)
+            aim = self._aim(place, part, given, part.components or None)
+            return None if aim is None else ScriptedRange((aim,), max(1, len(part.components)))
+        return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
+
+    def _aims(self, place: Path, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
+        """A value for each component by its name."""
+        key = self._values.key_span(place)
+        if not part.components:
+            self._values.findings.add("DB103", key, f"several values, where `{part.name}` is one", help=self._example(part.name))
+            return None
+        strange = [name for name in given if name not in part.components]
+        for name in strange:
+            self._values.unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
+        for name in part.components:
+            if name not in given and not strange:  # otherwise it probably stands there under another name
+                headline = f"the script `{place[1]}` does not decide `{name}` of `{part.name}`"
+                self._values.findings.add("DB102", key, headline, help="give a value for each component, or one for all")
+        aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
+        found = tuple(aim for aim in aims if aim is not None)
+        return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
+
+    def _aim(self, place: Path, part: ActionRange, given: object, components: Components | None) -> Expression | None:
+        """A value of the dimension of the range, which may be a vector of these components."""
+        known = self._namespace.settle(part.name)
+        text = self._values.text(place, given)
+        typed = self._values.expression(text, self._scope, boolean=False)
+        if typed is None or known is None or known.type is None:
+            return None
+        report, dimension = self._values.report(text), known.type.dimension
+        fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
+        return fitted and Expression(part.name, text.span, text.text, fitted, ".".join(map(str, place)))
+
+    def _option(self, place: Path, part: Choices, word: str) -> ScriptedChoice | None:
+        """The same option always."""
+        span, options = self._values.span(place), [option.name for option in part.options]
+        if not _WORD.fullmatch(word):
+            help = f"name one, or say when each is taken: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
+            self._values.findings.add("DB103", span, f"an expression, where an option of `{part.name}` is due", help=help)
+        elif word not in options:
+            self._values.unknown(span, "choice", word, options)
+        else:
+            return ScriptedChoice((), word)
+        return None
+
+    def _pick(self, place: Path, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
+        """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
+        if len(given) > MAX_CONDITIONS:
+            self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
+            return None
+        options, rules, broken = [option.name for option in part.options], [], False
+        for option, condition in given.items():
+            if option not in options:
+                self._values.unknown(self._values.key_span((*place, option)), "choice", option, options)
+            rule = self._condition((*place, option), condition)
+            broken = broken or rule is None or option not in options
+            if rule is not None:
+                rules.append((option, rule))
+        if broken:
+            return None
+        always = next((index for index, (_, rule) in enumerate(rules) if constant(rule.typed) == (True,)), None)
+        if always is None:
+            headline = f"`{part.name}` may be left undecided: none of the conditions always holds"
+            help = f"let the last one hold always: `{rules[-1][0]}: true`"
+            self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
+            return None
+        otherwise = rules[always][0]
+        for option, _ in rules[always + 1 :]:
+            headline = f"`{option}` is never taken, as `{otherwise}` before it always is"
+            self._values.findings.add("DB205", self._values.key_span((*place, option)), headline, help="take it out, or put it before")
+        return ScriptedChoice(tuple(rules[:always]), otherwise)
+
+    def _condition(self, place: Path, given: object) -> Expression | None:
+        text = self._values.text(place, given)
+        typed = self._values.expression(text, self._scope, boolean=True)
+        typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+        return typed and Expression(str(place[-1]), text.span, text.text, typed, ".".join(map(str, place)))
