@@ -110,6 +110,7 @@ def test_a_function_of_another_package_is_known_everywhere(tmp_path):
         (MODULE.replace("2 * x", "x + x"), "more_functions:FUNCTIONS", "must hold each of x once"),
         (MODULE.replace("2 * x", "open(x)"), "more_functions:FUNCTIONS", "holds open"),
         (MODULE.replace("2 * x", "[x]"), "more_functions:FUNCTIONS", "may hold operators, numbers, calls"),
+        (MODULE.replace("return Interval", "return Intervall"), "more_functions:FUNCTIONS", "name 'Intervall' is not defined"),
         (MODULE.replace('"double", ', '"sin", '), "more_functions:FUNCTIONS", "the name 'sin' is taken"),
     ],
 )
