@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Function, operation, whole_exponent
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
@@ -61,22 +61,21 @@ def operand(code: str) -> str:
 
 def advance_lines(state: State, memory: str, result: str, args: list[str], timestep: str) -> list[str]:
     """Statements of one timestep; `args` is the code of the state's arguments, `timestep` in seconds."""
-    return _statements(state, memory, result, args, timestep)[1]
+    return _statements(state, "advance", args, {"memory": memory, "result": result, "timestep": timestep})
 
 
 def reset_lines(state: State, memory: str, result: str, args: list[str]) -> list[str]:
     """Statements at a reset, after the first readings: memory and result as they stand before the first timestep."""
-    return _statements(state, memory, result, args, "")[0]
+    return _statements(state, "reset", args, {"memory": memory, "result": result})
 
 
-def _statements(state: State, memory: str, result: str, args: list[str], timestep: str) -> tuple[list[str], list[str]]:
+def _statements(state: State, event: Literal["reset", "advance"], args: list[str], variables: dict[str, str]) -> list[str]:
     function = FUNCTIONS[state.function]
-    assert function.memory is not None  # as every stateful function
+    template: str = getattr(function.memory, event)
     given = dict(zip(function.arguments, args, strict=False))
-    values = {name: given.get(name, args[0]) for name in function.arguments}
-    values |= {f"({name})": operand(code) for name, code in values.items()}
-    values |= {"memory": memory, "result": result, "timestep": timestep}
-    return tuple(text.format_map(values).split("\n") for text in function.memory)  # type: ignore[return-value]
+    codes = {name: given.get(name, args[0]) for name in function.arguments}
+    operands = {f"({name})": operand(code) for name, code in codes.items()}
+    return template.format_map({**codes, **operands, **variables}).split("\n")
 
 
 def _code(scalar: Scalar, leaf: Leaf) -> Code:
