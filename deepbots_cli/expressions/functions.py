@@ -552,10 +552,6 @@ def _add_plugins(known: dict[str, Function]) -> None:
             logging.getLogger("deepbots").warning("warning: the functions '%s' (%s) are not available: %s", entry.name, entry.value, reason)
 
 
-_OPERATORS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp, ast.IfExp, ast.operator, ast.boolop, ast.cmpop, ast.unaryop)
-_PRINTED = (*_OPERATORS, ast.Name, ast.expr_context, ast.Constant, ast.Call, ast.Starred)
-
-
 def _require_usable(function: object, known: Mapping[str, Function]) -> None:
     """Refuse an entry of another package that would break ours.
 
@@ -569,10 +565,10 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
-    nodes = list(ast.walk(ast.parse(function.python, mode="eval").body))
-    if not all(isinstance(node, _PRINTED) for node in nodes):
-        raise ValueError(f"the python of {name!r} may hold operators, numbers, calls and `if else`, nothing else")
-    names = [node.id for node in nodes if isinstance(node, ast.Name)]
+    from deepbots_cli.expressions.printer import require_printable  # it imports this module
+
+    require_printable(function)
+    names = [node.id for node in ast.walk(ast.parse(function.python, mode="eval")) if isinstance(node, ast.Name)]
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].many and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")

@@ -54,6 +54,15 @@ def python(scalar: Scalar, leaf: Leaf) -> str:
     return _code(scalar, leaf).text
 
 
+def require_printable(function: Function) -> None:
+    """Try the Python of a function.
+
+    Raises:
+        ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else b`.
+    """
+    _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
+
+
 def operand(code: str) -> str:
     """The code as one side of any operator: in parentheses unless it is a name, an attribute, an item or a number."""
     return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
@@ -98,7 +107,7 @@ def _operation(function: Function, args: list[Code], scalars: tuple[Scalar, ...]
         return _power(args[0], whole)
     names = function.arguments
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
-        return _infix(_template(function.python), args)
+        return _infix(_template(function.python).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
         args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
@@ -144,14 +153,14 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return args.get(name) or Code(name)
         case ast.Constant(value=bool() | int() | float() as value):
             return _number(value)
-        case ast.Call(func=ast.Name(id=name), args=parts):
+        case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
             return args[f"*{name}"]
-        case ast.BinOp(left=left, right=right) | ast.Compare(left=left, ops=[_], comparators=[right]):
-            return _infix(node, [_printed(left, args), _printed(right, args)])
-        case ast.BoolOp(values=parts):
-            return _infix(node, [_printed(part, args) for part in parts])
+        case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]) if type(sign) in _SIGNS:
+            return _infix(sign, [_printed(left, args), _printed(right, args)])
+        case ast.BoolOp(op=sign, values=parts):
+            return _infix(sign, [_printed(part, args) for part in parts])
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return Code(f"-{_printed(inner, args).within(Bind.SIGN)}", Bind.SIGN)
         case ast.UnaryOp(op=ast.Not(), operand=inner):
@@ -159,11 +168,11 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
         case ast.IfExp(test=test, body=a, orelse=b):
             condition = _printed(test, args).within(Bind.OR)
             return Code(f"{_printed(a, args).within(Bind.OR)} if {condition} else {_printed(b, args).within(Bind.TERNARY)}", Bind.TERNARY)
-    raise ValueError(f"{ast.unparse(node)[:60]!r} cannot be printed")
+    raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
 
 
-def _infix(node: ast.expr, codes: list[Code]) -> Code:
+def _infix(operator: ast.AST, codes: list[Code]) -> Code:
     """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both sides do."""
-    sign, bind = _SIGNS[type(node.ops[0] if isinstance(node, ast.Compare) else node.op)]  # type: ignore[attr-defined]
+    sign, bind = _SIGNS[type(operator)]
     left = codes[0].within(bind + 1 if bind is Bind.COMPARISON else bind)
     return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)
