@@ -17,6 +17,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from enum import Enum, auto
 from fractions import Fraction
 from functools import cache, reduce
@@ -186,7 +187,8 @@ class Function(NamedTuple):
     def arguments(self) -> tuple[str, ...]:
         """The names of the single values that the function takes; the last with a star where it takes the rest."""
         names = [name for param in self.params for name in (("low", "high") if param.form is Form.RANGE else (param.name,))]
-        return (*names[:-1], f"*{names[-1]}") if f"*{names[-1]}" in self.python else tuple(names)
+        takes_rest = self.params[-1].many and f"*{names[-1]}" in self.python
+        return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
 
     def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
         """The callable of `python` or `array`."""
@@ -568,16 +570,18 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
     from deepbots_cli.expressions.printer import require_printable  # it imports this module
 
     require_printable(function)
-    names = [node.id for node in ast.walk(ast.parse(function.python, mode="eval")) if isinstance(node, ast.Name)]
+    names, short = _names_in(function.python), _names_in(function.short or "0")
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].many and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")
     if any(names.count(argument) != 1 for argument in arguments):
         raise ValueError(f"the python of {name!r} must hold each of {', '.join(arguments)} once")
-    unknown = set(names) - {*arguments, *vars(math), "abs", "min", "max"}
+    unknown = {*names, *short} - {*arguments, *vars(math), "abs", "min", "max"}
     if unknown:
         raise ValueError(f"the python of {name!r} holds {', '.join(sorted(unknown))}")
     function.compiled(function.array or function.python, {})
+    with suppress(ArithmeticError, ValueError):  # it may have no value there
+        function.compiled(function.python, {**vars(math)})(*[0.5] * len(arguments))
     intervals = [function.interval(*[sample] * len(arguments)) for sample in (EVERYTHING, iv.TRUTH)]
     if not all(isinstance(found, Interval) for found in intervals) or not isinstance(function.result(LENGTH), Dimension):
         raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
@@ -598,5 +602,8 @@ def operation(name: str) -> Function:
 def math_names() -> frozenset[str]:
     """The names of `math` that the code of functions may hold."""
     texts = [text for function in (*OPERATORS.values(), *FUNCTIONS.values()) for text in (function.python, function.short) if text]
-    names = {node.id for text in texts for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name)}
-    return frozenset(names & vars(math).keys()) | {"inf"}
+    return frozenset({name for text in texts for name in _names_in(text)} & vars(math).keys()) | {"inf"}
+
+
+def _names_in(python: str) -> list[str]:
+    return [node.id for node in ast.walk(ast.parse(python, mode="eval")) if isinstance(node, ast.Name)]

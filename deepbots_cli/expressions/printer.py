@@ -60,7 +60,8 @@ def require_printable(function: Function) -> None:
     Raises:
         ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else b`.
     """
-    _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
+    for text in filter(None, (function.python, function.short)):
+        _printed(_template(text), dict.fromkeys(function.arguments, Code("x")))
 
 
 def operand(code: str) -> str:
