@@ -17,6 +17,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from enum import Enum, auto
 from fractions import Fraction
 from functools import cache, reduce
@@ -186,7 +187,8 @@ class Function(NamedTuple):
     def arguments(self) -> tuple[str, ...]:
         """The names of the single values that the function takes; the last with a star where it takes the rest."""
         names = [name for param in self.params for name in (("low", "high") if param.form is Form.RANGE else (param.name,))]
-        return (*names[:-1], f"*{names[-1]}") if f"*{names[-1]}" in self.python else tuple(names)
+        takes_rest = self.params[-1].many and f"*{names[-1]}" in self.python
+        return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
 
     def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
         """The callable of `python` or `array`."""
@@ -366,7 +368,7 @@ _ENTRIES = (
              "hypot(position(rover).x, position(rover).y)",
              interval=iv.length_of, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
     # The short form takes 25 ns, two calls take 110.
-    Function("clamp", _PURE, (_X, _RANGE), "x, kept within the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
+    Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
              interval=iv.clamped, python="min(max(x, low), high)", short="low if x < low else high if x > high else x",
              array="np.minimum(np.maximum(x, low), high)"),
     Function("wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
@@ -375,9 +377,9 @@ _ENTRIES = (
              "where(contact(rover, ball), 1, 0)",
              interval=lambda _condition, a, b: iv.hull((a, b)), truths=True, python="a if condition else b",
              array="np.where(condition, a, b)"),
-    Function("min", _PURE, (Param("x", many=True),), "The least component of one vector, or of several values.", "min(rover.near)",
+    Function("min", _PURE, (Param("x", many=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
              interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
-    Function("max", _PURE, (Param("x", many=True),), "The greatest component of one vector, or of several values.",
+    Function("max", _PURE, (Param("x", many=True),), "The largest component of one vector, or of several values.",
              "max(abs(gas), abs(turn))",
              interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)", reduction=Reduction("max", -INF)),
     Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
@@ -393,12 +395,12 @@ _ENTRIES = (
     Function("vector", _PURE, (_X, Param("y", many=True)), "A vector of two (x, y) or three (x, y, z) values.",
              "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
     Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
-    Function("position", _OF_WORLD, (_BODY,), "Where the origin of a link is, in the world.", "position(rover.left_wheel)",
+    Function("position", _OF_WORLD, (_BODY,), "The position of a link's origin in the world.", "position(rover.left_wheel)",
              _LENGTH, components=SPACE, at_link=True),
-    Function("velocity", _OF_WORLD, (_BODY,), "How fast the origin of a link moves, in the world.", "velocity(ball)",
+    Function("velocity", _OF_WORLD, (_BODY,), "The velocity of a link's origin in the world.", "velocity(ball)",
              _always(LENGTH / TIME), components=SPACE, at_link=True),
-    Function("angular_velocity", _OF_WORLD, (_BODY,), "How fast a link turns, about the axes of the world.", "angular_velocity(rover).z",
-             _always(ANGLE / TIME), components=SPACE, at_link=True),
+    Function("angular_velocity", _OF_WORLD, (_BODY,), "The angular velocity of a link, about the axes of the world.",
+             "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, at_link=True),
     Function("orientation", _OF_WORLD, (_BODY,), "The quaternion (x, y, z, w) of a link.", "orientation(rover)",
              _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, at_link=True),
     Function("roll", _OF_WORLD, (_BODY,), "The turn about the forward axis.", "roll(rover)",
@@ -411,44 +413,45 @@ _ENTRIES = (
              _ANGLE, _known(iv.HALF_TURN), tree=_tilt, at_link=True),
     Function("local", _OF_WORLD, (_BODY, Param("v", components=SPACE)), "A vector of the world, as seen from a body.",
              "local(rover, velocity(rover))", components=SPACE, at_link=True),
-    Function("distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in space.", "distance(rover, ball)",
+    Function("distance", _OF_WORLD, (_BODY, _OTHER), "The distance between two origins in space.", "distance(rover, ball)",
              _LENGTH, _known(iv.POSITIVE), tree=_distance, at_link=True),
-    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "How far apart two origins are, in the plane.",
+    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "The distance between two origins in the plane.",
              "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, at_link=True),
     Function("bearing", _OF_WORLD, (_BODY, _OTHER), "The horizontal angle from straight ahead to another body; left is positive.",
              "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, at_link=True),
-    Function("gap", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "How far apart two surfaces are.", "gap(rover, ball)",
+    Function("gap", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "The distance between two surfaces.", "gap(rover, ball)",
              _LENGTH, _known(iv.POSITIVE), of_pieces="min"),
-    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest way around what is solid.",
+    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid objects.",
              "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
-    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a way around what is solid.", "reachable(rover, ball)",
+    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a path around solid objects.", "reachable(rover, ball)",
              _NUMBER, boolean=True),
     Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether a camera's newest picture shows a body.", "visible(rover.eye, ball)",
              _NUMBER, boolean=True),
-    Function("contact", _OF_WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this tick.", "contact(ball, ground)",
+    Function("contact", _OF_WORLD, (_BODIES, _TOUCHED), "Whether two bodies touched in this timestep.", "contact(ball, ground)",
              _NUMBER, boolean=True),
     Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything but the ground.", "collided(rover)",
              _NUMBER, boolean=True),
     Function("joint_position", _OF_WORLD, (_JOINT,), "The angle or travel of a joint.", "joint_position(rover.left_wheel)",
              interval=_first),
-    Function("joint_velocity", _OF_WORLD, (_JOINT,), "How fast a joint moves.", "joint_velocity(rover.wheels)", lambda d: d / TIME),
+    Function("joint_velocity", _OF_WORLD, (_JOINT,), "The velocity of a joint.", "joint_velocity(rover.wheels)", lambda d: d / TIME),
     Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.", "joint_torque(rover.wheels)",
              lambda d: FORCE if d == LENGTH else TORQUE),
-    Function("beside", _OF_WORLD, (_BODY, _LINE), "How far a body is to the left of a line.", "beside(rover, track)",
+    Function("beside", _OF_WORLD, (_BODY, _LINE), "The distance of a body to the left of a line.", "beside(rover, track)",
              _LENGTH, at_link=True),
-    Function("along", _OF_WORLD, (_BODY, _LINE), "How far a body has come along a line.", "along(rover, track)", _LENGTH, at_link=True),
-    Function("age", Family.MESSAGE, (_SENDER,), "The time since what the last message that arrived says was measured.", "age(rover)",
+    Function("along", _OF_WORLD, (_BODY, _LINE), "The distance that a body has covered along a line.", "along(rover, track)",
+             _LENGTH, at_link=True),
+    Function("age", Family.MESSAGE, (_SENDER,), "The time since the measurement in the newest message that arrived.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),
-    Function("fresh", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this tick.", "fresh(rover)",
+    Function("fresh", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this timestep.", "fresh(rover)",
              _NUMBER, boolean=True),
-    Function("delta", _STATEFUL, (_X, _START), "The change since the tick before; 0 at a reset.", "delta(along(rover, track))",
+    Function("delta", _STATEFUL, (_X, _START), "The change since the previous timestep; 0 at a reset.", "delta(along(rover, track))",
              interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
              memory=Memory("{memory} = {start}\n{result} = 0.0", "{result} = {x}\n{result}, {memory} = {result} - {memory}, {result}")),
-    Function("previous", _STATEFUL, (_X, _START), "The value in the tick before.", "previous(gas, 0)",
+    Function("previous", _STATEFUL, (_X, _START), "The value in the previous timestep.", "previous(gas, 0)",
              interval=_hull, truths=True, memory=Memory("{result} = {memory} = {start}", "{result}, {memory} = {memory}, {x}")),
-    Function("running_max", _STATEFUL, (_X,), "The greatest value since the reset.", "running_max(along(rover, track))",
+    Function("running_max", _STATEFUL, (_X,), "The largest value since the reset.", "running_max(along(rover, track))",
              interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = max({memory}, {x})")),
-    Function("running_min", _STATEFUL, (_X,), "The least value since the reset.", "running_min(distance(rover, ball))",
+    Function("running_min", _STATEFUL, (_X,), "The smallest value since the reset.", "running_min(distance(rover, ball))",
              interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = min({memory}, {x})")),
     Function("hold", _STATEFUL, (_X, _CONDITION), "The value when the condition last held, or at the reset.",
              "hold(position(rover), contact(rover, ball))",
@@ -462,10 +465,10 @@ _ENTRIES = (
     Function("integral", _STATEFUL, (_X,), "The integral over time since the reset.", "integral(abs(beside(rover, track)))",
              lambda d: d * TIME, memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {(x)} * {timestep}")),
     Function("accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")),
-             "The running sum of increments, kept within the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
+             "The running sum of increments, limited to the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
              interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
              memory=Memory("{result} = {memory} = {start}", "{result} = {memory} = min(max({memory} + {(increment)}, {low}), {high})")),
-    Function("duration", _STATEFUL, (_CONDITION,), "For how long the condition has held without a break.",
+    Function("duration", _STATEFUL, (_CONDITION,), "How long the condition has held without a break.",
              "duration(abs(beside(rover, track)) < 2 cm)",
              _TIME, _known(iv.POSITIVE),
              memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {timestep} if {(condition)} else 0.0")),
@@ -473,11 +476,11 @@ _ENTRIES = (
              _NUMBER, boolean=True,
              memory=Memory("{memory} = {condition}\n{result} = False",
                            "{result} = {condition}\n{result}, {memory} = {result} and not {memory}, {result}")),
-    Function("uniform", _DRAW, (_RANGE,), "A draw from a range, all values alike.", "uniform(-10 .. 10 cm)", interval=_hull),
-    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number from a range, both ends included.",
+    Function("uniform", _DRAW, (_RANGE,), "A number drawn uniformly from a range.", "uniform(-10 .. 10 cm)", interval=_hull),
+    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number drawn uniformly from a range, both ends included.",
              "integer(1 .. 6)", _NUMBER, _hull),
-    Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A draw from a normal distribution.", "normal(0 +- 2 deg)"),
-    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, all alike.", "choice(-30 deg | 0 deg | 30 deg)",
+    Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A number drawn from a normal distribution.", "normal(0 +- 2 deg)"),
+    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, drawn uniformly.", "choice(-30 deg | 0 deg | 30 deg)",
              interval=_hull, truths=True),
 )  # fmt: skip
 
@@ -551,10 +554,6 @@ def _add_plugins(known: dict[str, Function]) -> None:
             logging.getLogger("deepbots").warning("warning: the functions '%s' (%s) are not available: %s", entry.name, entry.value, reason)
 
 
-_OPERATORS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp, ast.IfExp, ast.operator, ast.boolop, ast.cmpop, ast.unaryop)
-_PRINTED = (*_OPERATORS, ast.Name, ast.expr_context, ast.Constant, ast.Call, ast.Starred)
-
-
 def _require_usable(function: object, known: Mapping[str, Function]) -> None:
     """Refuse an entry of another package that would break ours.
 
@@ -568,18 +567,24 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
-    nodes = list(ast.walk(ast.parse(function.python, mode="eval").body))
-    if not all(isinstance(node, _PRINTED) for node in nodes):
-        raise ValueError(f"the python of {name!r} may hold operators, numbers, calls and `if else`, nothing else")
-    names = [node.id for node in nodes if isinstance(node, ast.Name)]
+    from deepbots_cli.expressions.printer import require_printable  # it imports this module
+
+    require_printable(function)
+    names, short = _names_in(function.python), _names_in(function.short or "0")
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].many and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")
     if any(names.count(argument) != 1 for argument in arguments):
         raise ValueError(f"the python of {name!r} must hold each of {', '.join(arguments)} once")
-    unknown = set(names) - {*arguments, *vars(math), "abs", "min", "max"}
+    unknown = {*names, *short} - {*arguments, *vars(math), "abs", "min", "max"}
     if unknown:
         raise ValueError(f"the python of {name!r} holds {', '.join(sorted(unknown))}")
+    function.compiled(function.array or function.python, {})
+    with suppress(ArithmeticError, ValueError):  # it may have no value there
+        function.compiled(function.python, {**vars(math)})(*[0.5] * len(arguments))
+    intervals = [function.interval(*[sample] * len(arguments)) for sample in (EVERYTHING, iv.TRUTH)]
+    if not all(isinstance(found, Interval) for found in intervals) or not isinstance(function.result(LENGTH), Dimension):
+        raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
 
 
 FUNCTIONS: Mapping[str, Function] = _Functions()
@@ -597,5 +602,8 @@ def operation(name: str) -> Function:
 def math_names() -> frozenset[str]:
     """The names of `math` that the code of functions may hold."""
     texts = [text for function in (*OPERATORS.values(), *FUNCTIONS.values()) for text in (function.python, function.short) if text]
-    names = {node.id for text in texts for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name)}
-    return frozenset(names & vars(math).keys()) | {"inf"}
+    return frozenset({name for text in texts for name in _names_in(text)} & vars(math).keys()) | {"inf"}
+
+
+def _names_in(python: str) -> list[str]:
+    return [node.id for node in ast.walk(ast.parse(python, mode="eval")) if isinstance(node, ast.Name)]

@@ -407,8 +407,8 @@ class _Parser:
         before = self._tokens[self._at - 1] if self._at else None
         if before is not None and before.kind is TokenKind.NAME and before.text in _SLIPS:
             return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _SLIPS[before.text].help)
-        headline, help = _explanation(self._tokens, self._at, missing)
-        return _SyntaxError(self._peek.start, self._peek.end, headline, help, meant=_correction(self._tokens, self._at))
+        headline, help, meant = _diagnosis(self._tokens, self._at, missing)
+        return _SyntaxError(self._peek.start, self._peek.end, headline, help, meant=meant)
 
 
 def _borrow_unit(left: Node, right: Node) -> Node:
@@ -451,7 +451,7 @@ _SLIPS = {sign: _Slip(f"write `{text.strip()}`", text) for sign, text in _SAME.i
     "{": _Slip("a vector is written `0 0 1 m`, or `vector(a, b, c)`"),
     '"': _NO_TEXT,
     "'": _NO_TEXT,
-    "...": _Slip("a range has two dots: `low .. high`"),
+    "...": _Slip("a range has two dots: `low .. high`", ".."),
     "..": _Slip("a range stands alone or in a function such as `clamp(x, low .. high)`"),
     "//": _Slip("write `/`; a comment begins with ` # `"),
     "%": _Slip("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
@@ -460,64 +460,46 @@ _SLIPS = {sign: _Slip(f"write `{text.strip()}`", text) for sign, text in _SAME.i
     "|": _Slip("`abs(x)` is a value without its sign, `choice(a | b)` is a draw; for conditions write `or`"),
     "->": _Slip("a schedule belongs in the settings of `train`"),
 }
-_ASSIGNED = frozenset("+-*/")
-"""Before `=` these make an assignment of other languages."""
 
 
-def _correction(tokens: list[Token], at: int) -> Meant | None:
-    """What to write for the sign at fault, with the blanks that a word needs around it."""
-    token = tokens[at]
-    if _decimal(tokens, at):
-        return Meant(".", safe=False)
-    if _is_trailing_comma(tokens, at):
-        return Meant("", safe=True)
-    if token.text == "...":
-        return Meant("..", safe=False)  # the third may be the point of a decimal
-    if token.text == "=":
-        assigned = at and tokens[at - 1].text in _ASSIGNED
-        named = at >= 2 and tokens[at - 2].text in ("(", ",")
-        return None if assigned or named else Meant("==", safe=True)
-    slip = _SLIPS.get(token.text)
-    if slip is None or slip.text is None:
-        return None
-    before = " " if slip.text.isalpha() and at and tokens[at - 1].end == token.start else ""
-    after = " " if slip.text.isalpha() and tokens[at + 1].start == token.end else ""
-    return Meant(f"{before}{slip.text}{after}", safe=True)
-
-
-def _explanation(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None]:
-    """Headline and help, where the token `at` cannot stand; `missing` where a value was due."""
-    token = tokens[at]
+def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Meant | None]:
+    """Headline, help and correction, where the token `at` cannot stand; `missing` where a value was due."""
+    token, slip = tokens[at], _SLIPS.get(tokens[at].text)
     before = tokens[at - 1] if at else token
     shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
-    help = _SLIPS[token.text].help if token.text in _SLIPS else None
+    help = slip.help if slip else None
     if token.kind is TokenKind.END:
-        return "the expression breaks off", _missing_end(tokens, before) if at else None
+        return "the expression breaks off", _missing_end(tokens, before) if at else None, None
     if token.text == "=":
-        return "`=` in an expression", _about_equals(tokens, at)
-    if token.kind is TokenKind.STRANGE or (token.kind is TokenKind.NAME and help is not None):
-        return f"`{shown}` in an expression", help
+        return "`=` in an expression", *_about_equals(tokens, at)
+    if token.kind is TokenKind.STRANGE or (token.kind is TokenKind.NAME and slip):
+        return f"`{shown}` in an expression", help, _correction(tokens, at, slip.text if slip else None)
     if missing:
-        return f"a value is missing before `{shown}`", help
+        return f"a value is missing before `{shown}`", help, None
     if token.text == ")":
-        return "a parenthesis that was never opened", None
-    if _is_trailing_comma(tokens, at):
-        return "a comma at the end", "a line ends without one"
+        return "a parenthesis that was never opened", None, None
+    if token.text == "," and at and tokens[at + 1].kind is TokenKind.END:
+        return "a comma at the end", "a line ends without one", Meant("", safe=True)
     if number := _decimal(tokens, at):
-        return "a comma in a number", f"decimals take a point: `{number}`"
+        return "a comma in a number", f"decimals take a point: `{number}`", Meant(".", safe=False)
     if token.kind is TokenKind.SIGN and token.text != "(":
-        return f"`{shown}` in an odd place", help
+        return f"`{shown}` in an odd place", help, None
     if token.text == "(" and before.kind is TokenKind.NAME:
-        return "an operator is missing before `(`", "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
-    if token.kind is TokenKind.NUMBER and before.kind is TokenKind.NUMBER:
+        help = "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
+    elif token.kind is TokenKind.NUMBER and before.kind is TokenKind.NUMBER:
         help = "a vector within a larger expression is written `vector(a, b, c)`"
     elif token.kind is TokenKind.NAME and tokens[at + 1].kind is TokenKind.END:
         help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
-    return f"an operator is missing before `{shown}`", help
+    return f"an operator is missing before `{shown}`", help, None
 
 
-def _is_trailing_comma(tokens: list[Token], at: int) -> bool:
-    return tokens[at].text == "," and at > 0 and tokens[at + 1].kind is TokenKind.END
+def _correction(tokens: list[Token], at: int, text: str | None) -> Meant | None:
+    """The text to write for the token, with the blanks that a word needs around it."""
+    if text is None or tokens[at].text == "...":
+        return Meant("..", safe=False) if text else None  # the third point may be that of a decimal
+    before = " " if text.isalpha() and at and tokens[at - 1].end == tokens[at].start else ""
+    after = " " if text.isalpha() and tokens[at + 1].start == tokens[at].end else ""
+    return Meant(f"{before}{text}{after}", safe=True)
 
 
 def _decimal(tokens: list[Token], at: int) -> str | None:
@@ -538,8 +520,9 @@ def _missing_end(tokens: list[Token], last: Token) -> str | None:
     return f"{missing} missing behind `{last.text}`"
 
 
-def _about_equals(tokens: list[Token], at: int) -> str:
-    if at and tokens[at - 1].text in _ASSIGNED:
-        return "leave it out: an entry says what a value is, and the terms of a reward are added up"
-    named = at >= 2 and tokens[at - 1].kind is TokenKind.NAME and tokens[at - 2].text in ("(", ",")
-    return "arguments are given in order, without their names" if named else "compare with `==`"
+def _about_equals(tokens: list[Token], at: int) -> tuple[str, Meant | None]:
+    if at and tokens[at - 1].text in ("+", "-", "*", "/"):
+        return "leave it out: an entry says what a value is, and the terms of a reward are added up", None
+    if at >= 2 and tokens[at - 1].kind is TokenKind.NAME and tokens[at - 2].text in ("(", ","):
+        return "arguments are given in order, without their names", None
+    return "compare with `==`", Meant("==", safe=True)

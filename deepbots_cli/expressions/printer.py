@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Function, operation, whole_exponent
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
@@ -54,6 +54,16 @@ def python(scalar: Scalar, leaf: Leaf) -> str:
     return _code(scalar, leaf).text
 
 
+def require_printable(function: Function) -> None:
+    """Try the Python of a function.
+
+    Raises:
+        ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else b`.
+    """
+    for text in filter(None, (function.python, function.short)):
+        _printed(_template(text), dict.fromkeys(function.arguments, Code("x")))
+
+
 def operand(code: str) -> str:
     """The code as one side of any operator: in parentheses unless it is a name, an attribute, an item or a number."""
     return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
@@ -61,22 +71,21 @@ def operand(code: str) -> str:
 
 def advance_lines(state: State, memory: str, result: str, args: list[str], timestep: str) -> list[str]:
     """Statements of one timestep; `args` is the code of the state's arguments, `timestep` in seconds."""
-    return _statements(state, memory, result, args, timestep)[1]
+    return _statements(state, "advance", args, {"memory": memory, "result": result, "timestep": timestep})
 
 
 def reset_lines(state: State, memory: str, result: str, args: list[str]) -> list[str]:
     """Statements at a reset, after the first readings: memory and result as they stand before the first timestep."""
-    return _statements(state, memory, result, args, "")[0]
+    return _statements(state, "reset", args, {"memory": memory, "result": result})
 
 
-def _statements(state: State, memory: str, result: str, args: list[str], timestep: str) -> tuple[list[str], list[str]]:
+def _statements(state: State, event: Literal["reset", "advance"], args: list[str], variables: dict[str, str]) -> list[str]:
     function = FUNCTIONS[state.function]
-    assert function.memory is not None  # as every stateful function
+    template: str = getattr(function.memory, event)
     given = dict(zip(function.arguments, args, strict=False))
-    values = {name: given.get(name, args[0]) for name in function.arguments}
-    values |= {f"({name})": operand(code) for name, code in values.items()}
-    values |= {"memory": memory, "result": result, "timestep": timestep}
-    return tuple(text.format_map(values).split("\n") for text in function.memory)  # type: ignore[return-value]
+    codes = {name: given.get(name, args[0]) for name in function.arguments}
+    operands = {f"({name})": operand(code) for name, code in codes.items()}
+    return template.format_map({**codes, **operands, **variables}).split("\n")
 
 
 def _code(scalar: Scalar, leaf: Leaf) -> Code:
@@ -99,7 +108,7 @@ def _operation(function: Function, args: list[Code], scalars: tuple[Scalar, ...]
         return _power(args[0], whole)
     names = function.arguments
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
-        return _infix(_template(function.python), args)
+        return _infix(_template(function.python).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
         args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
@@ -145,14 +154,14 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return args.get(name) or Code(name)
         case ast.Constant(value=bool() | int() | float() as value):
             return _number(value)
-        case ast.Call(func=ast.Name(id=name), args=parts):
+        case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
             return args[f"*{name}"]
-        case ast.BinOp(left=left, right=right) | ast.Compare(left=left, ops=[_], comparators=[right]):
-            return _infix(node, [_printed(left, args), _printed(right, args)])
-        case ast.BoolOp(values=parts):
-            return _infix(node, [_printed(part, args) for part in parts])
+        case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]) if type(sign) in _SIGNS:
+            return _infix(sign, [_printed(left, args), _printed(right, args)])
+        case ast.BoolOp(op=sign, values=parts):
+            return _infix(sign, [_printed(part, args) for part in parts])
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return Code(f"-{_printed(inner, args).within(Bind.SIGN)}", Bind.SIGN)
         case ast.UnaryOp(op=ast.Not(), operand=inner):
@@ -160,11 +169,11 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
         case ast.IfExp(test=test, body=a, orelse=b):
             condition = _printed(test, args).within(Bind.OR)
             return Code(f"{_printed(a, args).within(Bind.OR)} if {condition} else {_printed(b, args).within(Bind.TERNARY)}", Bind.TERNARY)
-    raise ValueError(f"{ast.unparse(node)[:60]!r} cannot be printed")
+    raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
 
 
-def _infix(node: ast.expr, codes: list[Code]) -> Code:
+def _infix(operator: ast.AST, codes: list[Code]) -> Code:
     """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both sides do."""
-    sign, bind = _SIGNS[type(node.ops[0] if isinstance(node, ast.Compare) else node.op)]  # type: ignore[attr-defined]
+    sign, bind = _SIGNS[type(operator)]
     left = codes[0].within(bind + 1 if bind is Bind.COMPARISON else bind)
     return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)

@@ -1,11 +1,11 @@
-"""Scalar expressions: what is left of an expression when units, vectors and names are settled.
+"""Scalar expressions: the single numbers of an expression, when units, vectors and names are settled.
 
 Every value is one plain number in SI units or one truth value. A vector expression lowers to one tree
 per component. These trees stand in the compiled scenario (frozen, comparable, JSON-able); the
 generated Python is printed from them and from nothing else.
 
-They are named tuples and no dataclasses as the rest of a compiled scenario is: rules make and look up so many that it took 4 % of the
-time of linting. No two kinds are equal: they differ in the number of members, or in what is in one of them.
+They are named tuples: rules make and look up so many that frozen dataclasses took 4 % of the time of linting. No two kinds
+are equal: they differ in the number of members, or in the type of one of them.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def is_drawn(scalar: Scalar) -> bool:
 
 
 def walk(scalar: Scalar) -> Iterator[Scalar]:
-    """Every node, arguments before what is made of them: the order in which states must advance."""
+    """Every node, arguments before the operations on them: the order in which states must advance."""
     for child in children(scalar):
         yield from walk(child)
     yield scalar

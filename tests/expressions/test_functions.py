@@ -46,7 +46,7 @@ def test_a_folded_power_is_the_power_that_generated_code_computes(bench, base, e
 
 # Functions of other packages
 
-DOUBLE = 'FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2 * x", interval=twice)]'
+DOUBLE = 'FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2*x", interval=twice)]'
 MODULE = f"""
 from deepbots_cli.expressions.functions import Family, Function, Param
 from deepbots_cli.expressions.intervals import Interval
@@ -107,9 +107,11 @@ def test_a_function_of_another_package_is_known_everywhere(tmp_path):
         (MODULE, "no_such_module:FUNCTIONS", "ModuleNotFoundError: No module named 'no_such_module'"),
         ("raise RuntimeError('broken\\nin two lines')", "more_functions:FUNCTIONS", "RuntimeError: broken in two lines"),
         ("FUNCTIONS = ['double']", "more_functions:FUNCTIONS", "'double' is no Function"),
-        (MODULE.replace("2 * x", "x + x"), "more_functions:FUNCTIONS", "must hold each of x once"),
-        (MODULE.replace("2 * x", "open(x)"), "more_functions:FUNCTIONS", "holds open"),
-        (MODULE.replace("2 * x", "[x]"), "more_functions:FUNCTIONS", "may hold operators, numbers, calls"),
+        (MODULE.replace('"2*x"', '"x + x"'), "more_functions:FUNCTIONS", "must hold each of x once"),
+        (MODULE.replace('"2*x"', '"open(x)"'), "more_functions:FUNCTIONS", "holds open"),
+        (MODULE.replace('"2*x"', '"x ** 2"'), "more_functions:FUNCTIONS", "'x ** 2' is not part of the Python of functions"),
+        (MODULE.replace('"2*x"', '"factorial(x)"'), "more_functions:FUNCTIONS", "TypeError"),
+        (MODULE.replace("return Interval", "return Intervall"), "more_functions:FUNCTIONS", "name 'Intervall' is not defined"),
         (MODULE.replace('"double", ', '"sin", '), "more_functions:FUNCTIONS", "the name 'sin' is taken"),
     ],
 )
