@@ -24,7 +24,7 @@ MAX_TOTAL_BYTES = 8 << 20
 
 _PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
-_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
+FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
 
 
 # Paths
@@ -135,7 +135,7 @@ def decode(data: bytes, name: str, findings: Findings, included_from: Span | Non
 
 def check(source: Source, findings: Findings) -> bool:
     """Whether every character may stand in a scenario; a finding names the first that may not."""
-    found = _FORBIDDEN.search(source.text)
+    found = FORBIDDEN.search(source.text)
     if found is None:
         return True
     character = found.group()

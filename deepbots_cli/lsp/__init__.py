@@ -12,7 +12,7 @@ completing.py   completion of keys and words; expressing.py within expressions, 
 hovering.py     what stands under the cursor       defining.py where it is defined
 mending.py      fixes and suppressions             formatting.py, outlining.py
 
-cursor.py       the path of a place in a text that may be broken; brackets.py of one in brackets
+cursor.py       the path of the cursor in a text that may be broken
 asking.py       what the language takes there; written.py names in the text
 pointing.py     the piece of an expression, key or value under the cursor
 describing.py   keys, functions, types and findings in a few lines
