@@ -8,7 +8,8 @@ The way of the data, and the packages along it:
 ir/           the compiled scenario       canonical.py  its JSON and its digest
 task.py       the checked task, before    port.py       what the runtime asks of an engine
 interface.py  what policy and world agree on
-frames.py     rotations and frames        footprint.py  what bodies cover of the ground
+frames.py     rotations and frames      footprint.py  footprints, link frames, bounding boxes
+geometry.py   meshes at simulation time
 arrays.py     expressions over arrays    terrain/      heights of the ground
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
