@@ -8,7 +8,8 @@ The way of the data, and the packages along it:
 program/      the checked scenario        canonical.py  its JSON and its digest
 interface.py  what policy and world agree on
 port.py       what the runtime asks of an engine
-frames.py     rotations and frames        footprint.py  what bodies cover of the ground
+frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
+geometry.py   meshes at simulation time
 arrays.py     expressions over arrays    terrain/      heights of the ground
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium

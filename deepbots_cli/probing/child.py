@@ -33,6 +33,8 @@ def main(limits: Limits) -> None:
     except Exception as error:  # noqa: BLE001  # a fault of ours, which the parent tells
         from deepbots_cli.diagnostics.findings import described
 
+        if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library for which there is no memory
+            os._exit(OUT_OF_MEMORY)
         out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 
 
