@@ -11,9 +11,9 @@ from pathlib import Path, PurePath
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document import Document, Entry, Node, Scalar, descend, shipped
+from deepbots_cli.document.layout import write as to_yaml
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.nodes import replace, walk
-from deepbots_cli.document.text import write as to_yaml
 from deepbots_cli.errors import UsageError
 
 RESOLVED = "resolved.yaml"

@@ -44,7 +44,7 @@ from deepbots_cli.program.world import (
 from deepbots_cli.reading import read_at_most
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.inertia import volume
-from deepbots_cli.robots.mesh_format import measure
+from deepbots_cli.robots.meshes import measure
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 from deepbots_cli.scenario import world as object_spec
 from deepbots_cli.scenario import world as world_spec
