@@ -57,7 +57,7 @@ def test_the_examples_have_no_findings(checked: Checked):
 
 def test_the_examples_give_finite_values_in_every_step(checked: Checked):
     compiled = api.compile(checked)
-    fields = [entry.name for entry in compiled.ir.observation]
+    fields = [entry.name for entry in compiled.ir.numbers]
     env = api.build(compiled.ir)
     seen = [env.reset(seed=1)[0]]
     env.action_space.seed(1)

@@ -145,7 +145,7 @@ class CartPole(gym.Env[Any, Any]):
 
     def _observation(self) -> Any:
         tip = self.v + self.w
-        raw = (self.x / 0.4, self.v / self.ir.observation[1].high, self.angle / 0.35, tip / 2.0)
+        raw = (self.x / 0.4, self.v / self.ir.numbers[1].high, self.angle / 0.35, tip / 2.0)
         return np.clip(np.array(raw, np.float32), -1, 1)
 
     def _info(self, ended_by: str | None) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import stand_in
 
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import judge
@@ -104,8 +105,10 @@ def test_reordered_observations_and_other_actions_are_refused(trained: TrainingR
 def test_changed_messages_are_refused(trained: TrainingResult) -> None:
     compiled = stand_in.compiled()
     robot = compiled.ir.robots[0]
-    renamed = replace(robot, from_robot=replace(robot.from_robot, fields=(replace(robot.from_robot.fields[0], unit="deg"),)))
-    with pytest.raises(RunError, match=r"message from robot cart\.pole_angle: run float64 rad, scenario float64 deg"):
+    typed = robot.emit[0].typed
+    length = typed._replace(type=typed.type._replace(dimension=LENGTH))
+    renamed = replace(robot, emit=(replace(robot.emit[0], typed=length),))
+    with pytest.raises(RunError, match=r"message from robot cart\.pole_angle: run float64 rad, scenario float64 m"):
         evaluate(trained.run, scenario=stand_in.altered(compiled, robots=(renamed,)), build=stand_in.build)
 
 
