@@ -143,7 +143,7 @@ def _require_places(spec: Scenario, namespace: Namespace) -> None:
         *(name for layout in layouts for name in (layout if isinstance(layout, dict) else layout.legend.values())),
     }
     for name, group in namespace.groups.items():
-        if name not in mentioned and namespace.origin(name) is Origin.OBJECT:
+        if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_lost(name):
             help = f"say where they stand under `reset.place`, such as `{name}: {{region: arena}}`"
             namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
 

@@ -43,6 +43,7 @@ FOLLOWED = {
     "a misspelt range leaves no action": ("quadrotor", "push: {range:", "push: {rangge:", "DB101"),
     "a misspelt policy leaves copies without one": ("multi_cartpole", "agent: {each:", "agent: {eacch:", "DB101"),
     "a misspelt spacing leaves copies at one place": ("multi_cartpole", "spacing:", "spacinng:", "DB101"),
+    "a misspelt place leaves copies of an object without one": ("tag", "  place:", "  placce:", "DB101"),
     "a parenthesis left out puts two comparisons in a row": ("line_follower", "2 * width) > 1 s", "2 * width > 1 s", "DB401"),
 }  # fmt: skip
 
