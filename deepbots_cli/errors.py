@@ -1,15 +1,15 @@
 """The exceptions that deepbots raises, as a tree.
 
-    DeepbotsError               whatever is the user's to mend; the command line prints it as one line
+    DeepbotsError               a problem that the user can mend; the command line prints it as one line
     ├── ScenarioError           a scenario has findings at error level; carries them
     ├── UsageError              wrong arguments, a missing file, an unknown engine (exit code 2)
     │   ├── MissingExtraError   an optional dependency is not installed
-    │   └── RunError            a run directory cannot be used: none, damaged, of another shape, of another version
+    │   └── RunError            a run directory cannot be used: missing, damaged, or of another version
     ├── MessageError            a message between robot and supervisor is malformed, short or foreign
     ├── EvaluationError         an expression has no value in the present state of the world
     └── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
 
-Anything outside this tree that reaches the user is a fault of ours.
+Any other exception that reaches the user is a bug of deepbots.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ class MissingExtraError(UsageError):
 
 
 def installing(extra: str, python: tuple[int, int] = sys.version_info[:2], origin: str | None = None) -> str:
-    """How to install an extra; all but `editor` simulate, and PyBullet has no wheels beyond Python 3.11.
+    """How to install an extra from `origin`, by default the place that deepbots was installed from.
 
-    `origin` is what deepbots itself was installed from, which is looked up if it is not given.
+    All extras but `editor` need PyBullet, which has no wheels beyond Python 3.11.
     """
     where = (
         ""
@@ -64,8 +64,8 @@ def installing(extra: str, python: tuple[int, int] = sys.version_info[:2], origi
 
 
 def cloned() -> str:
-    """The clone that deepbots was installed from, where pip says so and it is still there; otherwise its name."""
-    import json  # what tells of something missing costs nothing where all is there
+    """The clone that deepbots was installed from if pip knows it and it still exists, else the package name."""
+    import json  # imported only for this message
     from importlib.metadata import PackageNotFoundError, distribution
     from pathlib import Path
     from urllib.parse import urlsplit

@@ -68,7 +68,7 @@ class Selection:
         unreadable = finding.severity == "error" and finding.code.startswith(_UNREADABLE)
         return unreadable or finding.is_fault or self._has(finding.code)
 
-    def doubts(self) -> list[Finding]:
+    def inactive_rules(self) -> list[Finding]:
         """A DB902 for each rule that is selected by itself and does not run: it is in preview, or needs a simulation."""
         found = []
         for word in self._words.words if "DB902" not in self._ignore else ():

@@ -313,7 +313,8 @@ _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]*+")
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
 _RADIX = re.compile(r"([-+]?)0(?:x([0-9A-Fa-f]+)|o([0-7]+)|b([01]+))")
 _COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
-_THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(?:,[0-9]{3})+")
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,(?![0-9]{3}$)[0-9]+")
+_THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(?:,[0-9]{3}){2,}")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
 # Possessive: a million digits would be tried in half a million ways.
@@ -357,12 +358,11 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
         number = f"{sign}{int(hexadecimal, 16) if hexadecimal else int(octal, 8) if octal else int(binary, 2)}" if short else None
         return f"`{text}` is text: numbers are decimal", f"write {number}" if number else "write it in decimal", number
     if _COMMAS.fullmatch(text):
-        decimal, grouped = text.replace(",", "."), text.replace(",", "_")
         several = text.count(",") > 1
-        is_thousands = _THOUSANDS.fullmatch(text) is not None
-        help = f"write {grouped}" if several else f"write {decimal} for a decimal"
-        number = (grouped if several else None) if is_thousands else (None if several else decimal)  # `1,500` may be either
-        return f"`{text}` is text: a decimal takes a point", help, number if short else None
+        number = text.replace(",", "_" if several else ".")
+        help = f"write {number}" if several else f"write {number} for a decimal"
+        certain = short and (_THOUSANDS if several else _DECIMAL_COMMA).fullmatch(text)  # `1,500` may be either
+        return f"`{text}` is text: a decimal takes a point", help, number if certain else None
     if _SEXAGESIMAL.fullmatch(text):
         return f"`{text}` is text, though older YAML reads it as a number in base 60", "write a duration with its unit, such as 750 s", None
     if _GROUPS.fullmatch(text):

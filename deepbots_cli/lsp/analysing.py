@@ -105,4 +105,4 @@ def _settings(folder: Path) -> tuple[Settings, str | None]:
 
 
 def _wanted(found: Iterable[Finding], selection: Selection) -> list[Finding]:
-    return [*selection.doubts(), *filter(selection.wants, found)]
+    return [*selection.inactive_rules(), *filter(selection.wants, found)]

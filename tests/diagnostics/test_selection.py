@@ -72,7 +72,7 @@ def test_a_selection_of_nothing_is_refused() -> None:
 
 
 def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
-    (doubt,) = Selection(words("DB5", "hidden-state-reward")).doubts()
+    (doubt,) = Selection(words("DB5", "hidden-state-reward")).inactive_rules()
     assert (doubt.code, doubt.span.where, doubt.span.text) == ("DB902", "--select:1:5", "hidden-state-reward")
     assert "--preview" in (doubt.help or "")
 
@@ -88,4 +88,4 @@ def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
     ],
 )
 def test_nothing_is_told_where_previews_run_or_one_is_not_really_selected(selection: Selection) -> None:
-    assert selection.doubts() == []
+    assert selection.inactive_rules() == []

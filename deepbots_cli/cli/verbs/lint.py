@@ -103,7 +103,7 @@ def command(
         findings, changes = _mended(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
-    shown = [*selection.doubts(), *filter(selection.wants, findings)]
+    shown = [*selection.inactive_rules(), *filter(selection.wants, findings)]
     if diff and shown and not changes:
         _explain_empty_diff([] if unsafe_fixes else shown)
     if not diff:
