@@ -350,6 +350,13 @@ def _parsed(text: str) -> syntax.Node | None:
     return parser.parse(text, report)
 
 
+def dimension_of(measure: str, own: Dimension, *, second: bool = False) -> Dimension | None:
+    """The dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or force` the first or the second."""
+    if measure in ("reading", "any"):
+        return own if measure == "reading" else None
+    return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])
+
+
 def _dimension(unit: str) -> Dimension:
     """The dimension of a unit such as `N*m`; `1` is that of plain numbers."""
     tree = parser.parse(f"1 {unit}" if unit != "1" else unit, lambda *_, **__: None)
