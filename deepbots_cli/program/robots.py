@@ -229,7 +229,6 @@ Actuator = Motor | Thrust | Cartesian
 
 # Messages
 
-MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
 Timing = Literal["immediate", "paper"]
 Direction = Literal["to_robot", "from_robot"]
 Order = Literal["sent", "arrival", "newest"]

@@ -247,21 +247,21 @@ class Kinds:
         raise at(self.key, unknown)
 
 
-def kind_of(model: type[Section]) -> str:
-    """The word of the `type` of a model."""
-    words = get_args(model.model_fields["type"].annotation)
+def kind_of(model: type[Section], key: str = "type") -> str:
+    """The word under the `key` that tells the kind of a model."""
+    words = get_args(model.model_fields[key].annotation)
     return str(words[0]) if len(words) == 1 else ""
 
 
-def require_kind(name: str, model: type[Section], place: str) -> None:
+def require_kind(name: str, model: type[Section], place: str, key: str = "type") -> None:
     """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime stands at `place`.
 
     Raises:
         ValueError: Says what it lacks.
         TypeError: A field has a type that no scenario can hold.
     """
-    if kind_of(model) != name:
-        raise ValueError(f'{model.__name__} needs the field `type: Literal["{name}"]`')
+    if kind_of(model, key) != name:
+        raise ValueError(f'{model.__name__} needs the field `{key}: Literal["{name}"]`')
     if not model.__doc__ or not place.partition(":")[2]:
         raise ValueError(f"{model.__name__} needs a docstring, and the `module:attribute` of its code for the runtime")
     fields(model)

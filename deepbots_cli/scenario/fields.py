@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -290,16 +290,20 @@ class Plain(FieldType):
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """How a `Literal`, which pydantic validates itself, is called."""
+    """How a `Literal`, which pydantic validates itself, is called; or one of the names of a table that plug-ins may add to."""
 
-    words: tuple[str, ...]
+    known: Collection[str]
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        return tuple(self.known)
 
     @property
     def noun(self) -> str:
         return f"one of {', '.join(f'`{word}`' for word in self.words)}"
 
     def check(self, value: Any) -> None:
-        if value not in self.words:
+        if value not in self.known:
             raise error("DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), meant=word_meant(value, self.words))
 
     def json_schema(self) -> JsonSchema:
