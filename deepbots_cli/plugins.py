@@ -1,7 +1,6 @@
 """Plug-ins: what other installed packages add to the tables of deepbots, by entry points.
 
     deepbots.sensors      a class of `scenario.sensors`, under the word of its `type`
-    deepbots.actuators    a subclass of `scenario.actuators.CustomActuator`, under the word of its `type`
     deepbots.functions    one or several `expressions.functions.Function`
     deepbots.formats      a `message_formats.MessageFormat`, under its name
     deepbots.rules        one or several `rules.LintRule`
@@ -20,7 +19,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
@@ -38,7 +37,7 @@ def _every(_path: tuple[str, ...]) -> EntryPoints:
     """Those of all packages on the path, whose files are read once."""
     from importlib.metadata import entry_points
 
-    return entry_points()  # the type of a call without a filter is that of Python 3.9
+    return cast("EntryPoints", entry_points())
 
 
 def refuse(entry: EntryPoint, reason: object) -> None:

@@ -307,7 +307,8 @@ class Word(FieldType):
             raise error("DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), meant=word_meant(value, self.words))
 
     def json_schema(self) -> JsonSchema:
-        return {"enum": list(self.words)}
+        told = [getattr(entry, "summary", "") for entry in self.known.values()] if isinstance(self.known, Mapping) else []
+        return {"enum": list(self.words), **({"enumDescriptions": told} if any(told) else {})}
 
 
 MEASURES: Mapping[str, tuple[str, str, str]] = {
