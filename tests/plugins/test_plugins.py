@@ -76,7 +76,9 @@ def test_mistakes_in_what_a_plugin_adds_are_found_at_their_place(site, change, c
 
 def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(site):
     assert "Most of them is the reset." in deepbots(site, "explain", "ACME1").stdout
-    assert deepbots(site, "lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1").stdout .startswith("acme_spin: no findings")
+    assert deepbots(site, "lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1").stdout.startswith(
+        "acme_spin: no findings"
+    )
 
 
 def test_the_schema_knows_the_kinds_and_their_parameters(site):
