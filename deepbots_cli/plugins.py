@@ -74,6 +74,11 @@ class Table(Mapping[str, T], Generic[T]):
         self._read = read
         self._all: dict[str, T] | None = None
 
+    __hash__ = object.__hash__  # a field type that has a table is a key of caches
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
     def _loaded(self) -> Mapping[str, T]:
         if self._all is None:
             self._all = dict(self.own)  # set first: a plug-in may ask for the table while it is loaded
