@@ -21,7 +21,7 @@ from deepbots_cli.learning.record import number, solved
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import RandomizedParameter
-from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageFormat, MessageLayout, Thrust
+from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, Thrust
 from deepbots_cli.program.task import ActionRange, Choices, ImageObservation, viewed
 from deepbots_cli.program.training import ActionNoise, Hindsight, Schedule
 from deepbots_cli.robots.model import Joint
@@ -324,7 +324,7 @@ def _messages(scenario: Program) -> list[Row]:
     ]
 
 
-def message_size(layout: MessageLayout, format: MessageFormat) -> int | None:
+def message_size(layout: MessageLayout, format: str) -> int | None:
     """Bytes of a message: the stamp and the values; None where that depends on their figures."""
     sizes = [_size(field) for field in layout.fields for _ in field.components or (None,)]
     if format == "struct":

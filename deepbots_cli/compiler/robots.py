@@ -24,6 +24,7 @@ from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.fields import choose_from
 from deepbots_cli.scenario.robot import JointOverride, LinkOverride
 from deepbots_cli.scenario.robot import Robot as RobotSpec
+from deepbots_cli.scenario.sensors import Camera
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace
@@ -37,12 +38,6 @@ def joint_dimension(joint: Joint) -> Dimension:
 def effort_of(joint: Joint) -> Dimension:
     """Of what drives it: a force where it slides, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
-
-
-def sensed_dimension(kind: str, joint: Joint) -> Dimension:
-    """Of what a sensor of this kind measures at a joint."""
-    position = joint_dimension(joint)
-    return {"joint_position": position, "joint_velocity": position / TIME, "joint_torque": effort_of(joint)}[kind]
 
 
 def joint_interval(joint: Joint) -> Interval:
@@ -331,7 +326,7 @@ class RobotScene:
         full = f"{self.name}.{part}"
         is_link = part in self.link_names
         if part in self.spec.sensors and kinds and not kinds.isdisjoint({Kind.SENSOR, Kind.CAMERA}):
-            return Subject(full, Kind.CAMERA if self.spec.sensors[part].type == "camera" else Kind.SENSOR)
+            return Subject(full, Kind.CAMERA if isinstance(self.spec.sensors[part], Camera) else Kind.SENSOR)
         if part in self.groups:
             kind, members = self.groups[part]
             names = tuple(f"{self.name}.{member}" for member in members)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
-from deepbots_cli.compiler.sensing import is_fact
 from deepbots_cli.compiler.values import Text, Values, noise
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, TIME
@@ -177,7 +176,7 @@ def with_reading_ages(program: Program) -> Program:
 
     A sensor that is read when the message is written, as perfect ones are, is as old as the message.
     """
-    if all(is_fact(sensor) for robot in program.robots for sensor in robot.sensors):
+    if all(sensor.is_fact for robot in program.robots for sensor in robot.sensors):
         return program
     calls = (node for value in _judged(program) for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
@@ -207,7 +206,7 @@ def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:
     sensors = {f"{robot.name}.{sensor.name}": sensor for sensor in robot.sensors}
     ages = []
     for name in asked:
-        if name in sensors and not is_fact(sensors[name]):
+        if name in sensors and not sensors[name].is_fact:
             field = f"{sensors[name].name}_age"
             while field in taken:
                 field += "_"

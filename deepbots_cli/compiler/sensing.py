@@ -5,77 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, NamedTuple
 
 from deepbots_cli.compiler.namespace import Namespace, ParameterScope
-from deepbots_cli.compiler.robots import RobotScene, hull, joints_of, links_of, sensed_dimension
-from deepbots_cli.compiler.values import Values, figure, figures
+from deepbots_cli.compiler.robots import RobotScene, hull, joint_dimension, joints_of, links_of
+from deepbots_cli.compiler.values import Values, figure, figures, read_parameters
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions import intervals as iv
-from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, TIME, Dimension
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.scalar import Scalar, World
-from deepbots_cli.expressions.types import PLANE, QUATERNION, SPACE, Components, Context, Kind, NoNames, Stage, Symbol, Type
+from deepbots_cli.expressions.types import PLANE, SPACE, Components, Context, Kind, NoNames, Stage, Symbol, Type
 from deepbots_cli.expressions.unification import ANY_SHAPE
 from deepbots_cli.program.robots import MAX_SENSED_RAYS, MIN_RESOLUTION, CalibrationTable, CameraIntrinsics, NoiseModel, RayConfig, Sensor
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
 from deepbots_cli.robots.model import Pose, Vector
-from deepbots_cli.scenario.sensors import Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, Reflectance, TouchSensor
+from deepbots_cli.scenario.sensors import Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, Touch, parameters
 from deepbots_cli.scenario.sensors import Sensor as SensorSpec
 from deepbots_cli.scenario.world import SensorFrame
-
-Mounting = Literal["joints", "link", "links", "rays", "camera"]
-
-
-class SensorKind(NamedTuple):
-    """`of` says what it sits on; the others what it measures there, `fact` the world function that says the same.
-
-    What joints measure depends on whether they turn or slide; kinds of joints leave `dimension` open.
-    """
-
-    of: Mounting
-    dimension: Dimension = NUMBER
-    components: Components = ()
-    interval: Interval = iv.EVERYTHING
-    truth: bool = False
-    fact: str | None = None
-
-
-SENSOR_KINDS: dict[str, SensorKind] = {
-    "joint_position": SensorKind("joints", fact="joint_position"),
-    "joint_velocity": SensorKind("joints", fact="joint_velocity"),
-    "joint_torque": SensorKind("joints", fact="joint_torque"),
-    "position": SensorKind("link", LENGTH, SPACE, fact="position"),
-    "velocity": SensorKind("link", SPEED, SPACE, fact="velocity"),
-    "orientation": SensorKind("link", NUMBER, QUATERNION, iv.SIGNED_UNIT, fact="orientation"),
-    "angular_velocity": SensorKind("link", ANGULAR_VELOCITY, SPACE, fact="angular_velocity"),
-    "compass": SensorKind("link", ANGLE, interval=iv.TURN),
-    "gyro": SensorKind("link", ANGULAR_VELOCITY, SPACE),
-    "accelerometer": SensorKind("link", ACCELERATION, SPACE),
-    "inclinometer": SensorKind("link", NUMBER, SPACE, iv.SIGNED_UNIT),
-    "touch": SensorKind("links", truth=True),
-    "force": SensorKind("links", FORCE, interval=iv.POSITIVE),
-    "infrared": SensorKind("rays", LENGTH),
-    "sonar": SensorKind("rays", LENGTH),
-    "laser": SensorKind("rays", LENGTH),
-    "lidar": SensorKind("rays", LENGTH),
-    "reflectance": SensorKind("rays", interval=Interval(0.0, 1.0)),
-    "camera": SensorKind("camera"),
-}
-
-
-def is_fact(sensor: Sensor) -> bool:
-    """Whether reading the sensor is reading the engine."""
-    return SENSOR_KINDS[sensor.kind].fact is not None and sensor.faults is None and sensor.mount == Pose()
-
-
-def reading(robot: str, sensor: Sensor, component: str | None) -> Scalar:
-    """The fact that one component of such a sensor measures."""
-    kind = SENSOR_KINDS[sensor.kind]
-    if kind.of == "joints":
-        return World(kind.fact or "", (f"{robot}.{component or sensor.subjects[0]}",))
-    return World(kind.fact or "", (f"{robot}.{sensor.subjects[0]}",), component)
-
 
 _TURNS: Components = ("roll", "pitch", "yaw")
 
@@ -253,16 +197,11 @@ class BeamReader:
     values: Values
     path: Path
 
-    def read(self, spec: RayScan, kind: SensorKind) -> ReadBeams | None:
+    def read(self, spec: RayScan) -> ReadBeams | None:
         """None after a finding."""
         rays = self._rays(spec)
-        if isinstance(spec, Reflectance):
-            spot = self.values.number((*self.path, "spot"), spec.spot, LENGTH)
-            if rays is None or spot is None:
-                return None
-            return ReadBeams(RayConfig(tuple(rays.values()), 0.0, spot=spot), _named(rays), kind.dimension, kind.interval)
         if not isinstance(spec, RaySensor):
-            return None
+            return None if rays is None else ReadBeams(RayConfig(tuple(rays.values()), 0.0), _named(rays), spec.dimension, spec.interval)
         table = self._lookup(spec) if spec.lookup is not None else None
         if rays is None or (spec.lookup is not None and table is None):
             return None
@@ -272,7 +211,7 @@ class BeamReader:
             lookup, dimension = table
             reach = Interval(min(lookup.value), max(lookup.value))
             return ReadBeams(replace(beams, reach=lookup.distance[-1], lookup=lookup), components, dimension, reach)
-        return ReadBeams(beams, components, kind.dimension, kind.interval)
+        return ReadBeams(beams, components, spec.dimension, spec.interval)
 
     # Rays
 
@@ -372,7 +311,7 @@ class Sensing:
         self._sensors: dict[str, Sensor] = {}
         for name, spec in scene.spec.sensors.items():
             self.symbols[name] = Symbol(name, None)
-            self._add(name, spec, SENSOR_KINDS[spec.type])
+            self._add(name, spec)
         self._check_size()
 
     def finished(self, tick: float) -> tuple[Sensor, ...]:
@@ -392,24 +331,30 @@ class Sensing:
                 headline = f"`{self._scene.name}` senses {count:_} {what}, more than {most:_}"
                 self._values.findings.add("DB005", self._values.key_span(self.path), headline, help="every one is read in every timestep")
 
-    def _add(self, name: str, spec: SensorSpec, kind: SensorKind) -> None:
+    def _add(self, name: str, spec: SensorSpec) -> None:
         place = (*self.path, name)
         match spec:
             case JointSensor():
                 made = self._of_joints(name, spec, place)
             case ContactSensor():
-                made = self._of_contacts(name, spec, kind, place)
+                made = self._of_contacts(name, spec, place)
             case RayScan():
-                made = self._of_rays(name, spec, kind, place)
+                made = self._of_rays(name, spec, place)
             case Camera():
                 made = self._of_camera(name, spec, place)
             case LinkSensor():
-                made = self._of_link(name, spec, kind, place)
+                made = self._of_link(name, spec, place)
             case _:
                 made = None
         if made is None:
             return
         sensor, known = made
+        slides = isinstance(spec, JointSensor) and joint_dimension(self._scene.model.joint(sensor.subjects[0])) == LENGTH
+        scope = ParameterScope(self._namespace, Context.FIXED)
+        own = read_parameters(self._values, place, spec, parameters(type(spec)), known.dimension, scope, slides=slides)
+        if own is None:
+            return
+        sensor = replace(sensor, parameters=own)
         reader = FaultReader(self._namespace, self._scene.name, name, place)
         faults, reach = reader.read(spec, known)
         if isinstance(spec, RaySensor) and spec.lookup is None:
@@ -424,31 +369,32 @@ class Sensing:
             return None
         names = tuple(joint.name for joint in joints)
         components = names if spec.joints is not None else ()
-        interval = hull(joints) if spec.type == "joint_position" else EVERYTHING
-        return _sensor(name, spec.type, names, components), _type(sensed_dimension(spec.type, joints[0]), components, interval)
+        known = _type(spec.dimension_of(joints[0]), components, spec.interval_of(hull(joints)))._replace(boolean=spec.boolean)
+        return _sensor(name, spec, names, components), known
 
-    def _of_link(self, name: str, spec: LinkSensor, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
+    def _of_link(self, name: str, spec: LinkSensor, place: Path) -> tuple[Sensor, Type] | None:
         if not self._is_link(spec.link, place):
             return None
         frame = mount(self._values, (*place, "pose"), spec.pose)
-        sensor = _sensor(name, spec.type, (spec.link,), kind.components)
-        return replace(sensor, mount=frame), _type(kind.dimension, kind.components, kind.interval)
+        sensor = _sensor(name, spec, (spec.link,), spec.components)
+        known = _type(spec.dimension, spec.components, spec.interval)._replace(boolean=spec.boolean)
+        return replace(sensor, mount=frame), known
 
-    def _of_contacts(self, name: str, spec: ContactSensor, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
+    def _of_contacts(self, name: str, spec: ContactSensor, place: Path) -> tuple[Sensor, Type] | None:
         links = links_of(self._values, self._scene.link_names, self._scene.groups, spec, place)
-        against = self._against(spec, place) if isinstance(spec, TouchSensor) and spec.against is not None else None
+        against = self._against(spec, place) if isinstance(spec, Touch) and spec.against is not None else None
         if not links:
             return None
         components = links if spec.links is not None else ()
-        known = _type(kind.dimension, components, kind.interval)._replace(boolean=kind.truth)
-        return replace(_sensor(name, spec.type, links, components), against=against), known
+        known = _type(spec.dimension, components, spec.interval)._replace(boolean=spec.boolean)
+        return replace(_sensor(name, spec, links, components), against=against), known
 
-    def _of_rays(self, name: str, spec: RayScan, kind: SensorKind, place: Path) -> tuple[Sensor, Type] | None:
-        beams = BeamReader(self._values, place).read(spec, kind)
+    def _of_rays(self, name: str, spec: RayScan, place: Path) -> tuple[Sensor, Type] | None:
+        beams = BeamReader(self._values, place).read(spec)
         if not self._is_link(spec.link, place) or beams is None:
             return None
         frame = mount(self._values, (*place, "pose"), spec.pose)
-        sensor = _sensor(name, spec.type, (spec.link,), beams.components)
+        sensor = _sensor(name, spec, (spec.link,), beams.components)
         return replace(sensor, mount=frame, beams=beams.beams), _type(beams.dimension, beams.components, beams.interval)
 
     def _of_camera(self, name: str, spec: Camera, place: Path) -> tuple[Sensor, Type] | None:
@@ -456,7 +402,7 @@ class Sensing:
         if not self._is_link(spec.link, place) or seen is None:
             return None
         frame = mount(self._values, (*place, "pose"), spec.pose)
-        return replace(_sensor(name, spec.type, (spec.link,), ()), mount=frame, optics=seen), Type(picture=seen.shape, stage=Stage.STEP)
+        return replace(_sensor(name, spec, (spec.link,), ()), mount=frame, optics=seen), Type(picture=seen.shape, stage=Stage.STEP)
 
     def _reaching(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None, place: Path) -> Sensor:
         """The sensor with rays that go to the end of its range."""
@@ -475,7 +421,7 @@ class Sensing:
             self._values.unknown(self._values.span((*place, "link")), "link", link, self._scene.link_names)
         return known
 
-    def _against(self, spec: TouchSensor, place: Path) -> tuple[str, ...]:
+    def _against(self, spec: Touch, place: Path) -> tuple[str, ...]:
         """The full names of what a touch sensor feels."""
         given = spec.against or ()
         found: list[str] = []
@@ -494,8 +440,8 @@ class Sensing:
         return [name for name, subject in subjects.items() if subject is not None and subject.kind in _FELT]
 
 
-def _sensor(name: str, kind: str, subjects: tuple[str, ...], components: Components) -> Sensor:
-    return Sensor(name, kind, subjects, components, "")
+def _sensor(name: str, spec: SensorSpec, subjects: tuple[str, ...], components: Components) -> Sensor:
+    return Sensor(name, spec.type, subjects, components, "", reader=spec.reader, fact=spec.fact)
 
 
 def _type(dimension: Dimension, components: Components, interval: Interval) -> Type:

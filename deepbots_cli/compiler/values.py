@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
@@ -20,6 +20,8 @@ from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import (
+    PLANE,
+    SPACE,
     Components,
     Constant,
     Invocation,
@@ -37,9 +39,11 @@ from deepbots_cli.expressions.types import (
 )
 from deepbots_cli.expressions.unification import expect, expect_range
 from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
-from deepbots_cli.scenario.fields import COLOURS, FieldType, Quantity, choose_from, colour_options, other_name
+from deepbots_cli.scenario.base import Section
+from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, choose_from, colour_options, dimension_of, other_name
 from deepbots_cli.scenario.validate import meant_by
 
 if TYPE_CHECKING:
@@ -486,3 +490,42 @@ def _paint(word: str) -> Colour:
     if word.startswith("#"):
         return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
     return (*COLOURS[word], 1.0)
+
+
+# Parameters that a kind of sensor or actuator has of its own
+
+
+def read_parameters(
+    values: Values,
+    place: Path,
+    spec: Section,
+    wanted: Iterable[tuple[str, FieldType]],
+    own: Dimension,
+    scope: Scope,
+    *,
+    slides: bool = False,
+) -> tuple[tuple[str, Parameter], ...] | None:
+    """The `wanted` parameters of the sensor or actuator at `place`, in SI units; None after a finding.
+
+    `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints that slide have the second.
+    """
+    read: dict[str, Parameter] = {}
+    for key, kind in wanted:
+        given, found = getattr(spec, key), len(values.findings)
+        read[key] = None if given is None else _parameter(values, (*place, key), given, kind, own, scope, slides)
+        if read[key] is None and len(values.findings) > found:
+            return None
+    return tuple(read.items())
+
+
+def _parameter(values: Values, path: Path, given: Any, kind: FieldType, own: Dimension, scope: Scope, slides: bool) -> Parameter:
+    if not isinstance(kind, (Quantity, Range, Column)) or (isinstance(kind, Quantity) and given in kind.words):
+        return given if isinstance(given, (bool, int, float)) else str(given)
+    text, what, dimension = values.text(path, given), f"`{path[-1]}`", dimension_of(kind.dimension, own, second=slides)
+    if isinstance(kind, Range):
+        ends = values.ends(text, what, scope, dimension=dimension)
+        return (*ends.low, *ends.high) if ends else None
+    components = unification.ANY_SHAPE if isinstance(kind, Column) else {2: PLANE, 3: SPACE}.get(kind.components or 0)
+    typed = values.quantity(text, what, scope, dimension, components)
+    numbers = values.fixed(typed, text, what) if typed else None
+    return None if numbers is None else tuple(map(float, numbers)) if components else float(numbers[0])

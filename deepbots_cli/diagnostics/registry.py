@@ -5,10 +5,13 @@ Codes and names are stable: a retired rule keeps its number.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.plugins import Table
 
 Severity = Literal["error", "warning"]
 
@@ -28,11 +31,13 @@ class Rule:
     preview: bool = False
     deep: Literal["no", "too", "only"] = "no"
     deep_preview: bool = False
+    check: Callable[[Any], Iterator[Any]] | None = None
+    """Of a plug-in: from a `compiler.Checked` without errors to findings; its docstring is the page of the rule."""
 
     @property
     def family(self) -> str:
         """The topic of the rules with the same first digit."""
-        return FAMILIES[self.code[:3]]
+        return FAMILIES.get(self.code[:3], "plug-ins")
 
 
 @dataclass(frozen=True)
@@ -170,14 +175,31 @@ _RETIRED = (
     ),
 )
 
-RULES = {entry.code: entry for entry in _CATALOGUE}
+
+def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
+    """The rules that an entry point names.
+
+    Raises:
+        ValueError: One lacks something, or has a code or a name of ours.
+    """
+    for rule in [found] if isinstance(found, Rule) else list(found):
+        if not isinstance(rule, Rule) or rule.check is None or not rule.check.__doc__:
+            raise ValueError(f"{rule!r} is no Rule with a check that has a docstring")
+        if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
+            raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
+        if rule.name in {entry.name for entry in (*_CATALOGUE, *_RETIRED)}:
+            raise ValueError(f"the name {rule.name!r} is taken")
+        yield rule.code, rule
+
+
+RULES: Table[Rule] = Table("deepbots.rules", {entry.code: entry for entry in _CATALOGUE}, _read)
 RETIRED = {entry.code: entry for entry in _RETIRED}
 
 
 def with_prefix(word: str) -> tuple[Rule | Retired, ...]:
     """The entry whose code or name is `word`, whatever its case, or all entries whose codes begin with it; retired ones last."""
     wanted = word.strip().lower().replace("_", "-")
-    entries = (*_CATALOGUE, *_RETIRED)
+    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *_RETIRED)
     named = tuple(entry for entry in entries if wanted == entry.name)
     return named or tuple(entry for entry in entries if entry.code.lower().startswith(wanted))
 
@@ -185,5 +207,6 @@ def with_prefix(word: str) -> tuple[Rule | Retired, ...]:
 def unknown(word: str) -> str:
     """The message for a word that fits no entry."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
-    near = nearest(word, [entry.code if is_code else entry.name for entry in (*_CATALOGUE, *_RETIRED)])
+    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *_RETIRED)
+    near = nearest(word, [entry.code if is_code else entry.name for entry in entries])
     return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")

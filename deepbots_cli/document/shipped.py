@@ -1,11 +1,20 @@
-"""The scenarios and robots that come with deepbots: in the package of a wheel, beside it in a checkout."""
+"""Scenarios and robots that are known by name: those of deepbots, in its wheel or beside it in a checkout, and those of plug-ins.
+
+An entry point of the group `deepbots.scenarios` names a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
+from deepbots_cli.plugins import entries, refuse
+
+_SCENARIOS = "scenarios/*.yaml"
+_ROBOTS = "robots/urdf/*.urdf"
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -18,31 +27,57 @@ def data_dir() -> Path:
 
 
 @cache
-def data_roots() -> tuple[Path, Path]:
+def _added_dirs() -> tuple[Path, ...]:
+    """The folders of plug-ins that hold the same; one with a name that is taken is left out."""
+    found: list[Path] = []
+    for entry in entries("deepbots.scenarios"):
+        try:
+            spec = find_spec(entry.value)
+            if spec is None or not spec.submodule_search_locations:
+                raise ModuleNotFoundError(f"there is no package {entry.value}")
+            folder = Path(next(iter(spec.submodule_search_locations))).resolve()
+            for kind in (_SCENARIOS, _ROBOTS):
+                known = {name for other in (data_dir(), *found) for name in _names((other,), kind)}
+                taken = sorted(known.intersection(_names((folder,), kind)))
+                if taken:
+                    raise ValueError(f"the name {taken[0]!r} is taken")
+        except Exception as error:  # noqa: BLE001 - to look for a package may run the code of a plug-in
+            refuse(entry, error)
+        else:
+            found.append(folder)
+    return tuple(found)
+
+
+@cache
+def data_roots() -> tuple[Path, ...]:
     """The folders that any scenario may read from, links followed."""
-    return (data_dir() / "scenarios").resolve(), (data_dir() / "robots").resolve()
+    return tuple((folder / part).resolve() for folder in (data_dir(), *_added_dirs()) for part in ("scenarios", "robots"))
 
 
 def scenario_names() -> list[str]:
-    return sorted(path.stem for path in (data_dir() / "scenarios").glob("*.yaml"))
+    return _names((data_dir(), *_added_dirs()), _SCENARIOS)
 
 
 def scenario_path(name: str) -> Path | None:
-    """The file of the shipped scenario `name` (`cartpole`), if there is one."""
-    return _existing(data_dir() / "scenarios", name, ".yaml")
+    """The file of the scenario called `name` (`cartpole`), if there is one."""
+    return _existing(name, _SCENARIOS)
 
 
 def robot_names() -> list[str]:
-    return sorted(path.stem for path in (data_dir() / "robots" / "urdf").glob("*.urdf"))
+    return _names((data_dir(), *_added_dirs()), _ROBOTS)
 
 
 def robot_path(name: str) -> Path | None:
-    """The URDF of the shipped robot `name` (`cartpole`), if there is one."""
-    return _existing(data_dir() / "robots" / "urdf", name, ".urdf")
+    """The URDF of the robot called `name` (`cartpole`), if there is one."""
+    return _existing(name, _ROBOTS)
 
 
-def _existing(folder: Path, name: str, suffix: str) -> Path | None:
+def _names(folders: Iterable[Path], kind: str) -> list[str]:
+    return sorted(path.stem for folder in folders for path in folder.glob(kind))
+
+
+def _existing(name: str, kind: str) -> Path | None:
     if not _NAME.fullmatch(name) or len(name) > 100:
         return None
-    path = folder / (name + suffix)
-    return path if path.is_file() else None
+    paths = (folder / kind.replace("*", name) for folder in (data_dir(), *_added_dirs()))
+    return next((path for path in paths if path.is_file()), None)

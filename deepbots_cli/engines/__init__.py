@@ -8,32 +8,34 @@ kinematics.py  inverse kinematics of chains of joints
 lookup.py      things by name
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
-`deepbots_cli.engines`: a name, and the `module:attribute` of an `EngineFactory`.
+`deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, cast
 
+from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
     from deepbots_cli.port import Engine, EngineFactory
     from deepbots_cli.program.world import WorldModel
 
 ENGINES = {
     "pybullet": "deepbots_cli.engines.pybullet:PyBulletEngine",
 }
+GROUP = "deepbots.engines"
 _OF_EXTRA_SIM = ("pybullet", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:
     """Every engine that can be asked for, our own first."""
-    return tuple(dict.fromkeys([*ENGINES, *(entry.name for entry in entry_points(group="deepbots_cli.engines"))]))
+    return tuple(dict.fromkeys([*ENGINES, *(entry.name for entry in plugins.entries(GROUP))]))
 
 
 def create(name: str, world: WorldModel) -> Engine:
@@ -63,10 +65,22 @@ def _with_masses(world: WorldModel) -> WorldModel:
 
 def _factory(name: str) -> EngineFactory:
     if name in ENGINES:
-        module, _, attribute = ENGINES[name].partition(":")
-        return cast("EngineFactory", getattr(import_module(module), attribute))
-    for entry in entry_points(group="deepbots_cli.engines", name=name):
-        return cast("EngineFactory", entry.load())
+        return cast("EngineFactory", plugins.attribute(ENGINES[name]))
+    for entry in plugins.entries(GROUP):
+        if entry.name == name:
+            return _of_plugin(entry)
     near = nearest(name, names())
     hint = f"; did you mean '{near}'?" if near else ""
     raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
+
+
+def _of_plugin(entry: EntryPoint) -> EngineFactory:
+    try:
+        factory = entry.load()
+        if not callable(factory):
+            raise TypeError("it makes no engine")
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and error.name in _OF_EXTRA_SIM:
+            raise
+        raise UsageError(plugins.why_not(entry, error)) from error
+    return cast("EngineFactory", factory)

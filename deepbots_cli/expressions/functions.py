@@ -28,6 +28,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TI
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Op, Scalar, World
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
+from deepbots_cli.plugins import Table
 
 GROUP = "deepbots.functions"
 
@@ -515,43 +516,13 @@ OPERATORS: Mapping[str, Function] = {
 """The operators of scalar trees; they are no functions of the language."""
 
 
-class _Functions(Mapping[str, Function]):
-    """Our functions by name, then those of other packages, which are loaded when a name is not ours or all are asked for."""
-
-    def __init__(self) -> None:
-        self._own = {function.name: function for function in _ENTRIES}
-        self._all: dict[str, Function] | None = None
-
-    def _loaded(self) -> dict[str, Function]:
-        if self._all is None:
-            self._all = dict(self._own)  # before loading: a plug-in may read the table
-            _add_plugins(self._all)
-        return self._all
-
-    def __getitem__(self, name: str) -> Function:
-        return self._own[name] if name in self._own else self._loaded()[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._loaded())
-
-    def __len__(self) -> int:
-        return len(self._loaded())
+_OWN = {function.name: function for function in _ENTRIES}
 
 
-def _add_plugins(known: dict[str, Function]) -> None:
-    from importlib.metadata import entry_points  # 15 ms, which lint without unknown functions saves
-
-    for entry in entry_points(group=GROUP):
-        try:
-            found = entry.load()
-            for function in [found] if isinstance(found, Function) else list(found):
-                _require_usable(function, known)
-                known[function.name] = function
-        except Exception as error:  # noqa: BLE001 - the code of a plug-in may raise anything
-            import logging
-
-            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            logging.getLogger("deepbots").warning("warning: the functions '%s' (%s) are not available: %s", entry.name, entry.value, reason)
+def _read(_name: str, found: object) -> Iterator[tuple[str, Function]]:
+    for function in [found] if isinstance(found, Function) else list(found):  # type: ignore[call-overload]
+        _require_usable(function, _OWN)
+        yield function.name, function
 
 
 def _require_usable(function: object, known: Mapping[str, Function]) -> None:
@@ -587,7 +558,7 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
         raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
 
 
-FUNCTIONS: Mapping[str, Function] = _Functions()
+FUNCTIONS: Mapping[str, Function] = Table(GROUP, _OWN, _read)
 
 
 def operation(name: str) -> Function:

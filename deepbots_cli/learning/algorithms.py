@@ -1,4 +1,4 @@
-"""The table of algorithms: where each lives, and how it is made for a scenario."""
+"""Algorithms, made for a scenario; their table is `scenario.training.ALGORITHMS`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from importlib import import_module
+from dataclasses import replace
 from inspect import signature
 from itertools import pairwise
 from typing import Any
@@ -23,7 +22,10 @@ from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
 from deepbots_cli.learning.noise import noise
+from deepbots_cli.plugins import attribute
 from deepbots_cli.program.training import Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.scenario.training import Training as Model
 
 Settings = dict[str, Any]
 
@@ -41,27 +43,6 @@ _MOST_LAYERS = 16
 _MOST_WEIGHTS = 50_000_000  # of one network; with gradients and moments, actor and critic then take 1.6 GB
 _MOST_COPIES = 1024
 _BYTES_PER_COPY = 29_000_000  # of a cart-pole in PyBullet
-
-
-@dataclass(frozen=True)
-class Algorithm:
-    """One entry; `place` is the path of its class, imported when it is used."""
-
-    place: str
-    on_policy: bool
-
-
-ALGORITHMS: Mapping[str, Algorithm] = {
-    "A2C": Algorithm("stable_baselines3.A2C", True),
-    "DDPG": Algorithm("stable_baselines3.DDPG", False),
-    "DQN": Algorithm("stable_baselines3.DQN", False),
-    "MaskablePPO": Algorithm("sb3_contrib.MaskablePPO", True),
-    "RecurrentPPO": Algorithm("sb3_contrib.RecurrentPPO", True),
-    "PPO": Algorithm("stable_baselines3.PPO", True),
-    "SAC": Algorithm("stable_baselines3.SAC", False),
-    "TD3": Algorithm("stable_baselines3.TD3", False),
-    "TQC": Algorithm("sb3_contrib.TQC", False),
-}
 
 
 def create(
@@ -88,7 +69,7 @@ def create(
         settings["action_noise"] = noise(kind, copies.action_space.shape, lambda: models[0]._current_progress_remaining)
     if not to_learn:
         settings |= (
-            {"n_steps": 2, **({} if training.algorithm == "A2C" else {"batch_size": 2})} if algorithm.on_policy else {"buffer_size": 1}
+            {"n_steps": 2, **({} if algorithm.base() == "A2C" else {"batch_size": 2})} if algorithm.on_policy else {"buffer_size": 1}
         )
         for name in ("replay_buffer_class", "replay_buffer_kwargs"):
             settings.pop(name, None)
@@ -110,12 +91,11 @@ def create(
     return models[0]
 
 
-def _imported(algorithm: Algorithm) -> Callable[..., BaseAlgorithm]:
-    home, _, name = algorithm.place.rpartition(".")
+def _imported(algorithm: type[Model]) -> Callable[..., BaseAlgorithm]:
     try:
-        found: Callable[..., BaseAlgorithm] = getattr(import_module(home), name)
+        found: Callable[..., BaseAlgorithm] = attribute(algorithm.place)
     except ModuleNotFoundError as error:
-        raise MissingExtraError("contrib", f"training with {name}") from error
+        raise MissingExtraError("contrib", f"training with {algorithm.place.rpartition(':')[2]}") from error
     return found
 
 
@@ -186,7 +166,7 @@ def _memory() -> int | None:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else None
 
 
-def _entry(name: str) -> Algorithm:
+def _entry(name: str) -> type[Model]:
     if name not in ALGORITHMS:
         raise UsageError(_unknown("algorithm", name, ALGORITHMS))
     return ALGORITHMS[name]
@@ -197,7 +177,7 @@ def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
     return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near}?)" if near else "")
 
 
-def _networks(policy: Policy, algorithm: Algorithm) -> Settings:
+def _networks(policy: Policy, algorithm: type[Model]) -> Settings:
     layers = list(policy.hidden)
     shape: object = {"pi": layers, "vf": layers} if algorithm.on_policy else layers
     return {"net_arch": shape, "activation_fn": _ACTIVATIONS[policy.activation]}

@@ -97,7 +97,11 @@ OURS: Mapping[str, Mapping[str, Default]] = {
 
 def ours(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
     """The values of our defaults; `environments` of the training counts every copy that the policy acts for."""
-    return {name: default.value(training, total_timesteps, longest_episode) for name, default in OURS[training.algorithm].items()}
+    return {name: default.value(training, total_timesteps, longest_episode) for name, default in OURS[_base(training.algorithm)].items()}
+
+
+def _base(algorithm: str) -> str:
+    return ALGORITHMS[algorithm].base()
 
 
 def longest_episode(scenario: Program) -> int:
@@ -109,14 +113,14 @@ def longest_episode(scenario: Program) -> int:
 def effective(scenario: Program, total_timesteps: int) -> list[Effective]:
     """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
     training = scenario.training
-    if training is None or training.algorithm not in OURS:  # a scenario of a run may name any
+    if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
     given: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
     given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
     rows = training.environments * (scenario.agent.each.count if scenario.agent.each else 1)
     own = ours(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
-    library = library_defaults(training.algorithm)
-    title = "library default" if library is None else library_of(training.algorithm)
+    library = library_defaults(_base(training.algorithm))
+    title = "library default" if library is None else library_of(_base(training.algorithm))
     found = []
     for name in ALGORITHMS[training.algorithm].hyperparameter_names():
         if name in given:

@@ -30,7 +30,7 @@ from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
-from deepbots_cli.program.robots import MessageFormat, Robot, Timing
+from deepbots_cli.program.robots import Robot, Timing
 from deepbots_cli.program.task import ActionPart, Agent, Ending, Goal, ImageObservation, Observation, ObservedNumber, Script, Truncation
 from deepbots_cli.program.training import Criterion, Evaluation, Solved, Training
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
@@ -50,7 +50,7 @@ class Program:
     language: int
     world: WorldModel
     robots: tuple[Robot, ...]
-    format: MessageFormat
+    format: str
     timing: Timing
     parameters: tuple[Expression, ...]
     action: tuple[ActionPart, ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -22,6 +22,8 @@ MAX_PIXELS = 1024
 MIN_RESOLUTION = 1e-12
 """The least step between two readings, in the sensor's unit."""
 
+Parameter = float | bool | str | tuple[float, ...] | None
+"""A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
 Combined = Literal["each", "nearest", "mean"]
 Channels = Literal["rgb", "grey", "depth", "mask"]
 
@@ -60,14 +62,13 @@ class CalibrationTable:
 class RayConfig:
     """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` says what becomes of several.
 
-    `spot` is the diameter in m of what a reflectance sensor sees of the ground, along -z of those frames.
+    A reflectance sensor looks along -z of those frames.
     """
 
     rays: tuple[Pose, ...]
     reach: float
     combined: Combined = "each"
     lookup: CalibrationTable | None = None
-    spot: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class Sensor:
     """What a robot can read. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
 
     `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
-    `ground`), None for everything. `faults` None is a perfect sensor.
+    `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind has of its own, in SI
+    units. `reader` and `fact` are those of the kind (`scenario.sensors.Sensor`).
     """
 
     name: str
@@ -108,6 +110,23 @@ class Sensor:
     beams: RayConfig | None = None
     optics: CameraIntrinsics | None = None
     against: tuple[str, ...] | None = None
+    parameters: tuple[tuple[str, Parameter], ...] = ()
+    reader: str = ""
+    fact: str | None = None
+
+    @property
+    def is_fact(self) -> bool:
+        """Whether reading the sensor is reading the engine."""
+        return self.fact is not None and self.faults is None and self.mount == Pose()
+
+    def fact_of(self, robot: str, component: str | None) -> World:
+        """The fact that one component of such a sensor measures."""
+        if self.components == self.subjects:  # joints under their names
+            return World(self.fact or "", (f"{robot}.{component or self.subjects[0]}",))
+        return World(self.fact or "", (f"{robot}.{self.subjects[0]}",), component)
+
+    def projection(self) -> dict[str, object]:
+        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("reader", "fact")}
 
 
 # Actuators
@@ -210,7 +229,6 @@ Actuator = Motor | Thrust | Cartesian
 
 # Messages
 
-MessageFormat = Literal["csv", "json", "struct", "msgpack", "none"]
 Timing = Literal["immediate", "paper"]
 Direction = Literal["to_robot", "from_robot"]
 Order = Literal["sent", "arrival", "newest"]

@@ -57,6 +57,10 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
             if preview or not CATALOGUE[code].preview:
                 yield from shielded(f"the rule {code}", checked.document.source, partial(_found, rule, checked, doubts))
 
+    for added in CATALOGUE.added.values():
+        if added.check is not None and (preview or not added.preview):
+            yield from shielded(f"the rule {added.code}", checked.document.source, partial(_found, added.check, checked, doubts))
+
 
 def _found(rule: Rule, checked: Checked, doubts: Doubts) -> Iterator[Finding]:
     try:

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from deepbots_cli.compiler.sensing import SENSOR_KINDS, is_fact, reading
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
@@ -172,7 +171,7 @@ class Book:
             case Name(name, component):
                 sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
                 if sensor is not None and self._is_read(sensor):
-                    return reading(robot, sensor, component)
+                    return sensor.fact_of(robot, component)
                 return node if name in self._defined else Name(f"{robot}:{name}", component)
             case Op(op, args):
                 return Op(op, tuple(self._on_board(arg, robot) for arg in args))
@@ -182,7 +181,7 @@ class Book:
                 return node
 
     def _is_read(self, sensor: Sensor) -> bool:
-        return (self._ideal and SENSOR_KINDS[sensor.kind].fact is not None and sensor.mount == Pose()) or is_fact(sensor)
+        return (self._ideal and sensor.fact is not None and sensor.mount == Pose()) or sensor.is_fact
 
     def sensor(self, leaf: Scalar) -> tuple[str, Sensor] | None:
         """The robot and the sensor whose reading a leaf is."""

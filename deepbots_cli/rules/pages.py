@@ -12,7 +12,7 @@ from inspect import cleandoc
 from pathlib import Path
 from textwrap import dedent, fill, indent
 
-from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics import RULES, Findings, Source
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.rules import Rule, everything
@@ -61,11 +61,16 @@ def every_page() -> tuple[Page, ...]:
 
 def pages_of(code: str) -> tuple[Page, ...]:
     """Those of one code."""
-    return tuple(page for page in every_page() if page.code == code)
+    check = RULES[code].check
+    return tuple(page for page in every_page() if page.code == code) if check is None else (_page(code, cleandoc(check.__doc__ or "")),)
 
 
 def _of_a_rule(rule: Rule) -> Page:
     code, _, text = cleandoc(rule.__doc__ or "").partition(": ")
+    return _page(code, text)
+
+
+def _page(code: str, text: str) -> Page:
     about, _, rest = text.partition("\n\nExample::\n\n")
     example, _, instead = rest.partition("\n\nInstead::\n\n")
     return Page(code, about[0].upper() + about[1:], dedent(example), dedent(instead))

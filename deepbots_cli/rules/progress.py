@@ -15,11 +15,11 @@ from deepbots_cli.rules.meaning import Book, book_of
 from deepbots_cli.rules.payments import Payments, payments_of
 from deepbots_cli.rules.reach import NEVER, Reach
 from deepbots_cli.rules.thresholds import FOLLOWING, Threshold, is_clock, thresholds
+from deepbots_cli.scenario.sensors import SENSORS
 
 _RISING = FOLLOWING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
 """Functions that rise with their first argument."""
 _SHOWN = 60
-_FEELERS = frozenset({"touch", "force", "infrared", "sonar", "laser", "lidar", "camera"})
 """Sensors that may tell of any body."""
 
 
@@ -241,7 +241,7 @@ def hidden_state_reward(checked: Checked) -> Iterator[Finding]:
     if program.goal is not None:
         for value in (program.goal.achieved, program.goal.desired):
             seen |= {found for node in book.scalars(value) for found in book.told(node)}
-    feels = any(sensor.kind in _FEELERS for robot in program.robots for sensor in robot.sensors) or any(
+    feels = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors) or any(
         entry.value.typed.type.picture for entry in program.observation
     )
     drawn = {value.name for value in program.parameters}

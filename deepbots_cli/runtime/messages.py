@@ -20,7 +20,9 @@ import msgspec
 import numpy as np
 
 from deepbots_cli.errors import MessageError
-from deepbots_cli.program.robots import MessageField, MessageFormat, MessageLayout
+from deepbots_cli.message_formats import FORMATS
+from deepbots_cli.plugins import attribute
+from deepbots_cli.program.robots import MessageField, MessageLayout
 
 Value = float | bool | bytes
 
@@ -30,10 +32,15 @@ MALFORMED = (ValueError, TypeError, AttributeError, RecursionError, struct.error
 
 @dataclass(frozen=True)
 class Codec:
-    """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of MALFORMED."""
+    """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of MALFORMED.
+
+    `parts` gives the values of a message that is short, long or of another layout as far as they can be told apart, the stamp first;
+    it raises one of MALFORMED where there are none. An error message tells of them.
+    """
 
     encode: Callable[..., Any]
     decode: Callable[[Any], Sequence[Any]]
+    parts: Callable[[Any], Sequence[object]]
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
@@ -55,9 +62,9 @@ def zeros(layout: MessageLayout) -> list[Any]:
     ]
 
 
-def codec(layout: MessageLayout, format: MessageFormat) -> Codec:
-    """The codec of `format` for `layout`; `none` has no messages and no codec (KeyError)."""
-    made = _CODECS[format](layout.layout_hash, struct_codes(layout))
+def codec(layout: MessageLayout, format: str) -> Codec:
+    """The codec of `format` for `layout`; `none` has no messages and no codec."""
+    made: Codec = attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
     pictures = {index: value.shape for index, value in enumerate(zeros(layout)) if isinstance(value, np.ndarray)}
     return _with_pictures(made, pictures) if pictures else made
 
@@ -84,15 +91,24 @@ def _with_pictures(made: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec:
             values[index + 1] = np.frombuffer(values[index + 1], np.uint8).reshape(shape)
         return values
 
-    return Codec(encode, decode)
+    return Codec(encode, decode, made.parts)
 
 
-def _struct_codec(stamp: int, codes: list[str]) -> Codec:
+def struct_codec(stamp: int, codes: list[str]) -> Codec:
     form = struct.Struct("<I" + "".join(codes))
-    return Codec(partial(form.pack, stamp), form.unpack)
+
+    def parts(message: bytes) -> list[object]:
+        for count in range(len(codes), -1, -1):
+            head = struct.Struct("<I" + "".join(codes[:count]))
+            if head.size <= len(message):
+                values = list(head.unpack_from(message))
+                return values if head.size == len(message) or count < len(codes) else [*values, message[head.size :]]
+        raise ValueError("shorter than a stamp")
+
+    return Codec(partial(form.pack, stamp), form.unpack, parts)
 
 
-def _csv_codec(stamp: int, codes: list[str]) -> Codec:
+def csv_codec(stamp: int, codes: list[str]) -> Codec:
     head = str(stamp)
 
     def encode(*values: Value) -> str:
@@ -104,14 +120,18 @@ def _csv_codec(stamp: int, codes: list[str]) -> Codec:
         def decode(message: str) -> list[float]:
             return [float(cell) for cell in message.split(",")]
 
-        return Codec(encode, decode)
+        return Codec(encode, decode, _csv_parts)
 
     readers = [float, *(_CSV_READERS[code[-1]] for code in codes)]
 
     def decode_mixed(message: str) -> list[Value]:
         return [read(cell) for read, cell in zip(readers, message.split(","), strict=True)]
 
-    return Codec(encode, decode_mixed)
+    return Codec(encode, decode_mixed, _csv_parts)
+
+
+def _csv_parts(message: str) -> list[object]:
+    return [_number_or_text(cell) for cell in message.split(",")]
 
 
 def _csv_truth(cell: str) -> bool:
@@ -134,31 +154,31 @@ def _tuple_type(codes: list[str]) -> Any:
     return GenericAlias(tuple, (int, *kinds))
 
 
-def _json_codec(stamp: int, codes: list[str]) -> Codec:
+def json_codec(stamp: int, codes: list[str]) -> Codec:
     encoder = msgspec.json.Encoder().encode
-    return Codec(lambda *values: encoder((stamp, *values)), msgspec.json.Decoder(_tuple_type(codes)).decode)
+    return Codec(
+        lambda *values: encoder((stamp, *values)),
+        msgspec.json.Decoder(_tuple_type(codes)).decode,
+        lambda message: list(msgspec.json.decode(message)),
+    )
 
 
-def _msgpack_codec(stamp: int, codes: list[str]) -> Codec:
+def msgpack_codec(stamp: int, codes: list[str]) -> Codec:
     encoder = msgspec.msgpack.Encoder().encode
-    return Codec(lambda *values: encoder((stamp, *values)), msgspec.msgpack.Decoder(_tuple_type(codes)).decode)
+    return Codec(
+        lambda *values: encoder((stamp, *values)),
+        msgspec.msgpack.Decoder(_tuple_type(codes)).decode,
+        lambda message: list(msgspec.msgpack.decode(message)),
+    )
 
 
-_CODECS: dict[str, Callable[[int, list[str]], Codec]] = {
-    "struct": _struct_codec,
-    "csv": _csv_codec,
-    "json": _json_codec,
-    "msgpack": _msgpack_codec,
-}
-
-
-def explain(layout: MessageLayout, format: MessageFormat, message: object, step: int) -> MessageError:
+def explain(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:
     """Why `message` does not fit `layout`: names robot, direction, step and field."""
     place = f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
     expected = scalar_fields(layout)
     wanted = f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
     try:
-        values = _loose(format, message, layout)
+        values = codec(layout, format).parts(message)
     except MALFORMED:
         return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}")
     if not values or values[0] != layout.layout_hash:
@@ -173,24 +193,6 @@ def explain(layout: MessageLayout, format: MessageFormat, message: object, step:
         if not _fits(value, dtype):
             return MessageError(f"{place}: field '{name}' should be a {dtype}, got {excerpt(value)}")
     return MessageError(f"{place}: the message does not fit its layout; {wanted}, got {excerpt(message)}")
-
-
-def _loose(format: MessageFormat, message: Any, layout: MessageLayout) -> list[object]:
-    """The values of a message as far as they can be told apart, the stamp first."""
-    if format == "csv":
-        cells: list[object] = [_number_or_text(cell) for cell in message.split(",")]
-        return cells
-    if format == "json":
-        return list(msgspec.json.decode(message))
-    if format == "msgpack":
-        return list(msgspec.msgpack.decode(message))
-    codes = struct_codes(layout)
-    for count in range(len(codes), -1, -1):
-        form = struct.Struct("<I" + "".join(codes[:count]))
-        if form.size <= len(message):
-            values = list(form.unpack_from(message))
-            return values if form.size == len(message) or count < len(codes) else [*values, message[form.size :]]
-    raise ValueError("shorter than a stamp")
 
 
 def _number_or_text(cell: str) -> object:

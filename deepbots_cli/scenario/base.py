@@ -222,7 +222,7 @@ class Kinds:
     def find(self, value: object) -> type[Section] | None:
         """The model for `value`, raw or validated; None if its kind is unknown."""
         if isinstance(value, Section):
-            return type(value) if type(value) in self.every else None
+            return type(value) if type(value) in (self.models.get(str(getattr(value, self.key, None))), *self.marked.values()) else None
         if not isinstance(value, Mapping):
             return None
         word = value.get(self.key)
@@ -245,6 +245,26 @@ class Kinds:
             raise at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names), value=word))
         unknown = error("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=word_meant(word, self.names))
         raise at(self.key, unknown)
+
+
+def kind_of(model: type[Section], key: str = "type") -> str:
+    """The word under the `key` that tells the kind of a model."""
+    words = get_args(model.model_fields[key].annotation)
+    return str(words[0]) if len(words) == 1 else ""
+
+
+def require_kind(name: str, model: type[Section], place: str, key: str = "type") -> None:
+    """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime stands at `place`.
+
+    Raises:
+        ValueError: Says what it lacks.
+        TypeError: A field has a type that no scenario can hold.
+    """
+    if kind_of(model, key) != name:
+        raise ValueError(f'{model.__name__} needs the field `{key}: Literal["{name}"]`')
+    if not model.__doc__ or not place.partition(":")[2]:
+        raise ValueError(f"{model.__name__} needs a docstring, and the `module:attribute` of its code for the runtime")
+    fields(model)
 
 
 Shape = FieldType | type[Section] | ListOf | MappingOf | Forms | Kinds

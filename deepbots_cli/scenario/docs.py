@@ -25,15 +25,19 @@ FILE = Path(__file__).with_name("examples.yaml")
 
 def description(section: type[Section], key: str) -> str:
     """The sentence about a key of a section."""
-    return next(found[key] for model in section.__mro__ if key in (found := _docstrings(model.__module__).get(model.__name__, {})))
+    told = (_docstrings(model.__module__).get(model.__name__, {}).get(key) for model in section.__mro__)
+    return next(filter(None, told), "")
 
 
 @cache
 def _docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
     """The docstrings below the fields of each class of a module."""
-    if not module.startswith(__package__ or ""):
+    if module.partition(".")[0] in ("pydantic", "builtins", "abc"):
         return {}
-    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    try:
+        tree = ast.parse(inspect.getsource(sys.modules[module]))
+    except OSError:  # a plug-in without source
+        return {}
     return {node.name: _below_fields(node) for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
@@ -53,8 +57,7 @@ def about(section: type[Section]) -> str:
 
 def about_kind(kinds: Kinds, name: str) -> str:
     """What the kind of this name is, in a sentence."""
-    model = kinds.models[name]
-    return getattr(model, "kinds", {}).get(name) or about(model)
+    return about(kinds.models[name])
 
 
 def unit_of(shape: Shape) -> str:
@@ -112,7 +115,7 @@ def example_text(section: type[Section], key: str) -> str:
     if found := example_of(section, key):
         return found.text
     shape = fields(section)[key]
-    return next(iter(getattr(section, "kinds", {})), shape.words[0] if isinstance(shape, Word) else "")
+    return shape.words[0] if isinstance(shape, Word) else ""
 
 
 @cache

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -290,20 +290,25 @@ class Plain(FieldType):
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """How a `Literal`, which pydantic validates itself, is called."""
+    """How a `Literal`, which pydantic validates itself, is called; or one of the names of a table that plug-ins may add to."""
 
-    words: tuple[str, ...]
+    known: Collection[str]
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        return tuple(self.known)
 
     @property
     def noun(self) -> str:
         return f"one of {', '.join(f'`{word}`' for word in self.words)}"
 
     def check(self, value: Any) -> None:
-        if value not in self.words:
+        if value not in self.known:
             raise error("DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), meant=word_meant(value, self.words))
 
     def json_schema(self) -> JsonSchema:
-        return {"enum": list(self.words)}
+        told = [getattr(entry, "summary", "") for entry in self.known.values()] if isinstance(self.known, Mapping) else []
+        return {"enum": list(self.words), **({"enumDescriptions": told} if any(told) else {})}
 
 
 MEASURES: Mapping[str, tuple[str, str, str]] = {
@@ -348,6 +353,13 @@ def _parsed(text: str) -> syntax.Node | None:
         raise error(code, headline, help)
 
     return parser.parse(text, report)
+
+
+def dimension_of(measure: str, own: Dimension, *, second: bool = False) -> Dimension | None:
+    """The dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or force` the first or the second."""
+    if measure in ("reading", "any"):
+        return own if measure == "reading" else None
+    return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])
 
 
 def _dimension(unit: str) -> Dimension:

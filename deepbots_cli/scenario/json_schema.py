@@ -164,10 +164,14 @@ class _Writer:
                 return self.reference(shape)
 
     def reference(self, section: type[Section]) -> Json:
-        name = f"{section.__name__}{self._suffix}"
+        shared = definition_of(section)
+        home = "" if shared.__module__.startswith("deepbots_cli.") else f"{shared.__module__}."
+        name = f"{home}{shared.__name__}{self._suffix}"
         if name not in self.definitions:
             self.definitions[name] = {}  # holds the place in the order
-            self.definitions[name] = self._section(section)
+            self.definitions[name] = written = self._section(shared)
+            if shared is not section:
+                written["properties"]["type"]["description"] = _text(section, "type")
         return {"$ref": f"#/$defs/{name}"}
 
     def _single(self, shape: FieldType) -> Json:
@@ -249,6 +253,14 @@ class _Writer:
             escaped = re.sub(r"([\\$}])", r"\\\1", example.text)
             schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{escaped}}}"}]
         return schema
+
+
+def definition_of(section: type[Section]) -> type[Section]:
+    """The section whose definition serves for this one: the nearest base from which it differs by the word of its `type` alone."""
+    base = section.__base__
+    while base is not None and "type" in getattr(base, "model_fields", ()) and vars(section).get("__annotations__", {}).keys() == {"type"}:
+        section, base = base, base.__base__
+    return section
 
 
 def _text(section: type[Section], key: str, example: str = "") -> str:

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
 from deepbots_cli.scenario.fields import (
@@ -21,6 +22,7 @@ from deepbots_cli.scenario.fields import (
     Range,
     Reference,
     Scalar,
+    Word,
 )
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.world import Pose
@@ -118,8 +120,7 @@ class Route(Section):
 class Messages(Section):
     """How supervisor and robots talk."""
 
-    # A format of a third party would be a further word; the form of a message is no part of the scenario otherwise.
-    format: Literal["csv", "json", "struct", "msgpack", "none"] = "struct"
+    format: Annotated[str, Word(FORMATS)] = "struct"
     """How a message is written; `none` lets the supervisor act on the robot without messages."""
     timing: Literal["immediate", "paper"] = "immediate"
     """`immediate`: an action acts in its own tick; `paper`: one tick later, and what the robot sends is one tick old."""

@@ -1,14 +1,40 @@
-"""What a robot can sense: one model per form, in the table `SENSORS` by kind."""
+"""What a robot can sense: one class per kind.
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+A class says everything about its kind: its parameters (fields with a docstring each), what it measures (its docstring), the dimension,
+components and interval of its readings, and the `reader` that takes them in a running world. Validation, JSON Schema, completion,
+hover, reference and runtime come from it. The bases say what a sensor sits on: `JointSensor`, `LinkSensor`, `ContactSensor`,
+`RayScan`, `RaySensor`, `Camera`.
+
+Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its `type`. Its own fields reach
+its reader as SI numbers and words.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Le
-from pydantic import Field, Strict, field_validator
+from pydantic import Field, Strict
 
-from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.dimensions import (
+    ACCELERATION,
+    ANGLE,
+    ANGULAR_VELOCITY,
+    FORCE,
+    LENGTH,
+    NUMBER,
+    SPEED,
+    TORQUE,
+    Dimension,
+)
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
+from deepbots_cli.plugins import Table
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size, fields, kind_of, require_kind
 from deepbots_cli.scenario.fields import (
     Column,
+    FieldType,
     JointName,
     JointNames,
     LinkName,
@@ -21,17 +47,29 @@ from deepbots_cli.scenario.fields import (
     Reference,
     Scalar,
     Timestep,
-    choose_from,
-    error,
 )
 from deepbots_cli.scenario.world import SensorFrame
+
+_RUNTIME = "deepbots_cli.runtime.sensing"
 
 
 class Sensor(Section):
     """What all sensors have: the faults of real ones."""
 
-    kinds: ClassVar[Mapping[str, str]] = {}
-    """The kinds of this form, each with what it measures."""
+    dimension: ClassVar[Dimension] = NUMBER
+    """Of a reading, which is in the SI unit of it."""
+    components: ClassVar[Components] = ()
+    """Of a reading; empty for a single value."""
+    interval: ClassVar[Interval] = EVERYTHING
+    """In which the readings of a sensor without faults lie."""
+    boolean: ClassVar[bool] = False
+    """Whether a reading is true or false."""
+    reader: ClassVar[str] = ""
+    """`module:attribute` of what makes the reader of a sensor in a world: from a `runtime.sensing.Site` to an `Instrument`."""
+    fact: ClassVar[str | None] = None
+    """The world function that says the same; a sensor without faults, in the origin of its link, is read as that."""
+    perceives: ClassVar[bool] = False
+    """Whether a reading depends on what is around the robot."""
 
     type: Prose
     """The kind of sensor."""
@@ -50,22 +88,12 @@ class Sensor(Section):
     range: Annotated[str, Range("reading")] | None = None
     """What it can measure at all; readings are clipped to it."""
 
-    @field_validator("type")
-    @classmethod
-    def _check_kind(cls, kind: str) -> str:
-        if kind not in cls.kinds:
-            raise error("DB104", f"unknown type `{kind[:40]}`", choose_from(kind, tuple(cls.kinds)))
-        return kind
-
 
 class JointSensor(Sensor):
     """Reads one joint, or several under their names."""
 
-    kinds = {
-        "joint_position": "The angle of a joint, or how far it has slid.",
-        "joint_velocity": "How fast a joint turns or slides.",
-        "joint_torque": "What the motor of a joint exerted in the last physics step.",
-    }
+    sliding: ClassVar[Dimension] = NUMBER
+    """The dimension of a reading where the joint slides; `dimension` is that where it turns."""
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
@@ -73,20 +101,56 @@ class JointSensor(Sensor):
     joints: JointNames | None = None
     """The joints that it reads: names, patterns such as `wheel_*`, or a group."""
 
+    @classmethod
+    def dimension_of(cls, joint: Joint) -> Dimension:
+        """What is measured at this joint."""
+        return cls.sliding if joint.type == "prismatic" else cls.dimension
+
+    @classmethod
+    def interval_of(cls, limits: Interval) -> Interval:
+        """Where readings lie, for joints whose positions lie within `limits`."""
+        return cls.interval
+
+
+class JointPosition(JointSensor):
+    """The angle of a joint, or how far it has slid."""
+
+    dimension = ANGLE
+    sliding = LENGTH
+    reader = f"{_RUNTIME}.joints:positions"
+    fact = "joint_position"
+
+    type: Literal["joint_position"]
+
+    @classmethod
+    def interval_of(cls, limits: Interval) -> Interval:
+        return limits
+
+
+class JointVelocity(JointSensor):
+    """How fast a joint turns or slides."""
+
+    dimension = ANGULAR_VELOCITY
+    sliding = SPEED
+    reader = f"{_RUNTIME}.joints:velocities"
+    fact = "joint_velocity"
+
+    type: Literal["joint_velocity"]
+
+
+class JointTorque(JointSensor):
+    """What the motor of a joint exerted in the last physics step."""
+
+    dimension = TORQUE
+    sliding = FORCE
+    reader = f"{_RUNTIME}.joints:torques"
+    fact = "joint_torque"
+
+    type: Literal["joint_torque"]
+
 
 class LinkSensor(Sensor):
     """Sits on one link."""
-
-    kinds = {
-        "gyro": "How it turns, about its own axes, x y z.",
-        "accelerometer": "Proper acceleration along its own axes, x y z: 9.81 m/s^2 upwards at rest.",
-        "inclinometer": "The direction of gravity along its own axes, x y z, of length 1.",
-        "compass": "The angle in the plane from x of the world to x of the sensor.",
-        "position": "Where it is in the world, x y z.",
-        "velocity": "How it moves in the world, x y z.",
-        "orientation": "The quaternion from its axes to those of the world, x y z w.",
-        "angular_velocity": "How it turns, about the axes of the world, x y z.",
-    }
 
     link: LinkName
     """The link that it sits on."""
@@ -94,12 +158,94 @@ class LinkSensor(Sensor):
     """Where it sits on the link, and how it is turned."""
 
 
+class Gyro(LinkSensor):
+    """How it turns, about its own axes, x y z."""
+
+    dimension = ANGULAR_VELOCITY
+    components = SPACE
+    reader = f"{_RUNTIME}.inertial:gyro"
+
+    type: Literal["gyro"]
+
+
+class Accelerometer(LinkSensor):
+    """Proper acceleration along its own axes, x y z: 9.81 m/s^2 upwards at rest."""
+
+    dimension = ACCELERATION
+    components = SPACE
+    reader = f"{_RUNTIME}.inertial:accelerometer"
+
+    type: Literal["accelerometer"]
+
+
+class Inclinometer(LinkSensor):
+    """The direction of gravity along its own axes, x y z, of length 1."""
+
+    components = SPACE
+    interval = iv.SIGNED_UNIT
+    reader = f"{_RUNTIME}.inertial:inclinometer"
+
+    type: Literal["inclinometer"]
+
+
+class Compass(LinkSensor):
+    """The angle in the plane from x of the world to x of the sensor."""
+
+    dimension = ANGLE
+    interval = iv.TURN
+    reader = f"{_RUNTIME}.frames:compass"
+
+    type: Literal["compass"]
+
+
+class Position(LinkSensor):
+    """Where it is in the world, x y z."""
+
+    dimension = LENGTH
+    components = SPACE
+    reader = f"{_RUNTIME}.frames:position"
+    fact = "position"
+
+    type: Literal["position"]
+
+
+class Velocity(LinkSensor):
+    """How it moves in the world, x y z."""
+
+    dimension = SPEED
+    components = SPACE
+    reader = f"{_RUNTIME}.frames:velocity"
+    fact = "velocity"
+
+    type: Literal["velocity"]
+
+
+class Orientation(LinkSensor):
+    """The quaternion from its axes to those of the world, x y z w."""
+
+    components = QUATERNION
+    interval = iv.SIGNED_UNIT
+    reader = f"{_RUNTIME}.frames:orientation"
+    fact = "orientation"
+
+    type: Literal["orientation"]
+
+
+class AngularVelocity(LinkSensor):
+    """How it turns, about the axes of the world, x y z."""
+
+    dimension = ANGULAR_VELOCITY
+    components = SPACE
+    reader = f"{_RUNTIME}.frames:angular_velocity"
+    fact = "angular_velocity"
+
+    type: Literal["angular_velocity"]
+
+
 class ContactSensor(Sensor):
     """Feels with one link, or with several under their names."""
 
-    kinds = {
-        "force": "The sum of normal forces on a link in the last physics step.",
-    }
+    perceives = True
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), min=1),)
 
     link: LinkName | None = None
@@ -108,15 +254,25 @@ class ContactSensor(Sensor):
     """The links that feel: names, patterns such as `*_toe`, or a group."""
 
 
-class TouchSensor(ContactSensor):
-    """Whether a link touches anything, in any substep."""
+class Touch(ContactSensor):
+    """Whether a link touched anything in any physics step of the tick."""
 
-    kinds = {
-        "touch": "Whether a link touched anything in any physics step of the tick.",
-    }
+    boolean = True
+    reader = f"{_RUNTIME}.contacts:touch"
 
+    type: Literal["touch"]
     against: Annotated[str | tuple[str, ...], Reference("bodies or links")] | None = None
     """Feels only these bodies or links, or the `ground`."""
+
+
+class Force(ContactSensor):
+    """The sum of normal forces on a link in the last physics step."""
+
+    dimension = FORCE
+    interval = iv.POSITIVE
+    reader = f"{_RUNTIME}.contacts:force"
+
+    type: Literal["force"]
 
 
 class CalibrationTable(Section):
@@ -145,12 +301,9 @@ class RayScan(LinkSensor):
 class RaySensor(RayScan):
     """Measures how far each ray is free; rays look along x of their frames."""
 
-    kinds = {
-        "infrared": "How far its rays are free, or what a lookup table makes of that.",
-        "sonar": "How far its rays are free; a cone is a narrow fan with `measure: nearest`.",
-        "laser": "How far its rays are free; one ray along x unless there are more.",
-        "lidar": "How far its rays are free, in a fan of many.",
-    }
+    dimension = LENGTH
+    reader = f"{_RUNTIME}.ranging:ranging"
+    perceives = True
 
     measure: Literal["each", "nearest", "mean"] = "each"
     """Each ray by its name, or one figure of all: that of the nearest thing, or the mean."""
@@ -158,24 +311,48 @@ class RaySensor(RayScan):
     """What is reported at which distance; without it, the distance itself."""
 
 
+class Infrared(RaySensor):
+    """How far its rays are free, or what a lookup table makes of that."""
+
+    type: Literal["infrared"]
+
+
+class Sonar(RaySensor):
+    """How far its rays are free; a cone is a narrow fan with `measure: nearest`."""
+
+    type: Literal["sonar"]
+
+
+class Laser(RaySensor):
+    """How far its rays are free; one ray along x unless there are more."""
+
+    type: Literal["laser"]
+
+
+class Lidar(RaySensor):
+    """How far its rays are free, in a fan of many."""
+
+    type: Literal["lidar"]
+
+
 class Reflectance(RayScan):
-    """Measures how bright the ground is below each ray's frame: 1 is white, painted lines have their own reflectance."""
+    """How much light the ground throws back below it: 1 where nothing is painted."""
 
-    kinds = {
-        "reflectance": "How much light the ground throws back below it: 1 where nothing is painted.",
-    }
+    interval = Interval(0.0, 1.0)
+    reader = f"{_RUNTIME}.brightness:reflectance"
 
+    type: Literal["reflectance"]
     spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = "4 mm"
     """Diameter of the spot that it sees."""
 
 
 class Camera(LinkSensor):
-    """Pictures along x of its frame."""
+    """A picture along x of its frame."""
 
-    kinds = {
-        "camera": "A picture along x of its frame.",
-    }
+    reader = f"{_RUNTIME}.camera:camera"
+    perceives = True
 
+    type: Literal["camera"]
     resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True)]
     """Columns and rows, such as `64 64`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
@@ -184,7 +361,37 @@ class Camera(LinkSensor):
     """What a pixel holds."""
 
 
-SENSORS: dict[str, type[Sensor]] = {
-    kind: model for model in (JointSensor, LinkSensor, TouchSensor, ContactSensor, RaySensor, Reflectance, Camera) for kind in model.kinds
-}
+_BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
+"""Classes whose parameters the compiler knows."""
+
+
+def parameters(kind: type[Sensor]) -> Iterator[tuple[str, FieldType]]:
+    """The parameters that a kind has beyond those of its base, with their field types: the compiler hands them on to the reader."""
+    known = {name for base in kind.__mro__ if base in _BASES for name in getattr(base, "model_fields", ())}
+    for name, shape in fields(kind).items():
+        if name not in known:
+            if not isinstance(shape, FieldType):
+                raise ValueError(f"{kind.__name__}.{name} is no single value")
+            yield name, shape
+
+
+def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
+    """The class that an entry point names.
+
+    Raises:
+        ValueError: It is no class of a sensor kind, or lacks something.
+    """
+    if not (isinstance(kind, type) and issubclass(kind, (JointSensor, LinkSensor, ContactSensor))):
+        raise ValueError(f"{kind!r} is no subclass of JointSensor, LinkSensor or ContactSensor")
+    require_kind(name, kind, kind.reader)
+    list(parameters(kind))
+    yield name, kind
+
+
+_OURS = (
+    *(JointPosition, JointVelocity, JointTorque),
+    *(Gyro, Accelerometer, Inclinometer, Compass, Position, Velocity, Orientation, AngularVelocity),
+    *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
+)
+SENSORS: Table[type[Sensor]] = Table("deepbots.sensors", {kind_of(model): model for model in _OURS}, _read)
 AnySensor = Annotated[Sensor, Kinds("type", SENSORS)]

@@ -4,13 +4,14 @@ A test compares them with the signatures there. Devices, seeds, classes of buffe
 they are set instead.
 """
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Le
 from pydantic import Field, Strict
 
-from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section
+from deepbots_cli.plugins import Table
+from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, require_kind
 from deepbots_cli.scenario.fields import Bool, Fraction, Frequency, PositiveInt, Prose, Real, Scalar, Schedule
 
 Ramp = Annotated[Scalar, Schedule()]
@@ -54,6 +55,10 @@ class Policy(Section):
 class Training(Section):
     """What all algorithms have in common; each adds its hyperparameters."""
 
+    place: ClassVar[str] = ""
+    """`module:attribute` of its class, imported when it is used."""
+    on_policy: ClassVar[bool] = False
+
     algorithm: Prose
     """The learning algorithm."""
     total_timesteps: Annotated[int, Strict(), Ge(1), Le(10**12)]
@@ -68,13 +73,21 @@ class Training(Section):
         """The algorithm's own parameters."""
         return tuple(name for name in cls.model_fields if name not in Training.model_fields)
 
+    @classmethod
+    def base(cls) -> str:
+        """The algorithm of ours that it is, or is derived from."""
+        return next(model.__name__ for model in cls.__mro__ if model in _OURS)
+
     @property
     def hyperparameters(self) -> Mapping[str, Any]:
-        """The hyperparameters that the user set, in the order of the model."""
-        return {name: getattr(self, name) for name in self.hyperparameter_names() if name in self.model_fields_set}
+        """The hyperparameters that the user set, or that the model of a plug-in has a default for, in the order of the model."""
+        names = self.hyperparameter_names()
+        return {name: getattr(self, name) for name in names if name in self.model_fields_set or getattr(self, name) is not None}
 
 
 class _OnPolicy(Training):
+    on_policy = True
+
     learning_rate: Ramp | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
     n_steps: PositiveInt | None = None
@@ -161,11 +174,15 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
 class PPO(_StateDependentExploration, _Proximal):
     """On-policy; choices or ranges. The first to try."""
 
+    place = "stable_baselines3:PPO"
+
     algorithm: Literal["PPO"]
 
 
 class A2C(_StateDependentExploration, _OnPolicy):
     """On-policy; choices or ranges. Plainer than PPO."""
+
+    place = "stable_baselines3:A2C"
 
     algorithm: Literal["A2C"]
     rms_prop_eps: Positive | None = None
@@ -176,6 +193,8 @@ class A2C(_StateDependentExploration, _OnPolicy):
 
 class DQN(_OffPolicy):
     """Off-policy; one choice."""
+
+    place = "stable_baselines3:DQN"
 
     algorithm: Literal["DQN"]
     target_update_interval: PositiveInt | None = None
@@ -195,11 +214,15 @@ class DQN(_OffPolicy):
 class SAC(_SoftActorCritic):
     """Off-policy; ranges. Explores by entropy."""
 
+    place = "stable_baselines3:SAC"
+
     algorithm: Literal["SAC"]
 
 
 class TD3(_Deterministic):
     """Off-policy; ranges. DDPG with two critics and delayed updates."""
+
+    place = "stable_baselines3:TD3"
 
     algorithm: Literal["TD3"]
     policy_delay: PositiveInt | None = None
@@ -215,17 +238,23 @@ class TD3(_Deterministic):
 class DDPG(_Deterministic):
     """Off-policy; ranges."""
 
+    place = "stable_baselines3:DDPG"
+
     algorithm: Literal["DDPG"]
 
 
 class MaskablePPO(_Proximal):
     """PPO that heeds forbidden choices."""
 
+    place = "sb3_contrib:MaskablePPO"
+
     algorithm: Literal["MaskablePPO"]
 
 
 class RecurrentPPO(_StateDependentExploration, _Proximal):
     """PPO with a memory (LSTM); choices or ranges."""
+
+    place = "sb3_contrib:RecurrentPPO"
 
     algorithm: Literal["RecurrentPPO"]
     lstm: Annotated[int, Strict(), Ge(1), Le(2048)] | None = None
@@ -235,14 +264,27 @@ class RecurrentPPO(_StateDependentExploration, _Proximal):
 class TQC(_SoftActorCritic):
     """Off-policy; ranges. SAC with critics of many quantiles."""
 
+    place = "sb3_contrib:TQC"
+
     algorithm: Literal["TQC"]
     top_quantiles_to_drop_per_net: Annotated[int, Strict(), Ge(0), Le(1_000_000_000)] | None = None
     """Highest quantiles to drop, per critic."""
 
 
-ALGORITHMS: Mapping[str, type[Training]] = {
-    model.__name__: model for model in (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
-}
+def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
+    """The model that an entry point names.
+
+    Raises:
+        ValueError: It is derived from none of ours, or lacks something.
+    """
+    if not (isinstance(model, type) and issubclass(model, _OURS)):
+        raise ValueError(f"{model!r} is derived from none of {', '.join(known.__name__ for known in _OURS)}")
+    require_kind(name, model, model.place, "algorithm")
+    yield name, model
+
+
+_OURS = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
+ALGORITHMS: Table[type[Training]] = Table("deepbots.algorithms", {model.__name__: model for model in _OURS}, _read)
 AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
 
 ELSEWHERE: Mapping[str, str] = {

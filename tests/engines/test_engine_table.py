@@ -27,7 +27,7 @@ def test_an_engine_of_another_package_is_found_by_its_entry_point(tmp_path, monk
     info = tmp_path / "still-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: still\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[deepbots_cli.engines]\nstill = still_engine:still\n")
+    (info / "entry_points.txt").write_text("[deepbots.engines]\nstill = still_engine:still\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     assert "still" in names()
     assert create("still", worlds.rail()) == ("still", worlds.rail())

@@ -17,7 +17,7 @@ from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.actuators import ACTUATORS
 from deepbots_cli.scenario.base import Section, fields, sections
 from deepbots_cli.scenario.docs import unit_of
-from deepbots_cli.scenario.json_schema import FILE_NAME, json_schema, to_text
+from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, to_text
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.world import OBJECTS, TERRAINS
@@ -114,7 +114,7 @@ def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
 def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> None:
-    said = schema["$defs"][section.__name__]["properties"]
+    said = schema["$defs"][definition_of(section).__name__]["properties"]
     assert [key for key, shape in fields(section).items() if bool(unit_of(shape)) != ("Unit: " in said[key]["description"])] == []
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import pytest
@@ -15,6 +15,7 @@ from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Joint, Link, Pose, RobotModel
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.scenario.sensors import SENSORS
 
 TIMESTEP, SUBSTEPS = 0.02, 4
 ORIGIN, ABOVE = Pose(), Pose((0, 0, 1))
@@ -44,6 +45,7 @@ class Scene:
     devices: list[Device]
 
     def sensor(self, sensor: Sensor) -> Device:
+        sensor = replace(sensor, reader=SENSORS[sensor.kind].reader)
         made = Device(sensor, "robot", instrument(sensor, "robot", self.world, self.engine), self.world.timestep)
         self.devices.append(made)
         return made

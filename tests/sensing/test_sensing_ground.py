@@ -23,7 +23,7 @@ def watched(scene: Build, *places: tuple[float, float], turn: tuple[float, float
     world.world = replace(world.world, lines=(TRACK,))
     rays = tuple(Pose((x, y, -0.1)) for x, y in places)
     names = tuple(f"r{index}" for index in range(len(rays)))
-    world.sensor(Sensor("s", "reflectance", ("brick",), names, "1", beams=RayConfig(rays, 0.0, spot=SPOT)))
+    world.sensor(Sensor("s", "reflectance", ("brick",), names, "1", beams=RayConfig(rays, 0.0), parameters=(("spot", SPOT),)))
     world.begin()
     return world
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 from deepbots_cli.compiler.emit.names import Names
 from deepbots_cli.compiler.emit.text import quoted
-from deepbots_cli.compiler.sensing import is_fact, reading
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot, Sensor
@@ -26,7 +25,7 @@ class Sensing:
         """The expression with the name of each sensor that is a fact replaced by that fact."""
         match expression:
             case Name(name, component) if name not in self._received and name not in self._devices:
-                return reading(self._robot.name, self._sensors[name], component)
+                return self._sensors[name].fact_of(self._robot.name, component)
             case Op(op, args):
                 return Op(op, tuple(self.resolved(argument) for argument in args))
             case State(function, args, slot):
@@ -75,4 +74,4 @@ def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     read = {leaf.name for value in on_board for leaf in names_in(value)}
     asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
-    return {sensor.name: sensor for sensor in used if not is_fact(sensor)}
+    return {sensor.name: sensor for sensor in used if not sensor.is_fact}

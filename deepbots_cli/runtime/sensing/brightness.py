@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from deepbots_cli import frames
-from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.port import Engine
-from deepbots_cli.program.robots import RayConfig, Sensor
-from deepbots_cli.program.world import WorldModel
+from deepbots_cli.frames import Triple
+from deepbots_cli.program.robots import RayConfig
 from deepbots_cli.runtime.lines import Paint
-from deepbots_cli.runtime.sensing.device import Instrument
+from deepbots_cli.runtime.sensing.device import Instrument, Site
 
 _DOWN: Triple = (0.0, 0.0, -1.0)
 
 
-def reflectance(engine: Engine, robot: str, sensor: Sensor, mount: Frame, world: WorldModel) -> Instrument:
+def reflectance(site: Site) -> Instrument:
     """The light that the plane z = 0 throws back where -z of each ray's frame meets it; none where it looks level or up.
 
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
     """
-    beams = sensor.beams or RayConfig((), 0.0)
+    beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
     rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(turned, _DOWN)) for origin, turned in rays]
-    read, paint, rotate = engine.pose(robot, sensor.subjects[0]), Paint(world.lines, beams.spot / 2), frames.rotate
+    read, paint, rotate = site.engine.pose(site.robot, site.link), Paint(site.world.lines, spot / 2), frames.rotate
 
     def brightness() -> list[float]:
         (x, y, z), turned = read()

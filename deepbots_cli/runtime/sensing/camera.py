@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.frames import Frame
-from deepbots_cli.port import Engine, Sight
-from deepbots_cli.program.robots import CameraIntrinsics, Sensor
-from deepbots_cli.runtime.sensing.device import Instrument
+from deepbots_cli.port import Sight
+from deepbots_cli.program.robots import CameraIntrinsics
+from deepbots_cli.runtime.sensing.device import Instrument, Site
 
 if TYPE_CHECKING:
     from deepbots_cli.port import Image
@@ -21,10 +20,10 @@ _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 """How bright red, green and blue are (ITU-R BT.601)."""
 
 
-def camera(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrument:
+def camera(site: Site) -> Instrument:
     """A picture, uint8 of the shape of the optics; behind it what the engine saw, for `sees`."""
-    optics = sensor.optics or CameraIntrinsics(1, 1, 1.0)
-    read, taken = engine.camera((robot, sensor.subjects[0]), mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
+    optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
+    read, taken = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
 
     def picture() -> tuple[Image, Sight]:
         sight = read()

@@ -7,7 +7,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from deepbots_cli import frames
+from deepbots_cli.frames import Frame
+from deepbots_cli.plugins import attribute
+from deepbots_cli.port import Engine
 from deepbots_cli.program.robots import NoiseModel, Sensor
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.sensing.faults import Chain
 from deepbots_cli.runtime.streams import Streams
 
@@ -28,6 +33,39 @@ class Instrument(NamedTuple):
     read: Callable[[], Reading]
     restart: Callable[[Any], None] = _nothing
     follow: Callable[[], None] = _nothing
+
+
+class Site(NamedTuple):
+    """A sensor in a world: what its kind's `reader` makes an instrument from. `mount` is its frame in its link."""
+
+    engine: Engine
+    robot: str
+    sensor: Sensor
+    world: WorldModel
+
+    @property
+    def link(self) -> str:
+        """The link or joint that it sits on, or the first of them."""
+        return self.sensor.subjects[0]
+
+    @property
+    def mount(self) -> Frame:
+        return frames.frame(self.sensor.mount)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters that the kind has of its own, in SI units."""
+        return dict(self.sensor.parameters)
+
+
+def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) -> Instrument:
+    """The instrument of a sensor, whose readers are taken from `engine`.
+
+    Raises:
+        EngineError: The robot has no such joint or link, or the engine cannot sense so.
+    """
+    made: Instrument = attribute(sensor.reader)(Site(engine, robot, sensor, world))
+    return made
 
 
 class Device:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import atan2
 
 from deepbots_cli import frames
-from deepbots_cli.frames import HERE, Frame, Quaternion, Triple
-from deepbots_cli.port import Engine, PoseReader, VelocityReader
-from deepbots_cli.runtime.sensing.device import Instrument
+from deepbots_cli.frames import HERE, Quaternion, Triple
+from deepbots_cli.port import PoseReader, VelocityReader
+from deepbots_cli.runtime.sensing.device import Instrument, Site
 
 
-def mounted_pose(engine: Engine, robot: str, link: str, mount: Frame) -> PoseReader:
+def mounted_pose(site: Site) -> PoseReader:
     """Where the sensor is, and how it is turned."""
-    read = engine.pose(robot, link)
+    read, mount = site.engine.pose(site.robot, site.link), site.mount
     if mount == HERE:
         return read
 
@@ -23,12 +23,12 @@ def mounted_pose(engine: Engine, robot: str, link: str, mount: Frame) -> PoseRea
     return of_mount
 
 
-def mounted_velocity(engine: Engine, robot: str, link: str, mount: Frame) -> VelocityReader:
+def mounted_velocity(site: Site) -> VelocityReader:
     """How the sensor moves and turns: v + w x r at the distance r from the link's origin."""
-    arm = mount[0]
+    arm = site.mount[0]
     if arm == HERE[0]:
-        return engine.velocity(robot, link)
-    read = engine.motion(robot, link)
+        return site.engine.velocity(site.robot, site.link)
+    read = site.engine.motion(site.robot, site.link)
 
     def of_mount() -> tuple[Triple, Triple]:
         (_, turned), (linear, angular) = read()
@@ -37,15 +37,15 @@ def mounted_velocity(engine: Engine, robot: str, link: str, mount: Frame) -> Vel
     return of_mount
 
 
-def position(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def position(site: Site) -> Instrument:
     """In m, in the world."""
-    read = mounted_pose(engine, robot, link, mount)
+    read = mounted_pose(site)
     return Instrument(lambda: read()[0])
 
 
-def orientation(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def orientation(site: Site) -> Instrument:
     """The quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not negative."""
-    read = mounted_pose(engine, robot, link, mount)
+    read = mounted_pose(site)
 
     def turned() -> Quaternion:
         x, y, z, w = read()[1]
@@ -54,21 +54,21 @@ def orientation(engine: Engine, robot: str, link: str, mount: Frame) -> Instrume
     return Instrument(turned)
 
 
-def velocity(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def velocity(site: Site) -> Instrument:
     """In m/s, in the world."""
-    read = mounted_velocity(engine, robot, link, mount)
+    read = mounted_velocity(site)
     return Instrument(lambda: read()[0])
 
 
-def angular_velocity(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def angular_velocity(site: Site) -> Instrument:
     """In rad/s, about the axes of the world."""
-    read = engine.velocity(robot, link)
+    read = site.engine.velocity(site.robot, site.link)
     return Instrument(lambda: read()[1])
 
 
-def compass(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def compass(site: Site) -> Instrument:
     """The angle in the plane from x of the world to x of the sensor, in rad, to the left positive."""
-    read = mounted_pose(engine, robot, link, mount)
+    read = mounted_pose(site)
 
     def heading() -> tuple[float]:
         x, y, z, w = read()[1]

@@ -8,32 +8,39 @@ from typing import Any
 from deepbots_cli import frames
 from deepbots_cli.frames import HERE, UPRIGHT, Frame, Triple
 from deepbots_cli.port import Engine
-from deepbots_cli.runtime.sensing.device import Instrument
+from deepbots_cli.runtime.sensing.device import Instrument, Site
 from deepbots_cli.runtime.sensing.frames import mounted_pose
 
 
-def gyro(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def gyro(site: Site) -> Instrument:
     """The angular velocity about the axes of the sensor, in rad/s."""
-    read, back = engine.motion(robot, link), frames.inverse(mount[1])
+    read, back = site.engine.motion(site.robot, site.link), frames.inverse(site.mount[1])
 
     def turning() -> Triple:
         (_, turned), (_, angular) = read()
         return frames.rotate_back(turned, angular)
 
-    return Instrument(turning if mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
+    return Instrument(turning if site.mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
 
 
-def inclinometer(engine: Engine, robot: str, link: str, mount: Frame) -> Instrument:
+def inclinometer(site: Site) -> Instrument:
     """The direction of gravity along the axes of the sensor, of length 1; nothing where there is no gravity."""
-    read = mounted_pose(engine, robot, link, mount)
+    read = mounted_pose(site)
     down: Triple = (0.0, 0.0, -1.0)
 
     def restart(_generator: Any) -> None:
         nonlocal down
-        strength = hypot(*engine.gravity)
-        down = frames.scaled(engine.gravity, 1.0 / strength) if strength else (0.0, 0.0, 0.0)
+        gravity = site.engine.gravity
+        strength = hypot(*gravity)
+        down = frames.scaled(gravity, 1.0 / strength) if strength else (0.0, 0.0, 0.0)
 
     return Instrument(lambda: frames.rotate_back(read()[1], down), restart)
+
+
+def accelerometer(site: Site) -> Instrument:
+    """Proper acceleration along the axes of the sensor, in m/s^2."""
+    imu = Accelerometer(site.engine, site.robot, site.link, site.mount, site.world.timestep)
+    return Instrument(imu.read, imu.restart, imu.follow)
 
 
 class Accelerometer:

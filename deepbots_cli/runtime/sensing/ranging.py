@@ -6,21 +6,20 @@ from bisect import bisect_right
 from typing import Any
 
 from deepbots_cli import frames
-from deepbots_cli.frames import Frame
-from deepbots_cli.port import Engine, RayReader
-from deepbots_cli.program.robots import CalibrationTable, RayConfig, Sensor
-from deepbots_cli.runtime.sensing.device import Instrument
+from deepbots_cli.port import RayReader
+from deepbots_cli.program.robots import CalibrationTable, RayConfig
+from deepbots_cli.runtime.sensing.device import Instrument, Site
 from deepbots_cli.runtime.sensing.faults import Figures, Normals
 
 
-def ranging(engine: Engine, robot: str, sensor: Sensor, mount: Frame) -> Instrument:
+def ranging(site: Site) -> Instrument:
     """How far each ray is free, or one figure of all, in m; or what the lookup table makes of that."""
-    beams = sensor.beams or RayConfig((), 0.0)
+    beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
     rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
-    read = _combined(engine.rays((robot, sensor.subjects[0]), rays, beams.reach), beams)
+    read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
     if beams.lookup is None:
         return Instrument(read)
-    table = Table(beams.lookup, max(1, len(sensor.components)))
+    table = Table(beams.lookup, max(1, len(site.sensor.components)))
     return Instrument(lambda: table(read()), table.restart)
 
 

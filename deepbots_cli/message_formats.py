@@ -1,0 +1,42 @@
+"""How messages may be written: one record per format.
+
+Other packages add a format by an entry point of the group `deepbots.formats`, whose name is the word under `messages.format`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from deepbots_cli.plugins import Table
+
+
+class MessageFormat(NamedTuple):
+    """`codec` is the `module:attribute` of what makes the codec of a layout, empty for no messages at all.
+
+    It takes the stamp of the layout, an int, and one code per value: `d` (a float), `?` (a truth value), or `24s` (so many bytes of a
+    picture). It returns a `runtime.messages.Codec`.
+    """
+
+    summary: str
+    codec: str
+
+
+def _read(name: str, found: Any) -> Iterator[tuple[str, MessageFormat]]:
+    if not isinstance(found, MessageFormat) or not found.summary or not found.codec.partition(":")[2]:
+        raise ValueError(f"{found!r} is no MessageFormat with a summary and the `module:attribute` of its codec")
+    yield name, found
+
+
+_CODECS = "deepbots_cli.runtime.messages"
+FORMATS: Table[MessageFormat] = Table(
+    "deepbots.formats",
+    {
+        "csv": MessageFormat("Numbers as text, parted by commas.", f"{_CODECS}:csv_codec"),
+        "json": MessageFormat("A list in JSON.", f"{_CODECS}:json_codec"),
+        "struct": MessageFormat("Bytes in a fixed layout, the shortest to write and to read.", f"{_CODECS}:struct_codec"),
+        "msgpack": MessageFormat("A list in MessagePack.", f"{_CODECS}:msgpack_codec"),
+        "none": MessageFormat("No messages: the supervisor acts on the robot directly.", ""),
+    },
+    _read,
+)

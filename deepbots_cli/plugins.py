@@ -1,0 +1,107 @@
+"""Plug-ins: what other installed packages add to the tables of deepbots, by entry points.
+
+    deepbots.sensors      a class of `scenario.sensors`, under the word of its `type`
+    deepbots.functions    one or several `expressions.functions.Function`
+    deepbots.formats      a `message_formats.MessageFormat`, under its name
+    deepbots.rules        one or several `rules.LintRule`
+    deepbots.algorithms   a subclass of a model of `scenario.training`, under its name
+    deepbots.engines      a `port.EngineFactory`, under its name
+    deepbots.scenarios    a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`
+
+A group is loaded when a name is asked for that deepbots does not have itself, or when all names are. What cannot be loaded, is of the
+wrong type or has a name that is taken is left out, and one warning says why.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint, EntryPoints
+
+T = TypeVar("T")
+
+
+def entries(group: str) -> tuple[EntryPoint, ...]:
+    """The entry points of a group, in the order in which packages are found."""
+    return tuple(_every(tuple(sys.path)).select(group=group))
+
+
+@cache
+def _every(_path: tuple[str, ...]) -> EntryPoints:
+    """Those of all packages on the path, whose files are read once."""
+    from importlib.metadata import entry_points
+
+    return cast("EntryPoints", entry_points())
+
+
+def refuse(entry: EntryPoint, reason: object) -> None:
+    """Warn that what an entry point names is left out."""
+    logging.getLogger("deepbots").warning("warning: %s", why_not(entry, reason))
+
+
+def why_not(entry: EntryPoint, reason: object) -> str:
+    """The sentence that says so."""
+    told = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
+    what = entry.group.rpartition(".")[2]
+    return f"the {what} '{entry.name}' ({entry.value}) are not available: {' '.join(told.split())[:200]}"
+
+
+def attribute(place: str) -> Any:
+    """What stands at `module:attribute`, imported now.
+
+    Raises:
+        ImportError, AttributeError: There is no such thing.
+    """
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
+class Table(Mapping[str, T], Generic[T]):
+    """Entries by name: our own first, then those of plug-ins.
+
+    `read` gets the name and the object of an entry point, yields named entries, and raises an exception for what cannot be used.
+    """
+
+    def __init__(self, group: str, own: Mapping[str, T], read: Callable[[str, Any], Iterable[tuple[str, T]]]) -> None:
+        self.group = group
+        self.own = own
+        self._read = read
+        self._all: dict[str, T] | None = None
+
+    __hash__ = object.__hash__  # a field type that has a table is a key of caches
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def _loaded(self) -> Mapping[str, T]:
+        if self._all is None:
+            self._all = dict(self.own)  # set first: a plug-in may ask for the table while it is loaded
+            for entry in entries(self.group):
+                try:
+                    for name, found in self._read(entry.name, entry.load()):
+                        if name in self._all:
+                            raise ValueError(f"the name {name!r} is taken")
+                        self._all[name] = found
+                except Exception as error:  # noqa: BLE001 - the code of a plug-in may raise anything
+                    refuse(entry, error)
+        return self._all
+
+    @property
+    def added(self) -> Mapping[str, T]:
+        """The entries of plug-ins."""
+        return {name: found for name, found in self._loaded().items() if name not in self.own}
+
+    def __getitem__(self, name: str) -> T:
+        return self.own[name] if name in self.own else self._loaded()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._loaded())
+
+    def __len__(self) -> int:
+        return len(self._loaded())

@@ -1,0 +1,22 @@
+"""A lint rule."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding, Rule
+
+
+def short_episodes(checked: Checked) -> Iterator[Finding]:
+    """Episodes of fewer than ten steps teach little.
+
+    Most of them is the reset.
+    """
+    program = checked.program
+    if program is not None and program.truncation.max_steps is not None and program.truncation.max_steps < 10:
+        span = checked.namespace.values.span(("truncation", "max_steps"))
+        yield Finding("ACME1", span, f"episodes of {program.truncation.max_steps} steps", help="give at least 10")
+
+
+SHORT_EPISODES = Rule("ACME1", "short-episodes", "warning", "episodes of fewer than ten steps", check=short_episodes)

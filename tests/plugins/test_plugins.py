@@ -1,0 +1,185 @@
+"""A plug-in that is installed is known to every part of deepbots, without a change in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = Path(__file__).with_name("package")
+
+
+def installed(folder: Path, groups: dict[str, dict[str, str]], name: str = "acme") -> None:
+    """Write what pip writes beside an installed package."""
+    info = folder / f"{name}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    lines = [line for group, entries in groups.items() for line in (f"[{group}]", *(f"{key} = {value}" for key, value in entries.items()))]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder in which the metadata of the package is installed."""
+    installed(tmp_path, tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]["entry-points"])
+    return tmp_path
+
+
+def python(folder, *arguments):
+    """Runs Python in the folder, with the package and its metadata on the path."""
+    path = os.pathsep.join(map(str, (folder, PACKAGE, ROOT)))
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=folder, env=environment, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+def deepbots(folder, *arguments):
+    return python(folder, "-m", "deepbots_cli", *arguments)
+
+
+def test_a_scenario_of_a_plugin_is_found_by_name_and_has_no_findings(site):
+    done = deepbots(site, "lint", "acme_spin")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "acme_spin: no findings\n", "")
+    assert "AcmeSpin" in deepbots(site, "inspect", "acme_spin").stdout
+    listed = json.loads(deepbots(site, "list", "--json").stdout)
+    assert "acme_spin" in [row["name"] for row in listed["scenarios"]]
+
+
+def test_lint_of_a_plugin_imports_no_simulator(site):
+    script = "import sys; from deepbots_cli.api import lint; lint('acme_spin'); print({'numpy', 'pybullet', 'torch'} & sys.modules.keys())"
+    assert python(site, "-c", script).stdout == "set()\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "headline"),
+    [
+        ("robots.spinner.sensors.pulses.spacing=5 kg", "DB503", "`spacing`"),
+        ("robots.spinner.sensors.pulses.spacing=-1 deg", "DB105", "`spacing`"),
+        ("robots.spinner.sensors.pulses.direction=bth", "DB104", "unknown word `bth`"),
+        ("robots.spinner.sensors.pulses.spacng=1 deg", "DB101", "spacng"),
+        ("messages.format=pipes", "DB104", "unknown word `pipes`"),
+        ("truncation.max_steps=5", "ACME1", "episodes of 5 steps"),
+    ],
+)
+def test_mistakes_in_what_a_plugin_adds_are_found_at_their_place(site, change, code, headline):
+    done = deepbots(site, "lint", "acme_spin", "--set", change, "--format", "json")
+    found = json.loads(done.stdout)["findings"]
+    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found), done.stdout
+
+
+def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(site):
+    assert "Most of them is the reset." in deepbots(site, "explain", "ACME1").stdout
+    assert deepbots(site, "lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1").stdout.startswith(
+        "acme_spin: no findings"
+    )
+
+
+def test_the_schema_knows_the_kinds_and_their_parameters(site):
+    schema = json.loads(python(site, "-c", "from deepbots_cli.scenario.json_schema import to_text; print(to_text())").stdout)
+    tachometer = schema["$defs"]["acme.sensors.Tachometer"]
+    assert "The way between two pulses." in tachometer["properties"]["spacing"]["description"]
+    assert tachometer["properties"]["direction"]["enum"] == ["both", "forward"]
+    text = json.dumps(schema)
+    assert "Counts the pulses of a disc on a joint" in text
+    assert '"piped"' in text
+    assert "acme.algorithms.GentlePPO" in schema["$defs"]
+
+
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        ("tachometer", "Counts the pulses of a disc on a joint"),
+        ("spacing", "The way between two pulses."),
+        ("halved", "Half of x."),
+        ("GentlePPO", "PPO that makes three passes"),
+    ],
+)
+def test_explain_knows_the_words(site, word, told):
+    assert told in deepbots(site, "explain", word).stdout
+
+
+def test_editors_are_offered_kinds_and_parameters(site):
+    script = """
+from deepbots_cli.scenario.base import fields, shape_at
+from deepbots_cli.scenario.docs import about_kind, hover
+from deepbots_cli.scenario.scenario import Scenario
+data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}}}}
+path = ("robots", "r", "sensors", "s")
+kinds = shape_at(Scenario, data, path, settled=False)
+print("tachometer" in kinds.names, about_kind(kinds, "tachometer"))
+print(hover(shape_at(Scenario, data, path), "spacing"))
+"""
+    told = python(site, "-c", script).stdout
+    assert told.startswith("True Counts the pulses")
+    assert "**spacing**: an angle or a length" in told
+    assert "**Default:** `1 deg`" in told
+
+
+def test_an_environment_runs_with_sensor_format_function_and_engine(site):
+    script = """
+import json
+import deepbots_cli
+env = deepbots_cli.make("acme_spin", engine="counting")
+env.reset(seed=0)
+for _ in range(50):
+    seen = env.step([1.0])[0]
+print(json.dumps([float(seen[0]), type(env.engine).__name__]))
+"""
+    done = python(site, "-c", script)
+    seen, engine = json.loads(done.stdout)
+    # 10 rad/s, halved, in pulses of half a degree: 5 / 0.00873 = 573 of 1000.
+    assert seen == pytest.approx(0.573, abs=0.01), done.stderr
+    assert engine == "Counting"
+
+
+def test_the_algorithm_of_a_plugin_trains_with_its_default(site):
+    script = """
+from deepbots_cli import api
+from deepbots_cli.learning import algorithms, defaults
+program = api.compile("acme_spin").ir
+print({entry.name: entry.value for entry in program.training.hyperparameters}, algorithms.check(program.training))
+print([entry.value for entry in defaults.effective(program, 1000) if entry.name == "n_epochs"])
+"""
+    assert python(site, "-c", script).stdout == "{'n_epochs': 3} None\n[3]\n"
+
+
+@pytest.mark.parametrize(
+    ("group", "entry", "reason"),
+    [
+        ("deepbots.sensors", "pulse = no_such_module:Pulse", "No module named 'no_such_module'"),
+        ("deepbots.sensors", "pulse = json:loads", "is no subclass of JointSensor, LinkSensor or ContactSensor"),
+        ("deepbots.sensors", "pulse = acme.sensors:Tachometer", 'needs the field `type: Literal["pulse"]`'),
+        ("deepbots.sensors", "gyro = deepbots_cli.scenario.sensors:Gyro", "the name 'gyro' is taken"),
+        ("deepbots.formats", "pipe = json:loads", "is no MessageFormat"),
+        ("deepbots.rules", "pipe = json:loads", "TypeError"),
+        ("deepbots.algorithms", "Mine = json:loads", "is derived from none of PPO"),
+        ("deepbots.scenarios", "pipe = no_such_module", "there is no package no_such_module"),
+    ],
+)
+def test_a_broken_plugin_is_told_in_one_line_and_left_out(tmp_path, group, entry, reason):
+    key, _, value = entry.partition(" = ")
+    installed(tmp_path, {group: {key: value}})
+    unknown = ("robots.cart.sensors.pole_angle.type=pulze", "messages.format=pipes", "train.algorithm=Own")
+    wrong = () if group == "deepbots.rules" else unknown  # rules run where nothing else is wrong
+    done = deepbots(tmp_path, "lint", "cartpole", *(word for change in wrong for word in ("--set", change)))
+    told = [line for line in done.stderr.splitlines() if "are not available" in line]
+    assert len(told) == 1, done.stderr
+    assert told[0].startswith(f"warning: the {group.partition('.')[2]} '{key}' ({value}) are not available: ")
+    assert reason in told[0]
+    assert done.returncode == (1 if wrong else 0)
+
+
+def test_a_broken_engine_is_told_in_one_line(tmp_path):
+    installed(tmp_path, {"deepbots.engines": {"odd": "no_such_module:Odd"}})
+    done = python(
+        tmp_path, "-c", "import deepbots_cli\ntry:\n    deepbots_cli.make('cartpole', engine='odd')\nexcept Exception as e:\n    print(e)"
+    )
+    expected = "the engines 'odd' (no_such_module:Odd) are not available: ModuleNotFoundError: No module named 'no_such_module'\n"
+    assert done.stdout == expected
