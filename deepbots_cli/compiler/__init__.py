@@ -36,7 +36,7 @@ from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
 from deepbots_cli.compiler.values import Values, lost_names
 from deepbots_cli.compiler.variants import training
-from deepbots_cli.compiler.world import WorldBuilder, lines, pieces
+from deepbots_cli.compiler.world import lines, pieces, world
 from deepbots_cli.diagnostics import Finding, Findings, Fix, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
@@ -208,20 +208,20 @@ class _Pass:
         spec, namespace, values = self.spec, self.namespace, self.values
         for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
             namespace.settle(name)
-        world = WorldBuilder(spec, namespace).build(scenes, self.lines)
-        arranged, walls = arrangement(spec, namespace, world)
-        world = replace(world, objects=(*world.objects, *walls))
+        bare = world(spec, namespace, scenes, self.lines)
+        arranged, walls = arrangement(spec, namespace, bare)
+        whole = replace(bare, objects=(*bare.objects, *walls))
         limits = truncation(spec, namespace)
         action, rewards = actions.parts(), reward_terms(spec, namespace)
         agent = Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
         routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
-        robots = tuple(controller.finish(world.timestep, action, routes) for controller in controllers)
+        robots = tuple(controller.finish(whole.timestep, action, routes) for controller in controllers)
         program = Program(
             spec.name,
             spec.summary,
             spec.deepbots,
-            world,
+            whole,
             robots,
             spec.messages.format,
             spec.messages.timing,
@@ -235,12 +235,12 @@ class _Pass:
             replace(
                 arranged,
                 joint_starts=joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
-                settle=self._settle(world.timestep),
+                settle=self._settle(whole.timestep),
                 variations=(*namespace.variations, *namespace.colours),
                 groups=tuple(namespace.groups.values()),
             ),
             solved(spec, values),
-            training(spec, values, action, agent, limits, world.timestep),
+            training(spec, values, action, agent, limits, whole.timestep),
             Evaluation(spec.evaluation.episodes),
             agent,
             augmented=frozenset(spec.augment),

@@ -12,18 +12,23 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path as FilePath
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.values import ANY, Values
+from deepbots_cli.compiler.values import ANY, Ends, Text, Values, varied
 from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import NUMBER, TIME
+from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
-from deepbots_cli.expressions.types import Context, Kind, Stage, Subject, Symbol, Type
+from deepbots_cli.expressions.types import Components, Context, Kind, Scope, Stage, Subject, Symbol, Type, Typed
 from deepbots_cli.program.resets import Group, RandomizedParameter
+from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.base import Section
+from deepbots_cli.scenario.fields import Quantity, Range, si
 
 _SHOWN = 12
+FIXED = Stage.FIXED
+Default = TypeVar("Default")
 
 
 class Origin(Enum):
@@ -87,6 +92,136 @@ class Namespace:
         self.definitions.clear()
         self.built_in.clear()
         self.values.readings.clear()
+
+    # Fields of the scenario: their annotations tell dimension, components and the stage by which they are settled
+
+    def scope(self, context: Context) -> ParameterScope:
+        return ParameterScope(self, context)
+
+    def typed(
+        self,
+        text: Text,
+        what: str | None = None,
+        *,
+        dimension: Dimension | None = None,
+        components: Components | None = None,
+        scope: Scope | None = None,
+    ) -> Typed | None:
+        """The tree of a quantity; `dimension` and `components` where its annotation leaves them open. None after a finding."""
+        kind = text.kind
+        assert isinstance(kind, Quantity)  # what else would be asked for
+        stage = Stage[kind.stage.upper()]
+        scope = scope or self.scope(Context.FIELD if stage else Context.FIXED)
+        components = components or kind.axes
+        return self.values.quantity(text, what or f"`{text.path[-1]}`", scope, dimension or kind.si, components, stage)
+
+    def expression(
+        self,
+        section: Section,
+        *steps: str | int,
+        dimension: Dimension | None = None,
+        scope: Scope | None = None,
+    ) -> Expression | None:
+        """A field that is computed anew in an episode or in a step; None where none is given, and after a finding."""
+        if getattr(section, str(steps[0])) is None:
+            return None
+        text = self.values.field(section, *steps)
+        typed = self.typed(text, dimension=dimension, scope=scope)
+        return text.expression(typed) if typed else None
+
+    def figures(
+        self,
+        section: Section,
+        *steps: str | int,
+        dimension: Dimension | None = None,
+        scope: Scope | None = None,
+        stage: Stage = Stage.FIXED,
+    ) -> tuple[float, ...] | None:
+        """The SI values of a fixed field; None where none is given, and after a finding.
+
+        With a later `stage` the language lets the field vary, and a finding says that this does not run yet.
+        """
+        if getattr(section, str(steps[0])) is None:
+            return None
+        text = self.values.field(section, *steps)
+        kind = text.kind
+        assert isinstance(kind, Quantity)
+        scope = scope or self.scope(Context.FIELD if stage else Context.FIXED)
+        return self.values.settled(text, scope, dimension or kind.si, kind.axes, stage)
+
+    def fixed(
+        self,
+        section: Section,
+        *steps: str | int,
+        dimension: Dimension | None = None,
+        scope: Scope | None = None,
+        stage: Stage = Stage.FIXED,
+    ) -> float | None:
+        """The one value of such a field."""
+        found = self.figures(section, *steps, dimension=dimension, scope=scope, stage=stage)
+        return found[0] if found else None
+
+    def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
+        """Such a field in the plane."""
+        found = self.figures(section, *steps)
+        return (found[0], found[1]) if found else None
+
+    def triple(self, section: Section, *steps: str | int) -> tuple[float, float, float] | None:
+        """Such a field in space."""
+        found = self.figures(section, *steps)
+        return (found[0], found[1], found[2]) if found else None
+
+    def varied(
+        self,
+        section: Section,
+        key: str,
+        what: str,
+        of: tuple[str, ...],
+        default: Default,
+        *,
+        dimension: Dimension | None = None,
+        scope: Scope | None = None,
+    ) -> float | Default:
+        """The value of a field that an episode may draw; `default` where none is given, and after a finding.
+
+        `what` is its entry in the table of variations, `of` whose it is. A drawn one is noted there, and the middle of its
+        interval returned.
+        """
+        found = self.all_varied(section, key, what, of, dimension=dimension, scope=scope)
+        return found[0] if found else default
+
+    def all_varied(
+        self,
+        section: Section,
+        key: str,
+        what: str,
+        of: tuple[str, ...],
+        *,
+        dimension: Dimension | None = None,
+        scope: Scope | None = None,
+    ) -> tuple[float, ...] | None:
+        """The same for a vector."""
+        if getattr(section, key) is None:
+            return None
+        text = self.values.field(section, key)
+        kind = text.kind
+        assert isinstance(kind, Quantity)
+        return varied(self, text, dimension or kind.si, scope or self.scope(Context.FIELD), what, of, kind.axes)
+
+    def ends(
+        self,
+        section: Section,
+        *steps: str | int,
+        what: str | None = None,
+        dimension: Dimension | None = None,
+        components: Components | None = None,
+        scope: Scope | None = None,
+    ) -> Ends | None:
+        """The ends of a fixed range; None after a finding."""
+        text = self.values.field(section, *steps)
+        known = si(text.kind.dimension) if isinstance(text.kind, Range) else None
+        scope = scope or self.scope(Context.FIXED)
+        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension or known, components=components)
 
     def varies(self, what: str, of: tuple[str, ...]) -> bool:
         """Whether an episode draws this figure."""

@@ -259,7 +259,7 @@ class Overrides:
             field: self._figure((*place, key), getattr(change, key), None, NUMBER, what, link.name)
             for key, (field, what) in _CONTACT.items()
         }
-        paint = colour(self.namespace, (*place, "colour"), change.colour, (str(self.path[-1]), link.name))
+        paint = colour(self.namespace, change, (str(self.path[-1]), link.name))
         model = edits.with_friction(model, link.name, **contact)
         return edits.with_colour(model, link.name, paint) if paint else model
 
