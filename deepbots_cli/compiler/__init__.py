@@ -192,9 +192,8 @@ class _Pass:
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         self.lines = lines(spec, namespace)
-        scope = ParameterScope(namespace, Context.FIELD)
         for name, robot in spec.robots.items():
-            namespace.robots[name] = load_robot(name, robot, self.document, namespace, scope) if self._is_whole(name) else None
+            namespace.robots[name] = load_robot(name, robot, namespace) if self._is_whole(name) else None
         actions, goals = Actions(spec, namespace), Goals(spec, namespace)
         scenes = [scene for scene in namespace.robots.values() if scene is not None]
         controllers = [Controller(scene, namespace) for scene in scenes]

@@ -166,9 +166,9 @@ class Namespace:
         found = self.figures(section, *steps)
         return (found[0], found[1]) if found else None
 
-    def triple(self, section: Section, *steps: str | int) -> tuple[float, float, float] | None:
+    def triple(self, section: Section, *steps: str | int, stage: Stage = FIXED) -> tuple[float, float, float] | None:
         """Such a field in space."""
-        found = self.figures(section, *steps)
+        found = self.figures(section, *steps, stage=stage)
         return (found[0], found[1], found[2]) if found else None
 
     def varied(

@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path as FilePath
 
 from deepbots_cli.compiler.namespace import Namespace, ParameterScope
-from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.robots import RobotScene, located
 from deepbots_cli.compiler.values import colour
 from deepbots_cli.diagnostics import Edit, Fix
-from deepbots_cli.document import files
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
@@ -58,7 +57,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     """The mesh file of an object or a terrain; None after a finding."""
     values, reference, place = namespace.values, spec.file, (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.triple(spec, "scale")
-    found = _located(namespace, place, reference)
+    found = located(reference, values.span(place), namespace.document, values)
     if found is None or factors is None:
         return None
     loaded = meshes.Meshes(lambda _reference: found).load(reference)
@@ -95,37 +94,18 @@ def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) 
 
 def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str] | None:
     """The path and the digest of a grey picture; None after a finding."""
-    found = _located(namespace, path, reference)
+    span = namespace.values.span(path)
+    found = located(reference, span, namespace.document, namespace.values)
     if found is None:
         return None
     data = read_at_most(found, png.MAX_BYTES + 1)
     wrong = png.fault(data)
     if wrong is not None:
         help = "save it as a grey PNG of 8 or 16 bits, without interlacing"
-        namespace.values.findings.add("DB103", namespace.values.span(path), wrong, help=help)
+        namespace.values.findings.add("DB103", span, wrong, help=help)
         return None
     namespace.files[path] = found
     return str(found), hashlib.sha256(data).hexdigest()
-
-
-def _located(namespace: Namespace, path: Path, reference: str) -> FilePath | None:
-    """The file that the scenario names, in the project or in an installed package."""
-    values, document = namespace.values, namespace.document
-    span = values.span(path)
-    if reference.startswith("package://"):
-        found = meshes.in_package(reference)
-        if found is not None:
-            return found
-        values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
-        return None
-    beside = files.resolve(reference, document.directory_of(span), document.roots)
-    if isinstance(beside, FilePath):
-        return beside
-    library = meshes.library_reference(reference)
-    help = f"did you mean `{library}`?" if library else beside.help
-    fix = Fix.replacing(span, reference, library, safe=False) if library else None
-    values.findings.add("DB204", span, beside.headline, help=help, fix=fix)
-    return None
 
 
 def lines(spec: Scenario, namespace: Namespace) -> tuple[Line, ...]:
