@@ -43,7 +43,6 @@ from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.document.nodes import Mapping as Tree
 from deepbots_cli.document.nodes import descend
 from deepbots_cli.expressions import unification
-from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.expressions.types import Context, Stage, Symbol
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Agent
@@ -238,7 +237,7 @@ class _Pass:
                 variations=(*namespace.variations, *namespace.colours),
                 groups=tuple(namespace.groups.values()),
             ),
-            solved(spec, values),
+            solved(spec, namespace),
             training(spec, values, action, agent, limits, whole.timestep),
             Evaluation(spec.evaluation.episodes),
             agent,
@@ -254,7 +253,7 @@ class _Pass:
             self.namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name, given))
 
     def _parameter(self, name: str, given: object) -> Symbol:
-        text = self.values.text(("parameters", name), given)
+        text = self.values.field(self.spec, "parameters", name)
         checked = self.values.drawn(text, ParameterScope(self.namespace, Context.PARAMETER))
         if checked is None:
             return Symbol(name, None)
@@ -278,13 +277,12 @@ class _Pass:
 
     def _settle(self, tick: float) -> float:
         """Seconds, in whole ticks."""
-        path, scope = ("reset", "settle"), ParameterScope(self.namespace, Context.FIXED)
-        settle = self.values.number(path, self.spec.reset.settle, TIME, scope) or 0.0
+        settle, span = self.namespace.fixed(self.spec.reset, "settle") or 0.0, self.values.field(self.spec.reset, "settle").span
         if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not self.values.is_lost("world.timestep"):
             headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
-            self.values.findings.add("DB308", self.values.span(path), headline, help="the world moves on in whole timesteps")
+            self.values.findings.add("DB308", span, headline, help="the world moves on in whole timesteps")
         steps = settle / tick * self.spec.world.substeps
         if steps > MAX_SETTLING_STEPS:
             headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
-            self.values.findings.add("DB105", self.values.span(path), headline, help="a few seconds are usual")
+            self.values.findings.add("DB105", span, headline, help="a few seconds are usual")
         return settle

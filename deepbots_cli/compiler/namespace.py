@@ -106,11 +106,12 @@ class Namespace:
         dimension: Dimension | None = None,
         components: Components | None = None,
         scope: Scope | None = None,
+        stage: Stage | None = None,
     ) -> Typed | None:
         """The tree of a quantity; `dimension` and `components` where its annotation leaves them open. None after a finding."""
         kind = text.kind
         assert isinstance(kind, Quantity)  # what else would be asked for
-        stage = Stage[kind.stage.upper()]
+        stage = Stage[kind.stage.upper()] if stage is None else stage
         scope = scope or self.scope(Context.FIELD if stage else Context.FIXED)
         components = components or kind.axes
         return self.values.quantity(text, what or f"`{text.path[-1]}`", scope, dimension or kind.si, components, stage)
@@ -121,12 +122,13 @@ class Namespace:
         *steps: str | int,
         dimension: Dimension | None = None,
         scope: Scope | None = None,
+        stage: Stage | None = None,
     ) -> Expression | None:
         """A field that is computed anew in an episode or in a step; None where none is given, and after a finding."""
         if getattr(section, str(steps[0])) is None:
             return None
         text = self.values.field(section, *steps)
-        typed = self.typed(text, dimension=dimension, scope=scope)
+        typed = self.typed(text, dimension=dimension, scope=scope, stage=stage)
         return text.expression(typed) if typed else None
 
     def figures(

@@ -465,25 +465,26 @@ def _owner(text: Text, of: tuple[str, ...]) -> str:
     return ":".join((text.owner, *filter(None, of)))
 
 
-def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) -> Noise | None:
-    """The noise on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of the value.
+def noise(namespace: Namespace, section: Section, of: Typed) -> Noise | None:
+    """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of it.
 
-    None for a deviation of 0, and after a finding.
+    None where none is given, for a deviation of 0, and after a finding.
     """
-    text = values.text(path, given)
+    if "noise" not in section.model_fields_set:
+        return None
+    values, text = namespace.values, namespace.values.field(section, "noise")
     if of.type.boolean or of.type.picture:
         help = "take it out, or give it to the number behind it"
         values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
         return None
     components = of.type.components
-    deviation = values.quantity(text, "the noise", scope, None, components, Stage.EPISODE)
+    deviation = namespace.typed(text, "the noise", components=components)
     if deviation is None or zero(deviation):
         return None
     relative = deviation.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
     if not relative:
         deviation = expect(deviation, values.report(text), "the noise", dimension=of.type.dimension, components=components)
-    std = deviation and Expression("noise", text.span, text.text, deviation, ".".join(map(str, path)), components)
-    return Noise(std, relative) if std else None
+    return Noise(text.expression(deviation, spread=components), relative) if deviation else None
 
 
 def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:
