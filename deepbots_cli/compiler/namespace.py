@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path as FilePath
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypedDict, TypeVar, Unpack
 
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import ANY, Ends, Text, Values, varied
@@ -27,8 +27,16 @@ from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import Quantity, Range, si
 
 _SHOWN = 12
-FIXED = Stage.FIXED
 Default = TypeVar("Default")
+
+
+class Known(TypedDict, total=False):
+    """What a reader of a field knows that its annotation leaves open: a joint turns or slides, a sensor has components."""
+
+    dimension: Dimension | None
+    components: Components | None
+    scope: Scope
+    stage: Stage
 
 
 class Origin(Enum):
@@ -98,132 +106,74 @@ class Namespace:
     def scope(self, context: Context) -> ParameterScope:
         return ParameterScope(self, context)
 
-    def typed(
-        self,
-        text: Text,
-        what: str | None = None,
-        *,
-        dimension: Dimension | None = None,
-        components: Components | None = None,
-        scope: Scope | None = None,
-        stage: Stage | None = None,
-    ) -> Typed | None:
-        """The tree of a quantity; `dimension` and `components` where its annotation leaves them open. None after a finding."""
-        kind = text.kind
-        assert isinstance(kind, Quantity)  # what else would be asked for
-        stage = Stage[kind.stage.upper()] if stage is None else stage
-        scope = scope or self.scope(Context.FIELD if stage else Context.FIXED)
-        components = components or kind.axes
-        return self.values.quantity(text, what or f"`{text.path[-1]}`", scope, dimension or kind.si, components, stage)
+    def typed(self, text: Text, what: str | None = None, **known: Unpack[Known]) -> Typed | None:
+        """The tree of a quantity; None after a finding, which calls the field `what`."""
+        return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._asked(text, known))
 
-    def expression(
-        self,
-        section: Section,
-        *steps: str | int,
-        dimension: Dimension | None = None,
-        scope: Scope | None = None,
-        stage: Stage | None = None,
-    ) -> Expression | None:
+    def expression(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> Expression | None:
         """A field that is computed anew in an episode or in a step; None where none is given, and after a finding."""
-        if getattr(section, str(steps[0])) is None:
-            return None
-        text = self.values.field(section, *steps)
-        typed = self.typed(text, dimension=dimension, scope=scope, stage=stage)
-        return text.expression(typed) if typed else None
+        text = self._given(section, steps)
+        typed = self.typed(text, **known) if text else None
+        return text.expression(typed) if text and typed else None
 
-    def figures(
-        self,
-        section: Section,
-        *steps: str | int,
-        dimension: Dimension | None = None,
-        scope: Scope | None = None,
-        stage: Stage = Stage.FIXED,
-    ) -> tuple[float, ...] | None:
+    def figures(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, ...] | None:
         """The SI values of a fixed field; None where none is given, and after a finding.
 
         With a later `stage` the language lets the field vary, and a finding says that this does not run yet.
         """
-        if getattr(section, str(steps[0])) is None:
-            return None
-        text = self.values.field(section, *steps)
-        kind = text.kind
-        assert isinstance(kind, Quantity)
-        scope = scope or self.scope(Context.FIELD if stage else Context.FIXED)
-        return self.values.settled(text, scope, dimension or kind.si, kind.axes, stage)
+        text = self._given(section, steps)
+        return self.values.settled(text, *self._asked(text, {"stage": Stage.FIXED, **known})) if text else None
 
-    def fixed(
-        self,
-        section: Section,
-        *steps: str | int,
-        dimension: Dimension | None = None,
-        scope: Scope | None = None,
-        stage: Stage = Stage.FIXED,
-    ) -> float | None:
-        """The one value of such a field."""
-        found = self.figures(section, *steps, dimension=dimension, scope=scope, stage=stage)
+    def fixed(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> float | None:
+        """The same for a single value."""
+        found = self.figures(section, *steps, **known)
         return found[0] if found else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
-        """Such a field in the plane."""
+        """The same in the plane."""
         found = self.figures(section, *steps)
         return (found[0], found[1]) if found else None
 
-    def triple(self, section: Section, *steps: str | int, stage: Stage = FIXED) -> tuple[float, float, float] | None:
-        """Such a field in space."""
-        found = self.figures(section, *steps, stage=stage)
+    def triple(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, float, float] | None:
+        """The same in space."""
+        found = self.figures(section, *steps, **known)
         return (found[0], found[1], found[2]) if found else None
 
     def varied(
-        self,
-        section: Section,
-        key: str,
-        what: str,
-        of: tuple[str, ...],
-        default: Default,
-        *,
-        dimension: Dimension | None = None,
-        scope: Scope | None = None,
+        self, section: Section, key: str, what: str, of: tuple[str, ...], default: Default, **known: Unpack[Known]
     ) -> float | Default:
-        """The value of a field that an episode may draw; `default` where none is given, and after a finding.
+        """The SI value of a field that an episode may draw; `default` where none is given, and after a finding.
 
         `what` is its entry in the table of variations, `of` whose it is. A drawn one is noted there, and the middle of its
         interval returned.
         """
-        found = self.all_varied(section, key, what, of, dimension=dimension, scope=scope)
+        found = self.all_varied(section, key, what, of, **known)
         return found[0] if found else default
 
-    def all_varied(
-        self,
-        section: Section,
-        key: str,
-        what: str,
-        of: tuple[str, ...],
-        *,
-        dimension: Dimension | None = None,
-        scope: Scope | None = None,
-    ) -> tuple[float, ...] | None:
+    def all_varied(self, section: Section, key: str, what: str, of: tuple[str, ...], **known: Unpack[Known]) -> tuple[float, ...] | None:
         """The same for a vector."""
-        if getattr(section, key) is None:
+        text = self._given(section, (key,))
+        if text is None:
             return None
-        text = self.values.field(section, key)
-        kind = text.kind
-        assert isinstance(kind, Quantity)
-        return varied(self, text, dimension or kind.si, scope or self.scope(Context.FIELD), what, of, kind.axes)
+        scope, dimension, components, _ = self._asked(text, known)
+        return varied(self, text, dimension, scope, what, of, components)
 
-    def ends(
-        self,
-        section: Section,
-        *steps: str | int,
-        what: str | None = None,
-        dimension: Dimension | None = None,
-        components: Components | None = None,
-        scope: Scope | None = None,
-    ) -> Ends | None:
+    def ends(self, section: Section, *steps: str | int, what: str | None = None, **known: Unpack[Known]) -> Ends | None:
         """The ends of a fixed range; None after a finding."""
         text = self.values.field(section, *steps)
-        known = si(text.kind.dimension) if isinstance(text.kind, Range) else None
-        scope = scope or self.scope(Context.FIXED)
-        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension or known, components=components)
+        dimension = known.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
+        scope = known.get("scope") or self.scope(Context.FIXED)
+        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=known.get("components"))
+
+    def _given(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
+        return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
+
+    def _asked(self, text: Text, known: Known) -> tuple[Scope, Dimension | None, Components | None, Stage]:
+        kind = text.kind
+        assert isinstance(kind, Quantity)  # of nothing else figures are asked for
+        stage = known.get("stage", Stage[kind.stage.upper()])
+        scope = known.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
+        return scope, known.get("dimension") or kind.si, known.get("components") or kind.axes, stage
 
     def varies(self, what: str, of: tuple[str, ...]) -> bool:
         """Whether an episode draws this figure."""

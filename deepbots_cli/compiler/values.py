@@ -367,22 +367,7 @@ class Values:
         self, path: Path, default: object, dimension: Dimension, components: Components | None, scope: Scope | None = None
     ) -> tuple[float, ...] | None:
         """The fixed SI values of a vector with `components`; None after a finding."""
-        return self._figures(path, default, dimension, components, scope or NoNames(), Stage.FIXED)
-
-    def figures(
-        self, path: Path, given: object, dimension: Dimension, scope: Scope, components: Components | None = None
-    ) -> tuple[float, ...] | None:
-        """The same for a field that the language lets vary between episodes, which is not run yet; None where nothing is given."""
-        return None if given is None else self._figures(path, given, dimension, components, scope, Stage.EPISODE)
-
-    def figure(self, path: Path, given: object, dimension: Dimension, scope: Scope) -> float | None:
-        values = self.figures(path, given, dimension, scope)
-        return values[0] if values else None
-
-    def _figures(
-        self, path: Path, given: object, dimension: Dimension, components: Components | None, scope: Scope, stage: Stage
-    ) -> tuple[float, ...] | None:
-        return self.settled(self.text(path, given), scope, dimension, components, stage)
+        return self.settled(self.text(path, default), scope or NoNames(), dimension, components)
 
     def settled(
         self, text: Text, scope: Scope, dimension: Dimension | None, components: Components | None, stage: Stage = Stage.FIXED
