@@ -440,7 +440,14 @@ class Layouts:
                 path: Path = ("reset", "layout", name) if isinstance(given, dict) else ("reset", "layout")
                 span = self._values.key_span(path) if isinstance(given, dict) else self._values.span(path)
                 self._values.unknown(span, "layout", name, list(layouts))
-        found = {name: tuple(self._layout(name, used=name in shares)) for name in layouts}
+        found = {
+            name: tuple(
+                self._map(name, layout, used=name in shares)
+                if isinstance(layout, MapLayout)
+                else self._places.placements(layout, ("reset", "layouts", name), used=name in shares)
+            )
+            for name, layout in layouts.items()
+        }
         return tuple(Layout(name, share, found[name]) for name, share in shares.items() if name in found)
 
     def _shares(self) -> dict[str, float]:
@@ -452,12 +459,6 @@ class Layouts:
             headline = f"shares of {100 * sum(shares.values()):g} % together"
             self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="let them add up to 100 %")
         return shares
-
-    def _layout(self, name: str, *, used: bool) -> list[Placement]:
-        layout = self._spec.reset.layouts[name]
-        if isinstance(layout, MapLayout):
-            return self._map(name, layout, used=used)
-        return self._places.placements(layout, ("reset", "layouts", name), used=used)
 
     # Maps
 

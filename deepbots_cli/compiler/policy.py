@@ -41,6 +41,7 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.scenario.task import Goal as GoalSpec
 
 _NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
 _TOGETHER: tuple[tuple[Path, str], ...] = (
@@ -105,7 +106,8 @@ class Actions:
             if isinstance(part, DiscreteAction):
                 self._define_choices(name, part)
             else:
-                self._define_interval(name, part)
+                self._parts[name] = None
+                namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
         namespace.built_in["previous_action"] = self._own_action
 
     def parts(self) -> tuple[Choices | ActionRange, ...]:
@@ -132,8 +134,7 @@ class Actions:
                 text = self._values.field(part, "forbid", option)
                 if option not in part.choices:
                     self._values.unknown(self._values.key_span(text.path), "choice", option, list(part.choices))
-                typed = self._values.expression(text, scope, boolean=True)
-                typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+                typed = self._values.condition(text, scope)
                 if typed is not None and option in part.choices:
                     found.append((name, option, text.expression(typed)))
             always = {option for part, option, condition in found if part == name and constant(condition.typed) == (True,)}
@@ -189,10 +190,6 @@ class Actions:
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be")
         found = {variable: number(variable) for variable in given}
         return tuple(found.get(variable) or 0.0 for variable in variables)
-
-    def _define_interval(self, name: str, part: ContinuousAction | str) -> None:
-        self._parts[name] = None
-        self._namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
 
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
         holder = (self._spec, "action", name) if isinstance(part, str) else (part, "range")
@@ -353,8 +350,8 @@ class Goals:
         self._valued: dict[str, Expression] = {}
         if spec.goal is not None:
             namespace.built_in["goal_reached"] = self._reached
-            namespace.define("achieved", Origin.GOAL, ("goal", "achieved"), self._achieved)
-            namespace.define("desired", Origin.GOAL, ("goal", "desired"), self._desired)
+            for name in ("achieved", "desired"):
+                namespace.define(name, Origin.GOAL, (*spec.goal.path, name), partial(self._part, spec.goal, name))
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
         """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
@@ -380,33 +377,23 @@ class Goals:
             help = "take `repeat` out, and make the timestep longer"
             self._values.findings.add("DB709", span, "a reward over several ticks, which hindsight cannot recompute", help=help)
 
-    def _achieved(self) -> Symbol:
-        typed = self._expression("achieved")
-        typed = typed and expect(typed, self._values.report(self._text("achieved")), "what is achieved", components=ANY_SHAPE)
-        return self._defined("achieved", typed)
-
-    def _desired(self) -> Symbol:
-        """Of the dimension and the components of what is achieved."""
-        typed, achieved = self._expression("desired"), self._namespace.settle("achieved")
-        if typed is None or achieved is None or achieved.type is None:
-            return Symbol("desired", None)
-        wanted = achieved.type
-        report = self._values.report(self._text("desired"))
-        typed = expect(typed, report, "what is desired", dimension=wanted.dimension, components=wanted.components)
-        return self._defined("desired", typed and typed._replace(type=typed.type._replace(components=wanted.components)))
-
-    def _text(self, name: str) -> Text:
-        return self._values.text(("goal", name), getattr(self._spec.goal, name))
-
-    def _expression(self, name: str) -> Typed | None:
-        return self._values.expression(self._text(name), SupervisorScope(self._namespace, Context.GOAL), boolean=False)
-
-    def _defined(self, name: str, typed: Typed | None) -> Symbol:
+    def _part(self, spec: GoalSpec, name: str) -> Symbol:
+        """What is achieved or desired; what is desired has the dimension and the components of what is achieved."""
+        text = self._values.field(spec, name)
+        typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
+        wanted = None
+        if name == "desired":
+            achieved = self._namespace.settle("achieved")
+            wanted = achieved.type if achieved else None
+        if typed is None or (name == "desired" and wanted is None):
+            return Symbol(name, None)
+        dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
+        typed = expect(typed, self._values.report(text), f"what is {name}", dimension=dimension, components=components)
         if typed is None:
             return Symbol(name, None)
-        text = self._text(name)
-        added = noise(self._namespace, self._spec.goal, typed) if self._spec.goal is not None and name == "achieved" else None
-        self._valued[name] = text.expression(typed, noise=added)
+        if wanted:
+            typed = typed._replace(type=typed.type._replace(components=wanted.components))
+        self._valued[name] = text.expression(typed, noise=noise(self._namespace, spec, typed) if name == "achieved" else None)
         return Symbol(name, typed.type._replace(stage=Stage.STEP))
 
     def _reached(self, context: Context) -> Symbol:
@@ -566,6 +553,5 @@ class _Reader:
 
     def _condition(self, place: Path, given: object) -> Expression | None:
         text = self._values.text(place, given)
-        typed = self._values.expression(text, self._scope, boolean=True)
-        typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+        typed = self._values.condition(text, self._scope)
         return typed and text.expression(typed)

@@ -257,8 +257,13 @@ class Values:
         agrees = unification.truths if boolean else unification.numbers
         return typed if agrees([typed], self.report(text)) else None
 
+    def condition(self, text: Text, scope: Scope) -> Typed | None:
+        """The same for a single truth value."""
+        typed = self.expression(text, scope, boolean=True)
+        return typed and expect(typed, self.report(text), "a condition", boolean=True)
+
     def drawn(self, text: Text, scope: Scope) -> check.Checked | None:
-        """The same, where draws may be repeated (`every 5 s`)."""
+        """The typed tree of an expression where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
         checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
         period = checked.redraw.period if checked and checked.redraw else None
