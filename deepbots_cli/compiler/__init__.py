@@ -4,7 +4,8 @@
     emit      Program ─▶ Python                                                 emit/
 
 values.py       texts to typed trees, findings at their places; values that every episode draws anew; colours
-namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place
+namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place;
+                fields of the scenario, resolved by their annotations
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, what joints measure
 controllers.py  actuators and their limits, poses, commands and messages of a robot

@@ -3,6 +3,9 @@
 Parameters, action variables, augmentation, signals and endings live here, with the fields that robots
 send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevant; what is asked for
 while it is itself being typed closes a circle, which is a finding.
+
+Fields of the scenario are read here, since their values may use names: `namespace.fixed(arena, "wall_height")` takes the path from the
+section, and dimension, components and stage from the annotation.
 """
 
 from __future__ import annotations
@@ -88,7 +91,7 @@ class Namespace:
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[RandomizedParameter] = []
-        """ActuatorLimits that are drawn anew in every episode, in the order in which they were found."""
+        """Figures that are drawn anew in every episode, in the order in which they were found."""
         self.colours: list[RandomizedParameter] = []
         """The same for colours."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}

@@ -334,6 +334,13 @@ _BARE = frozenset({"length", "mass", "number"})
 """The measures of which a bare number is in SI units; for the others the compiler asks for a unit."""
 
 
+@cache
+def si(measure: str) -> Dimension | None:
+    """The dimension of a measure; None where it is one of several."""
+    unit = MEASURES[measure][2]
+    return None if " " in unit else _dimension(unit)
+
+
 def _parsed(text: str) -> syntax.Node | None:
     """The tree of an expression; raises its first syntax error."""
 
@@ -351,17 +358,10 @@ def _parsed(text: str) -> syntax.Node | None:
     return parser.parse(text, report)
 
 
-@cache
 def _dimension(unit: str) -> Dimension:
     """The dimension of a unit such as `N*m`; `1` is that of plain numbers."""
     tree = parser.parse(f"1 {unit}" if unit != "1" else unit, lambda *_, **__: None)
     return tree.unit.dimension if isinstance(tree, syntax.Number) and tree.unit else NUMBER
-
-
-def si(measure: str) -> Dimension | None:
-    """The dimension of a measure; None where it is one of several."""
-    unit = MEASURES[measure][2]
-    return None if " " in unit else _dimension(unit)
 
 
 @dataclass(frozen=True)
