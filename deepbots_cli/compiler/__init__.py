@@ -4,7 +4,8 @@
     emit      Program ─▶ Python                                                 emit/
 
 values.py       texts to typed trees, findings at their places; values that every episode draws anew; colours
-namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place
+namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place;
+                fields of the scenario, resolved by their annotations
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, what joints measure
 controllers.py  actuators and their limits, poses, commands and messages of a robot
@@ -36,14 +37,13 @@ from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
 from deepbots_cli.compiler.values import Values, lost_names
 from deepbots_cli.compiler.variants import training
-from deepbots_cli.compiler.world import WorldBuilder, lines, pieces
+from deepbots_cli.compiler.world import lines, pieces, world
 from deepbots_cli.diagnostics import Finding, Findings, Fix, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.document.nodes import Mapping as Tree
 from deepbots_cli.document.nodes import descend
 from deepbots_cli.expressions import unification
-from deepbots_cli.expressions.dimensions import TIME
 from deepbots_cli.expressions.types import Context, Stage, Symbol
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Agent
@@ -192,9 +192,8 @@ class _Pass:
         for name in spec.world.lines:
             namespace.define(name, Origin.LINE, ("world", "lines", name))
         self.lines = lines(spec, namespace)
-        scope = ParameterScope(namespace, Context.FIELD)
         for name, robot in spec.robots.items():
-            namespace.robots[name] = load_robot(name, robot, self.document, namespace, scope) if self._is_whole(name) else None
+            namespace.robots[name] = load_robot(name, robot, namespace) if self._is_whole(name) else None
         actions, goals = Actions(spec, namespace), Goals(spec, namespace)
         scenes = [scene for scene in namespace.robots.values() if scene is not None]
         controllers = [Controller(scene, namespace) for scene in scenes]
@@ -208,20 +207,20 @@ class _Pass:
         spec, namespace, values = self.spec, self.namespace, self.values
         for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
             namespace.settle(name)
-        world = WorldBuilder(spec, namespace).build(scenes, self.lines)
-        arranged, walls = arrangement(spec, namespace, world)
-        world = replace(world, objects=(*world.objects, *walls))
+        bare = world(spec, namespace, scenes, self.lines)
+        arranged, walls = arrangement(spec, namespace, bare)
+        whole = replace(bare, objects=(*bare.objects, *walls))
         limits = truncation(spec, namespace)
         action, rewards = actions.parts(), reward_terms(spec, namespace)
         agent = Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
         drawn = tuple(self.parameters[name] for name in namespace.order if name in self.parameters and self._is_drawn(name))
         routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
-        robots = tuple(controller.finish(world.timestep, action, routes) for controller in controllers)
+        robots = tuple(controller.finish(whole.timestep, action, routes) for controller in controllers)
         program = Program(
             spec.name,
             spec.summary,
             spec.deepbots,
-            world,
+            whole,
             robots,
             spec.messages.format,
             spec.messages.timing,
@@ -235,12 +234,12 @@ class _Pass:
             replace(
                 arranged,
                 joint_starts=joint_starts(spec, namespace, {controller.scene.name: controller.poses for controller in controllers}),
-                settle=self._settle(world.timestep),
+                settle=self._settle(whole.timestep),
                 variations=(*namespace.variations, *namespace.colours),
                 groups=tuple(namespace.groups.values()),
             ),
-            solved(spec, values),
-            training(spec, values, action, agent, limits, world.timestep),
+            solved(spec, namespace),
+            training(spec, values, action, agent, limits, whole.timestep),
             Evaluation(spec.evaluation.episodes),
             agent,
             augmented=frozenset(spec.augment),
@@ -255,7 +254,7 @@ class _Pass:
             self.namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name, given))
 
     def _parameter(self, name: str, given: object) -> Symbol:
-        text = self.values.text(("parameters", name), given)
+        text = self.values.field(self.spec, "parameters", name)
         checked = self.values.drawn(text, ParameterScope(self.namespace, Context.PARAMETER))
         if checked is None:
             return Symbol(name, None)
@@ -279,13 +278,12 @@ class _Pass:
 
     def _settle(self, tick: float) -> float:
         """Seconds, in whole ticks."""
-        path, scope = ("reset", "settle"), ParameterScope(self.namespace, Context.FIXED)
-        settle = self.values.number(path, self.spec.reset.settle, TIME, scope) or 0.0
+        settle, span = self.namespace.fixed(self.spec.reset, "settle") or 0.0, self.values.field(self.spec.reset, "settle").span
         if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not self.values.is_lost("world.timestep"):
             headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
-            self.values.findings.add("DB308", self.values.span(path), headline, help="the world moves on in whole timesteps")
+            self.values.findings.add("DB308", span, headline, help="the world moves on in whole timesteps")
         steps = settle / tick * self.spec.world.substeps
         if steps > MAX_SETTLING_STEPS:
             headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
-            self.values.findings.add("DB105", self.values.span(path), headline, help="a few seconds are usual")
+            self.values.findings.add("DB105", span, headline, help="a few seconds are usual")
         return settle

@@ -2,54 +2,46 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
+from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.values import Text, Values
-from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import FORCE, LENGTH, NUMBER, TIME, TORQUE, Dimension
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.types import SPACE, Components, Context, Invocation, Kind, Redraw, Stage, Typed, children
+from deepbots_cli.expressions.types import Context, Invocation, Kind, Redraw, Stage, Typed, children
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program.resets import Disturbance
 from deepbots_cli.program.robots import Direction, Route
 from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.fields import Quantity
 from deepbots_cli.scenario.robot import Route as RouteSpec
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
-
-_FIGURES: tuple[tuple[str, Dimension, Stage], ...] = (
-    ("latency", TIME, Stage.STEP),
-    ("loss", NUMBER, Stage.STEP),
-    ("range", LENGTH, Stage.EPISODE),
-)
 
 
 def route(spec: Scenario, direction: Direction, namespace: Namespace) -> Route:
     """What `messages.to_robot` or `messages.from_robot` says."""
     given: RouteSpec = getattr(spec.messages, direction)
-    place: Path = ("messages", direction)
     values = namespace.values
     if spec.messages.format == "none" and given.model_fields_set:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot at once"
-        values.findings.add("DB407", values.key_span(place), f"`{direction}` without messages", help=help)
+        values.findings.add("DB407", values.key_span(given.path), f"`{direction}` without messages", help=help)
         return Route()
-    scope = ParameterScope(namespace, Context.FIELD)
-    found: dict[str, Expression] = {}
-    for name, dimension, stage in _FIGURES:
-        if name in given.model_fields_set and getattr(given, name) is not None:
-            figure = _figure(values.text((*place, name), getattr(given, name)), name, scope, dimension, stage, values)
-            found |= {name: figure} if figure else {}
-    burst = values.number((*place, "burst"), given.burst, NUMBER, scope) if given.burst is not None else None
-    if burst is not None and "loss" in found:
-        _check_burst(burst, found["loss"], (*place, "burst"), values)
-    return Route(found.get("latency"), found.get("loss"), burst, found.get("range"), given.order, given.on_loss)
+    latency, loss, range_ = (_figure(given, name, namespace) for name in ("latency", "loss", "range"))
+    burst = namespace.fixed(given, "burst", scope=namespace.scope(Context.FIELD))
+    if burst is not None and loss is not None:
+        _check_burst(burst, loss, values.field(given, "burst").span, values)
+    return Route(latency, loss, burst, range_, given.order, given.on_loss)
 
 
-def _figure(text: Text, name: str, scope: ParameterScope, dimension: Dimension, stage: Stage, values: Values) -> Expression | None:
-    what = f"`{name}`"
-    if stage is not Stage.STEP:
-        typed, redraw = values.quantity(text, what, scope, dimension, stage=stage), None
+def _figure(given: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
+    """A figure of a route, where the file gives it. One that may be new in every step may say how often its draws are repeated."""
+    if name not in given.model_fields_set or getattr(given, name) is None:
+        return None
+    values, text, what = namespace.values, namespace.values.field(given, name), f"`{name}`"
+    assert isinstance(text.kind, Quantity)  # as in the model
+    if text.kind.stage == "step" and text.kind.si is not None:
+        typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
     else:
-        typed, redraw = values.redrawn(text, what, scope, dimension)
+        typed, redraw = namespace.typed(text), None
     if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
         return None
     if typed.type.stage is Stage.FIXED and values.fixed(typed, text, what) is None:
@@ -57,12 +49,12 @@ def _figure(text: Text, name: str, scope: ParameterScope, dimension: Dimension, 
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
 
-def _check_burst(burst: float, loss: Expression, place: Path, values: Values) -> None:
+def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> None:
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
     most = loss.typed.type.interval.high
     if burst / (burst + 1.0) < min(most, 1.0) < 1.0:
         headline = f"runs of {burst:g} lost messages cannot make up a share of {most:g}"
-        values.findings.add("DB105", values.span(place), headline, help=f"give at least {most / (1.0 - most):.3g}")
+        values.findings.add("DB105", span, headline, help=f"give at least {most / (1.0 - most):.3g}")
 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
@@ -99,76 +91,53 @@ _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 def disturbances(spec: Scenario, namespace: Namespace) -> tuple[Disturbance, ...]:
     """The entries of `disturbances`, in the order of the file."""
-    found = [_Reader(name, given, spec, namespace).push() for name, given in spec.disturbances.items()]
+    found = [_disturbance(name, given, spec, namespace) for name, given in spec.disturbances.items()]
     return tuple(push for push in found if push is not None)
 
 
-class _Reader:
-    """Reads one disturbance."""
+def _disturbance(name: str, given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> Disturbance | None:
+    pushed = _pushed(given, spec, namespace)
+    keys = ("force", "torque", "at", "every", "lasts")
+    force, torque, first, every, lasts = found = [namespace.expression(given, key, stage=Stage.STEP) for key in keys]
+    if every is not None and lasts is not None:
+        _check_overlap(every, lasts, namespace)
+    is_broken = any(value is None and getattr(given, key) is not None for key, value in zip(keys, found, strict=True))
+    return None if pushed is None or lasts is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, lasts)
 
-    def __init__(self, name: str, given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> None:
-        self._name = name
-        self._given = given
-        self._spec = spec
-        self._namespace = namespace
-        self._values = namespace.values
-        self._place: Path = ("disturbances", name)
 
-    def push(self) -> Disturbance | None:
-        given = self._given
-        pushed = self._pushed()
-        force, torque = self._value("force", FORCE, SPACE), self._value("torque", TORQUE, SPACE)
-        first, every, lasts = self._value("at", TIME), self._value("every", TIME), self._value("lasts", TIME)
-        if every is not None and lasts is not None:
-            self._check_overlap(every, lasts)
-        wanted = [(given.force, force), (given.torque, torque), (given.at, first), (given.every, every), (given.lasts, lasts)]
-        if pushed is None or lasts is None or any(value is None for text, value in wanted if text is not None):
-            return None
-        return Disturbance(self._name, *pushed, force, torque, first, every, lasts)
+def _pushed(given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> tuple[str, str | None] | None:
+    """Body and link that are pushed; None after a finding."""
+    called, values, scenes = given.body, namespace.values, [scene for scene in namespace.robots.values() if scene is not None]
+    span = values.field(given, "body").span
+    subject = namespace.subject(called, frozenset({Kind.LINK}))
+    if subject is None:
+        links = [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]
+        values.unknown(span, "robot, link or object", called, [*namespace.named(Origin.ROBOT, Origin.OBJECT), *links])
+        return None
+    if subject.kind is Kind.BROKEN:
+        return None
+    body, _, link = called.partition(".")
+    if subject.kind not in _PUSHED:
+        values.findings.add("DB203", span, f"`{called}` is {subject.kind.words}", help="a push acts on a robot, a link or an object")
+        return None
+    if _is_fixed(body, link, spec, namespace):
+        values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
+        return None
+    return body, link or None
 
-    def _pushed(self) -> tuple[str, str | None] | None:
-        """Body and link that are pushed; None after a finding."""
-        called, values = self._given.body, self._values
-        span = values.span((*self._place, "body"))
-        subject = self._namespace.subject(called, frozenset({Kind.LINK}))
-        if subject is None or subject.kind is Kind.BROKEN:
-            if subject is None:
-                known = [*self._namespace.named(Origin.ROBOT, Origin.OBJECT), *self._links()]
-                values.unknown(span, "robot, link or object", called, known)
-            return None
-        body, _, link = called.partition(".")
-        if subject.kind not in _PUSHED:
-            values.findings.add("DB203", span, f"`{called}` is {subject.kind.words}", help="a push acts on a robot, a link or an object")
-            return None
-        if self._is_fixed(body, link):
-            values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
-            return None
-        return body, link or None
 
-    def _is_fixed(self, body: str, link: str) -> bool:
-        """Whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
-        scene = self._namespace.robots.get(body)
-        if scene is not None:
-            return scene.spec.base == "fixed" and link in ("", scene.model.root)
-        thing = self._spec.objects.get(body)
-        return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
+def _is_fixed(body: str, link: str, spec: Scenario, namespace: Namespace) -> bool:
+    """Whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
+    scene = namespace.robots.get(body)
+    if scene is not None:
+        return scene.spec.base == "fixed" and link in ("", scene.model.root)
+    thing = spec.objects.get(body)
+    return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
 
-    def _links(self) -> list[str]:
-        scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
-        return [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]
 
-    def _value(self, key: str, dimension: Dimension, components: Components | None = None) -> Expression | None:
-        given = getattr(self._given, key)
-        if given is None:
-            return None
-        place: Path = (*self._place, key)
-        text, scope = self._values.text(place, given), ParameterScope(self._namespace, Context.FIELD)
-        typed = self._values.quantity(text, f"`{key}`", scope, dimension, components, Stage.STEP)
-        return Expression(key, text.span, text.text, typed, f"disturbances.{self._name}.{key}") if typed else None
-
-    def _check_overlap(self, every: Expression, lasts: Expression) -> None:
-        """DB105 where a push may begin while the one before still acts."""
-        longest, soonest = lasts.typed.type.interval.high, every.typed.type.interval.low
-        if longest > soonest * (1 + 1e-9):
-            headline = f"a push that may last {longest:g} s, where the next may begin after {soonest:g} s"
-            self._values.findings.add("DB105", lasts.span, headline, help="make it shorter than `every`")
+def _check_overlap(every: Expression, lasts: Expression, namespace: Namespace) -> None:
+    """DB105 where a push may begin while the one before still acts."""
+    longest, soonest = lasts.typed.type.interval.high, every.typed.type.interval.low
+    if longest > soonest * (1 + 1e-9):
+        headline = f"a push that may last {longest:g} s, where the next may begin after {soonest:g} s"
+        namespace.values.findings.add("DB105", lasts.span, headline, help="make it shorter than `every`")

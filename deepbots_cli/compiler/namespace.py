@@ -3,6 +3,9 @@
 Parameters, action variables, augmentation, signals and endings live here, with the fields that robots
 send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevant; what is asked for
 while it is itself being typed closes a circle, which is a finding.
+
+Fields of the scenario are read here, since their values may use names: `namespace.fixed(arena, "wall_height")` takes the path from the
+section, and dimension, components and stage from the annotation.
 """
 
 from __future__ import annotations
@@ -12,18 +15,31 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path as FilePath
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, TypeVar, Unpack
 
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.values import ANY, Values
+from deepbots_cli.compiler.values import ANY, Ends, Text, Values, varied
 from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import NUMBER, TIME
+from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
-from deepbots_cli.expressions.types import Context, Kind, Stage, Subject, Symbol, Type
+from deepbots_cli.expressions.types import Components, Context, Kind, Scope, Stage, Subject, Symbol, Type, Typed
 from deepbots_cli.program.resets import Group, RandomizedParameter
+from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.base import Section
+from deepbots_cli.scenario.fields import Quantity, Range, si
 
 _SHOWN = 12
+Default = TypeVar("Default")
+
+
+class Known(TypedDict, total=False):
+    """What a reader of a field knows that its annotation leaves open: a joint turns or slides, a sensor has components."""
+
+    dimension: Dimension | None
+    components: Components | None
+    scope: Scope
+    stage: Stage
 
 
 class Origin(Enum):
@@ -75,7 +91,7 @@ class Namespace:
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[RandomizedParameter] = []
-        """ActuatorLimits that are drawn anew in every episode, in the order in which they were found."""
+        """Figures that are drawn anew in every episode, in the order in which they were found."""
         self.colours: list[RandomizedParameter] = []
         """The same for colours."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}
@@ -87,6 +103,80 @@ class Namespace:
         self.definitions.clear()
         self.built_in.clear()
         self.values.readings.clear()
+
+    # Fields of the scenario: their annotations tell dimension, components and the stage by which they are settled
+
+    def scope(self, context: Context) -> ParameterScope:
+        return ParameterScope(self, context)
+
+    def typed(self, text: Text, what: str | None = None, **known: Unpack[Known]) -> Typed | None:
+        """The tree of a quantity; None after a finding, which calls the field `what`."""
+        return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._asked(text, known))
+
+    def expression(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> Expression | None:
+        """A field that is computed anew in an episode or in a step; None where none is given, and after a finding."""
+        text = self._given(section, steps)
+        typed = self.typed(text, **known) if text else None
+        return text.expression(typed) if text and typed else None
+
+    def figures(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, ...] | None:
+        """The SI values of a fixed field; None where none is given, and after a finding.
+
+        With a later `stage` the language lets the field vary, and a finding says that this does not run yet.
+        """
+        text = self._given(section, steps)
+        return self.values.settled(text, *self._asked(text, {"stage": Stage.FIXED, **known})) if text else None
+
+    def fixed(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> float | None:
+        """The same for a single value."""
+        found = self.figures(section, *steps, **known)
+        return found[0] if found else None
+
+    def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
+        """The same in the plane."""
+        found = self.figures(section, *steps)
+        return (found[0], found[1]) if found else None
+
+    def triple(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, float, float] | None:
+        """The same in space."""
+        found = self.figures(section, *steps, **known)
+        return (found[0], found[1], found[2]) if found else None
+
+    def varied(
+        self, section: Section, key: str, what: str, of: tuple[str, ...], default: Default, **known: Unpack[Known]
+    ) -> float | Default:
+        """The SI value of a field that an episode may draw; `default` where none is given, and after a finding.
+
+        `what` is its entry in the table of variations, `of` whose it is. A drawn one is noted there, and the middle of its
+        interval returned.
+        """
+        found = self.all_varied(section, key, what, of, **known)
+        return found[0] if found else default
+
+    def all_varied(self, section: Section, key: str, what: str, of: tuple[str, ...], **known: Unpack[Known]) -> tuple[float, ...] | None:
+        """The same for a vector."""
+        text = self._given(section, (key,))
+        if text is None:
+            return None
+        scope, dimension, components, _ = self._asked(text, known)
+        return varied(self, text, dimension, scope, what, of, components)
+
+    def ends(self, section: Section, *steps: str | int, what: str | None = None, **known: Unpack[Known]) -> Ends | None:
+        """The ends of a fixed range; None after a finding."""
+        text = self.values.field(section, *steps)
+        dimension = known.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
+        scope = known.get("scope") or self.scope(Context.FIXED)
+        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=known.get("components"))
+
+    def _given(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
+        return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
+
+    def _asked(self, text: Text, known: Known) -> tuple[Scope, Dimension | None, Components | None, Stage]:
+        kind = text.kind
+        assert isinstance(kind, Quantity)  # of nothing else figures are asked for
+        stage = known.get("stage", Stage[kind.stage.upper()])
+        scope = known.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
+        return scope, known.get("dimension") or kind.si, known.get("components") or kind.axes, stage
 
     def varies(self, what: str, of: tuple[str, ...]) -> bool:
         """Whether an episode draws this figure."""

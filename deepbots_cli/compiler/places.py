@@ -8,14 +8,14 @@ from dataclasses import replace
 from math import atan2, hypot, pi
 
 from deepbots_cli import footprint
-from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
+from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.intervals import TURN, exact
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Invocation, Pick, Stage, Type, Typed
+from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Invocation, Pick, Stage, Type
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
 from deepbots_cli.program.values import Expression
@@ -254,15 +254,14 @@ class Places:
         self._namespace = namespace
         self._values = namespace.values
         self._world = world
-        self._scope = ParameterScope(namespace, Context.RESET)
-        self._fixed = ParameterScope(namespace, Context.FIXED)
+        self._scope = namespace.scope(Context.RESET)
 
     def placements(self, given: Mapping[str, Pose], path: Path, *, used: bool = True) -> list[Placement]:
         """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are used."""
         found = []
         for body, pose in given.items():
             if self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
-                found.append(self.placement(body, pose, (*path, body), used=used))
+                found.append(self.placement(body, pose, used=used))
             else:
                 known = self._namespace.named(Origin.ROBOT, Origin.OBJECT)
                 self._values.unknown(self._values.key_span((*path, body)), "robot or object", body, known)
@@ -270,47 +269,52 @@ class Places:
 
     def at_home(self, body: str) -> Placement:
         """At the body's own `pose`."""
-        section, known = ("robots", self._spec.robots) if body in self._spec.robots else ("objects", self._spec.objects)
-        return self.placement(body, known[body].pose, (section, body, "pose"))
+        thing = self._spec.robots[body] if body in self._spec.robots else self._spec.objects[body]
+        return self.placement(body, thing.pose)
 
-    def placement(self, body: str, pose: Pose, path: Path, *, used: bool = True) -> Placement:
+    def placement(self, body: str, pose: Pose, *, used: bool = True) -> Placement:
         """The placement of a known body; what had findings is left out of it."""
-        place = Placement(body, self.coordinates(pose, path), owner=owner_of(path))
+        place = Placement(body, self.coordinates(pose), owner=owner_of(pose.path))
         if not isinstance(pose, PlacementSpec):
             return self.resting(place)
         place = replace(
             place,
-            clearance=self._values.number((*path, "clearance"), pose.clearance, LENGTH, self._fixed) or 0.0,
+            clearance=self._namespace.fixed(pose, "clearance") or 0.0,
             at_most=pose.at_most,
-            spacing=self._spacing(pose, path),
-            velocity=self._vector("velocity", pose.velocity, path, LENGTH / TIME),
-            angular_velocity=self._vector("angular_velocity", pose.angular_velocity, path, ANGLE / TIME),
+            spacing=self._namespace.pair(pose, "spacing") or (0.0, 0.0),
+            velocity=self._namespace.expression(pose, "velocity", scope=self._scope),
+            angular_velocity=self._namespace.expression(pose, "angular_velocity", scope=self._scope),
         )
-        place = self._on_line(place, pose.line, path) if pose.line else place
+        place = self._on_line(place, pose, pose.line) if pose.line else place
         if pose.on is not None:
-            place = replace(place, spot=self._top(pose.on, pose, path))
+            place = replace(place, spot=self._top(pose.on, pose))
         elif pose.region is not None:
-            place = replace(place, spot=self._region(pose, path))
+            place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
-            span = self._values.key_span((*path, "grid"))
+            span = self._values.key_span((*pose.path, "grid"))
             self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
-        self._check_spots(place.spot, path)
+        self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
-            check_room(place, place.spot, self._world, self._namespace, path)
-        self._check_copies(place, path, used=used)
+            check_room(place, place.spot, self._world, self._namespace, pose.path)
+        self._check_copies(place, pose.path, used=used)
         return self.resting(place)
 
-    def coordinates(self, pose: Pose, path: Path) -> dict[str, Expression]:
-        found: dict[str, Expression] = {}
-        for whole, parts, dimension in (("xyz", SPACE, LENGTH), ("rpy", _TURNS, ANGLE)):
+    def coordinates(self, pose: Pose) -> dict[str, Expression]:
+        """What the pose says of x, y, z, roll, pitch and yaw, each by itself or as a component of `xyz` or `rpy`."""
+        found: dict[str, Expression | None] = {}
+        for whole, parts in (("xyz", SPACE), ("rpy", _TURNS)):
             for part in parts:
-                given = getattr(pose, part)
-                if given is not None:
-                    coordinate = self._coordinate(given, (*path, part), dimension)
-                    found |= {part: coordinate} if coordinate else {}
-            if getattr(pose, whole) is not None:
-                found |= self._components(getattr(pose, whole), (*path, whole), parts, dimension)
-        return found
+                if getattr(pose, part) == "any":
+                    found[part] = self._values.field(pose, part).expression(_ANYWHERE)
+                else:
+                    found[part] = self._namespace.expression(pose, part, scope=self._scope)
+            vector = self._namespace.expression(pose, whole, scope=self._scope)
+            if vector is not None:
+                typed, single = vector.typed, vector.typed.type._replace(components=None)
+                for index, part in enumerate(parts):
+                    tree = Pick(single, typed.start, typed.end, typed, (index,)) if typed.type.components else typed
+                    found[part] = replace(vector, name=part, typed=tree)
+        return {part: coordinate for part, coordinate in found.items() if coordinate is not None}
 
     def resting(self, place: Placement) -> Placement:
         """The placement of a body that lies on the ground where no height is given; a robot with a fixed base is built in at 0."""
@@ -321,50 +325,21 @@ class Places:
         lying = None if self._world.terrain else shapes.get(place.body) or models.get(place.body)
         return replace(place, rests=not is_built_in and "z" not in place.coordinates, lying=lying)
 
-    def _coordinate(self, given: object, path: Path, dimension: Dimension) -> Expression | None:
-        text = self._values.text(path, given)
-        typed = _ANYWHERE if given == "any" else self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, None, Stage.EPISODE)
-        return Expression(str(path[-1]), text.span, text.text, typed, owner_of(path)) if typed else None
-
-    def _components(self, given: object, path: Path, parts: tuple[str, ...], dimension: Dimension) -> dict[str, Expression]:
-        """The components of `xyz` or `rpy`, each picked from the same typed vector."""
-        text = self._values.text(path, given)
-        typed = self._values.quantity(text, f"`{path[-1]}`", self._scope, dimension, SPACE, Stage.EPISODE)
-        if typed is None:
-            return {}
-        owner, single = owner_of(path), typed.type._replace(components=None)
-        picks: list[Typed] = [Pick(single, typed.start, typed.end, typed, (index,)) for index in range(len(parts))]
-        trees = picks if typed.type.components else [typed] * len(parts)
-        return {part: Expression(part, text.span, text.text, tree, owner) for part, tree in zip(parts, trees, strict=True)}
-
-    def _vector(self, name: str, given: object, path: Path, dimension: Dimension) -> Expression | None:
-        if given is None:
-            return None
-        text = self._values.text((*path, name), given)
-        typed = self._values.quantity(text, f"`{name}`", self._scope, dimension, SPACE, Stage.EPISODE)
-        return Expression(name, text.span, text.text, typed, owner_of((*path, name))) if typed else None
-
-    def _spacing(self, pose: PlacementSpec, path: Path) -> tuple[float, float]:
-        if pose.spacing is None:
-            return (0.0, 0.0)
-        found = self._values.numbers((*path, "spacing"), pose.spacing, LENGTH, PLANE, self._fixed)
-        return (found[0], found[1]) if found else (0.0, 0.0)
-
-    def _on_line(self, place: Placement, line: str, path: Path) -> Placement:
+    def _on_line(self, place: Placement, pose: PlacementSpec, line: str) -> Placement:
         """The beginning of a painted line, heading along it."""
+        span = self._values.field(pose, "line").span
         stroke = next((stroke for stroke in self._world.lines if stroke.name == line), None)
         if stroke is None:
-            self._values.unknown(self._values.span((*path, "line")), "line", line, self._namespace.named(Origin.LINE))
+            self._values.unknown(span, "line", line, self._namespace.named(Origin.LINE))
             return place
         self._namespace.touch(line)
         first, second = stroke.pieces[0]
-        span, owner = self._values.span((*path, "line")), owner_of(path)
-        here = {axis: Expression(axis, span, line, _length(first[index]), owner) for index, axis in enumerate(PLANE)}
+        here = {axis: Expression(axis, span, line, _length(first[index]), place.owner) for index, axis in enumerate(PLANE)}
         return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
 
-    def _top(self, name: str, pose: PlacementSpec, path: Path) -> Top | None:
-        """The top of the object called `name`, for the body at `path` to stand on."""
-        span = self._values.span((*path, "on"))
+    def _top(self, name: str, pose: PlacementSpec) -> Top | None:
+        """The top of the object called `name`, for a body to stand on."""
+        span = self._values.field(pose, "on").span
         flat = [thing.name for thing in self._world.objects if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT]
         if self._namespace.origin(name) is None:
             self._values.unknown(span, "object", name, flat)
@@ -372,27 +347,23 @@ class Places:
             headline = f"`{name}` has no flat top that a body could stand on"
             help = f"name a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}"
             self._values.findings.add("DB203", span, headline, help=help)
-        if name not in flat or (pose.region is not None and (region := self._region(pose, path)) is None):
+        if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
             return None
-        mesh = self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed) if pose.grid is not None else None
-        return Top(name, region if pose.region is not None else None, mesh)
+        return Top(name, region if pose.region is not None else None, self._namespace.fixed(pose, "grid"))
 
-    def _region(self, pose: PlacementSpec, path: Path) -> Region | None:
-        mesh = None
-        if pose.grid is not None and (mesh := self._values.number((*path, "grid"), pose.grid, LENGTH, self._fixed)) is None:
+    def _region(self, pose: PlacementSpec) -> Region | None:
+        mesh = self._namespace.fixed(pose, "grid")
+        if mesh is None and pose.grid is not None:
             return None
         if isinstance(pose.region, RegionSpec):
-            ends = [
-                self._values.ends(self._values.text((*path, "region", axis), given), f"`{axis}`", self._fixed, dimension=LENGTH)
-                for axis, given in (("x", pose.region.x), ("y", pose.region.y))
-            ]
-            return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if (x := ends[0]) and (y := ends[1]) else None
-        arena = self._world.arena
+            x, y = self._namespace.ends(pose.region, "x"), self._namespace.ends(pose.region, "y")
+            return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if x and y else None
+        arena, span = self._world.arena, self._values.span((*pose.path, "region"))
         if pose.region != "arena":
-            self._values.unknown(self._values.span((*path, "region")), "region", str(pose.region), ["arena"])
+            self._values.unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
             if not self._values.is_lost("world.arena"):
-                span, help = self._values.span((*path, "region")), "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`"
+                help = "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`"
                 self._values.findings.add("DB201", span, "the world has no arena", help=help)
         elif arena is not None:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
@@ -455,7 +426,6 @@ class Layouts:
         self._values = namespace.values
         self._places = places
         self._world = world
-        self._fixed = ParameterScope(namespace, Context.FIXED)
         self.walls: list[ObjectBody] = []
 
     def used(self) -> tuple[Layout, ...]:
@@ -470,38 +440,36 @@ class Layouts:
                 path: Path = ("reset", "layout", name) if isinstance(given, dict) else ("reset", "layout")
                 span = self._values.key_span(path) if isinstance(given, dict) else self._values.span(path)
                 self._values.unknown(span, "layout", name, list(layouts))
-        found = {name: tuple(self._layout(name, used=name in shares)) for name in layouts}
+        found = {
+            name: tuple(
+                self._map(name, layout, used=name in shares)
+                if isinstance(layout, MapLayout)
+                else self._places.placements(layout, ("reset", "layouts", name), used=name in shares)
+            )
+            for name, layout in layouts.items()
+        }
         return tuple(Layout(name, share, found[name]) for name, share in shares.items() if name in found)
 
     def _shares(self) -> dict[str, float]:
         given = self._spec.reset.layout
         assert isinstance(given, dict)  # as the caller found
-        path: Path = ("reset", "layout")
-        read = {name: self._values.number((*path, name), share, NUMBER, self._fixed) for name, share in given.items()}
+        read = {name: self._namespace.fixed(self._spec.reset, "layout", name) for name in given}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"shares of {100 * sum(shares.values()):g} % together"
-            self._values.findings.add("DB105", self._values.key_span(path), headline, help="let them add up to 100 %")
+            self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="let them add up to 100 %")
         return shares
-
-    def _layout(self, name: str, *, used: bool) -> list[Placement]:
-        path: Path = ("reset", "layouts", name)
-        layout = self._spec.reset.layouts[name]
-        if isinstance(layout, MapLayout):
-            return self._map(name, layout, path, used=used)
-        return self._places.placements(layout, path, used=used)
 
     # Maps
 
-    def _map(self, name: str, layout: MapLayout, path: Path, *, used: bool) -> list[Placement]:
+    def _map(self, name: str, layout: MapLayout, *, used: bool) -> list[Placement]:
         """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is the origin."""
-        cell = self._values.number((*path, "cell"), layout.cell, LENGTH, self._fixed)
-        text = self._values.text((*path, "map"), layout.map)
+        cell, text = self._namespace.fixed(layout, "cell"), self._values.field(layout, "map")
         rows = _rows(text) if self._is_small(text) else []
         if cell is None or not rows or not self._is_even(rows):
             return []
-        self._check_size(len(rows[0]) * cell, len(rows) * cell, (*path, "cell"))
-        legend = self._legend(layout, path)
+        self._check_size(len(rows[0]) * cell, len(rows) * cell, (*layout.path, "cell"))
+        legend = self._legend(layout)
         spots: dict[str, list[tuple[float, float]]] = {letter: [] for letter in legend}
         for number, row in enumerate(rows):
             for column, (letter, span) in enumerate(row):
@@ -512,9 +480,9 @@ class Layouts:
         bodies: dict[str, list[tuple[float, float]]] = {}
         for letter, body in legend.items():
             bodies.setdefault(body, []).extend(spots[letter])
-        return [self._standing(name, body, cell, tuple(found), path, used=used) for body, found in bodies.items() if found]
+        return [self._standing(name, body, cell, tuple(found), layout.path, used=used) for body, found in bodies.items() if found]
 
-    def _legend(self, layout: MapLayout, path: Path) -> dict[str, str]:
+    def _legend(self, layout: MapLayout) -> dict[str, str]:
         """The letters whose bodies are known."""
         found = {}
         for letter, body in layout.legend.items():
@@ -522,7 +490,7 @@ class Layouts:
                 found[letter] = body
             else:
                 known = [*self._namespace.named(Origin.ROBOT, Origin.OBJECT), _WALL]
-                self._values.unknown(self._values.span((*path, "legend", letter)), "robot or object", body, known)
+                self._values.unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
         return found
 
     def _is_small(self, text: Text) -> bool:

@@ -9,16 +9,16 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import GOAL_IS_LATE, Namespace, Origin, ParameterScope, SupervisorScope
+from deepbots_cli.compiler.namespace import GOAL_IS_LATE, Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.values import Text, noise
 from deepbots_cli.document.nodes import Mapping as MappingNode
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import LENGTH, NUMBER
+from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import SPACE, Components, Context, Invocation, Reference, Stage, Symbol, Type, Typed, children
+from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Stage, Symbol, Type, Typed, children
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect
 from deepbots_cli.program.task import (
     MAX_CONDITIONS,
@@ -41,6 +41,7 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.scenario.task import Goal as GoalSpec
 
 _NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
 _TOGETHER: tuple[tuple[Path, str], ...] = (
@@ -65,23 +66,21 @@ def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
         values.unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
         return None
     _refuse_others(spec, name, namespace)
-    path, scope = ("robots", name), ParameterScope(namespace, Context.FIXED)
     robot_spec = spec.robots[name]
-    count = values.number((*path, "count"), robot_spec.count, NUMBER, scope)
+    count = namespace.fixed(robot_spec, "count")
     if robot_spec.spacing is None and values.is_lost("spacing"):
         return None
     if robot_spec.spacing is None:
         help = f"say how far they stand apart, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.findings.add("DB102", values.span(("agent", "each")), f"the copies of `{name}` have no `spacing`", help=help)
         return None
-    spacing = values.numbers((*path, "spacing"), robot_spec.spacing, LENGTH, SPACE, scope)
+    spacing = namespace.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
     if not 1 <= count <= MAX_BODIES:
-        values.findings.add("DB105", values.span((*path, "count")), f"{count:g} copies", help=f"give 1 to {MAX_BODIES}")
+        values.findings.add("DB105", values.field(robot_spec, "count").span, f"{count:g} copies", help=f"give 1 to {MAX_BODIES}")
         return None
-    x, y, z = spacing
-    return RobotCopies(name, int(count), (x, y, z))
+    return RobotCopies(name, int(count), spacing)
 
 
 def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
@@ -107,7 +106,8 @@ class Actions:
             if isinstance(part, DiscreteAction):
                 self._define_choices(name, part)
             else:
-                self._define_interval(name, part)
+                self._parts[name] = None
+                namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
         namespace.built_in["previous_action"] = self._own_action
 
     def parts(self) -> tuple[Choices | ActionRange, ...]:
@@ -130,18 +130,16 @@ class Actions:
         found = []
         choices = [(name, part) for name, part in self._spec.action.items() if isinstance(part, DiscreteAction)]
         for name, part in choices:
-            for option, given in part.forbid.items():
-                place: Path = ("action", name, "forbid", option)
+            for option in part.forbid:
+                text = self._values.field(part, "forbid", option)
                 if option not in part.choices:
-                    self._values.unknown(self._values.key_span(place), "choice", option, list(part.choices))
-                text = self._values.text(place, given)
-                typed = self._values.expression(text, scope, boolean=True)
-                typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
+                    self._values.unknown(self._values.key_span(text.path), "choice", option, list(part.choices))
+                typed = self._values.condition(text, scope)
                 if typed is not None and option in part.choices:
-                    found.append((name, option, Expression(option, text.span, text.text, typed, f"action.{name}.forbid.{option}")))
+                    found.append((name, option, text.expression(typed)))
             always = {option for part, option, condition in found if part == name and constant(condition.typed) == (True,)}
             if always == set(part.choices):
-                span = self._values.key_span(("action", name, "forbid"))
+                span = self._values.key_span((*part.path, "forbid"))
                 self._values.findings.add(
                     "DB105", span, f"every option of `{name}` is always forbidden", help="leave one that may be chosen"
                 )
@@ -168,42 +166,37 @@ class Actions:
         """Each option sets the variable called like the action, or the variables that it lists."""
         named = [variable for given in part.choices.values() if isinstance(given, dict) for variable in given]
         variables = tuple(dict.fromkeys(named)) or (name,)
-        place: Path = ("action", name, "choices")
-        figures = {option: self._figures((*place, option), given, variables, bool(named)) for option, given in part.choices.items()}
+        figures = {option: self._figures(part, option, variables, named=bool(named)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in figures.values()]
             symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP))
             self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
         self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in figures.items()))
 
-    def _figures(self, place: Path, given: object, variables: tuple[str, ...], named: bool) -> tuple[float, ...]:
+    def _figures(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
         """What one option makes of each of the variables; 0 after a finding."""
-        scope = ParameterScope(self._namespace, Context.FIXED)
+        given, place = part.choices[option], (*part.path, "choices", option)
+        number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(given, dict):
             if named:
                 help = f"write what it sets, as in `{{{variables[0]}: 1}}`"
                 self._values.findings.add("DB103", self._values.span(place), "a number, where other choices set variables", help=help)
                 self._values.lose(str(place[1]))
                 return (0.0,) * len(variables)
-            return (self._values.number(place, given, NUMBER, scope) or 0.0,)
+            return (number() or 0.0,)
         missing = [variable for variable in variables if variable not in given]
         if missing:
             headline = f"the choice `{place[-1]}` leaves `{missing[0]}` open, which other choices set"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be")
-        found = {variable: self._values.number((*place, variable), figure, NUMBER, scope) for variable, figure in given.items()}
+        found = {variable: number(variable) for variable in given}
         return tuple(found.get(variable) or 0.0 for variable in variables)
 
-    def _define_interval(self, name: str, part: ContinuousAction | str) -> None:
-        self._parts[name] = None
-        self._namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
-
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
-        place: Path = ("action", name) if isinstance(part, str) else ("action", name, "range")
-        text = self._values.text(place, part)
-        ends = self._values.ends(text, "the range of an action", ParameterScope(self._namespace, Context.FIXED))
+        holder = (self._spec, "action", name) if isinstance(part, str) else (part, "range")
+        ends = self._namespace.ends(*holder, what="the range of an action")
         components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
-            components = self._group(part.each, ("action", name, "each"))
+            components = self._group(part.each, (*part.path, "each"))
         elif self._values.is_lost("each"):
             components = None
         if ends is None or components is None:
@@ -254,22 +247,21 @@ class Observations:
         return found
 
     def _entry(self, key: str, given: Observed | str) -> Observation | None:
-        place: Path = ("observation", key)
-        spec = Observed.model_construct(range=given) if isinstance(given, str) else given
-        text = self._values.key_text(place)
+        text = self._values.key_text(("observation", key))
         typed = self._observed(text)
-        range_text = self._values.text(place if isinstance(given, str) else (*place, "range"), spec.range)
+        read = self._values.field
+        range_text = read(given, "range") if isinstance(given, Observed) else read(self._spec, "observation", key)
         if typed is None:
             if range_text.text != "auto":
-                self._values.range(range_text, ParameterScope(self._namespace, Context.FIXED))
+                self._values.range(range_text, self._namespace.scope(Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)
-        scope = ParameterScope(self._namespace, Context.FIELD)
-        added = noise(self._values, (*place, "noise"), spec.noise, typed, scope) if "noise" in spec.model_fields_set else None
+        added = noise(self._namespace, given, typed) if isinstance(given, Observed) else None
         if bounds is None:
             return None
         kind = ImageObservation if typed.type.picture else Observation
-        return kind(Expression(key, text.span, text.text, typed, f"observation.{key}"), *bounds, spec.history, spec.clip, added)
+        history, clip = (given.history, given.clip) if isinstance(given, Observed) else (1, True)
+        return kind(text.expression(typed), *bounds, history, clip, added)
 
     def _observed(self, text: Text) -> Typed | None:
         tree = self._values.parsed(text)
@@ -303,8 +295,7 @@ class Observations:
                 self._values.findings.add("DB102", text.span, "the range of this value is not known", help="give it: `lo .. hi unit`")
                 return None
             return (low,) * count, (high,) * count
-        scope = ParameterScope(self._namespace, Context.FIXED)
-        components = typed.type.components or None
+        scope, components = self._namespace.scope(Context.FIXED), typed.type.components or None
         ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
         return (ends.low, ends.high) if ends else None
 
@@ -359,67 +350,50 @@ class Goals:
         self._valued: dict[str, Expression] = {}
         if spec.goal is not None:
             namespace.built_in["goal_reached"] = self._reached
-            namespace.define("achieved", Origin.GOAL, ("goal", "achieved"), self._achieved)
-            namespace.define("desired", Origin.GOAL, ("goal", "desired"), self._desired)
+            for name in ("achieved", "desired"):
+                namespace.define(name, Origin.GOAL, (*spec.goal.path, name), partial(self._part, spec.goal, name))
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
         """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
-        spec, values = self._spec.goal, self._values
+        spec = self._spec.goal
         if spec is None:
             return None
         for name in self._namespace.named(Origin.GOAL):
             self._namespace.settle(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
-        scope = ParameterScope(self._namespace, Context.FIXED)
-        dimension = achieved.typed.type.dimension if achieved else None
-        text = values.text(("goal", "within"), spec.within)
-        within = values.quantity(text, "`within`", scope, dimension)
-        least = values.fixed(within, text, "`within`") if within else None
-        text = values.text(("goal", "range"), spec.range)
-        components = achieved.typed.type.components if achieved else None
-        ends = values.ends(text, "the range of a goal", scope, dimension=dimension, components=components) if achieved else None
+        least, ends = self._namespace.fixed(spec, "within", dimension=achieved.typed.type.dimension if achieved else None), None
+        if achieved is not None:
+            kind = achieved.typed.type
+            ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
         self._check_repeat()
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or least is None:
             return None
-        return Goal(achieved, desired, ends.low, ends.high, float(least[0]))
+        return Goal(achieved, desired, ends.low, ends.high, least)
 
     def _check_repeat(self) -> None:
         if self._spec.agent.repeat > 1:
-            span = self._values.span(("agent", "repeat"))
+            span = self._values.field(self._spec.agent, "repeat").span
             help = "take `repeat` out, and make the timestep longer"
             self._values.findings.add("DB709", span, "a reward over several ticks, which hindsight cannot recompute", help=help)
 
-    def _achieved(self) -> Symbol:
-        typed = self._expression("achieved")
-        typed = typed and expect(typed, self._values.report(self._text("achieved")), "what is achieved", components=ANY_SHAPE)
-        return self._defined("achieved", typed)
-
-    def _desired(self) -> Symbol:
-        """Of the dimension and the components of what is achieved."""
-        typed, achieved = self._expression("desired"), self._namespace.settle("achieved")
-        if typed is None or achieved is None or achieved.type is None:
-            return Symbol("desired", None)
-        wanted = achieved.type
-        report = self._values.report(self._text("desired"))
-        typed = expect(typed, report, "what is desired", dimension=wanted.dimension, components=wanted.components)
-        return self._defined("desired", typed and typed._replace(type=typed.type._replace(components=wanted.components)))
-
-    def _text(self, name: str) -> Text:
-        return self._values.text(("goal", name), getattr(self._spec.goal, name))
-
-    def _expression(self, name: str) -> Typed | None:
-        return self._values.expression(self._text(name), SupervisorScope(self._namespace, Context.GOAL), boolean=False)
-
-    def _defined(self, name: str, typed: Typed | None) -> Symbol:
+    def _part(self, spec: GoalSpec, name: str) -> Symbol:
+        """What is achieved or desired; what is desired has the dimension and the components of what is achieved."""
+        text = self._values.field(spec, name)
+        typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
+        wanted = None
+        if name == "desired":
+            achieved = self._namespace.settle("achieved")
+            wanted = achieved.type if achieved else None
+        if typed is None or (name == "desired" and wanted is None):
+            return Symbol(name, None)
+        dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
+        typed = expect(typed, self._values.report(text), f"what is {name}", dimension=dimension, components=components)
         if typed is None:
             return Symbol(name, None)
-        text = self._text(name)
-        added = None
-        if self._spec.goal is not None and name == "achieved" and "noise" in self._spec.goal.model_fields_set:
-            scope = ParameterScope(self._namespace, Context.FIELD)
-            added = noise(self._values, ("goal", "noise"), self._spec.goal.noise, typed, scope)
-        self._valued[name] = Expression(name, text.span, text.text, typed, f"goal.{name}", noise=added)
+        if wanted:
+            typed = typed._replace(type=typed.type._replace(components=wanted.components))
+        self._valued[name] = text.expression(typed, noise=noise(self._namespace, spec, typed) if name == "achieved" else None)
         return Symbol(name, typed.type._replace(stage=Stage.STEP))
 
     def _reached(self, context: Context) -> Symbol:
@@ -536,7 +510,7 @@ class _Reader:
             return None
         report, dimension = self._values.report(text), known.type.dimension
         fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
-        return fitted and Expression(part.name, text.span, text.text, fitted, ".".join(map(str, place)))
+        return fitted and text.expression(fitted, part.name)
 
     def _option(self, place: Path, part: Choices, word: str) -> ScriptedChoice | None:
         """The same option always."""
@@ -579,6 +553,5 @@ class _Reader:
 
     def _condition(self, place: Path, given: object) -> Expression | None:
         text = self._values.text(place, given)
-        typed = self._values.expression(text, self._scope, boolean=True)
-        typed = typed and expect(typed, self._values.report(text), "a condition", boolean=True)
-        return typed and Expression(str(place[-1]), text.span, text.text, typed, ".".join(map(str, place)))
+        typed = self._values.condition(text, self._scope)
+        return typed and text.expression(typed)

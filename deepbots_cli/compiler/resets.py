@@ -9,16 +9,17 @@ from dataclasses import replace
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
 from deepbots_cli.compiler.places import Layouts, Places, check_surroundings
 from deepbots_cli.compiler.robots import joint_dimension, joint_missing
-from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
+from deepbots_cli.compiler.values import Text
+from deepbots_cli.expressions.dimensions import TIME, Dimension
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import Components, Context, Invocation, Kind, Stage, Subject, Symbol, Typed, children
+from deepbots_cli.expressions.types import Components, Context, Invocation, Kind, Subject, Symbol, Typed, children
 from deepbots_cli.program.resets import Group, JointStart, Layout, Placement, Reset
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, ObjectBody, WorldModel
 from deepbots_cli.scenario.fields import choose_from
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import JointState
+from deepbots_cli.scenario.task import Reset as ResetSpec
 from deepbots_cli.scenario.world import Placed
 
 
@@ -27,21 +28,18 @@ def group(name: str, thing: Placed, namespace: Namespace) -> Group | None:
 
     There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
     """
-    values = namespace.values
-    path: Path = ("objects", name, "count")
-    text = values.text(path, thing.count)
-    typed = values.quantity(text, "`count`", ParameterScope(namespace, Context.FIELD), NUMBER, None, Stage.EPISODE)
-    if typed is None:
+    findings, count = namespace.values.findings, namespace.expression(thing, "count")
+    if count is None:
         return None
-    reach = typed.type.interval
-    if not math.isfinite(reach.high):
-        values.findings.add("DB105", text.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
+    most = count.typed.type.interval.high
+    if not math.isfinite(most):
+        findings.add("DB105", count.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
         return None
-    if reach.high > MAX_BODIES:
+    if most > MAX_BODIES:
         help = "an engine would take minutes to build it"
-        values.findings.add("DB005", text.span, f"{reach.high:_.0f} copies, more than {MAX_BODIES}", help=help)
+        findings.add("DB005", count.span, f"{most:_.0f} copies, more than {MAX_BODIES}", help=help)
         return None
-    return Group(name, max(1, int(reach.high)), Expression("count", text.span, text.text, typed, ".".join(map(str, path))))
+    return Group(name, max(1, int(most)), count)
 
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
@@ -49,14 +47,13 @@ _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
 def joint_starts(spec: Scenario, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
     """The entries of `reset.set`: joints and groups of joints of robots; `poses` are those of each robot."""
-    starts = [_joint_start(key, given, namespace, poses) for key, given in spec.reset.set.items()]
+    starts = [_joint_start(key, spec.reset, namespace, poses) for key in spec.reset.set]
     return tuple(start for start in starts if start is not None)
 
 
-def _joint_start(key: str, given: object, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
-    path: Path = ("reset", "set", key)
+def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
     robot_name, dot, part = key.partition(".")
-    robot, text = namespace.robots.get(robot_name), namespace.values.key_text(path)
+    robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "set", key))
     if robot is None:
         if robot_name not in namespace.robots:
             namespace.values.unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.named(Origin.ROBOT))
@@ -73,23 +70,22 @@ def _joint_start(key: str, given: object, namespace: Namespace, poses: Mapping[s
         joint_missing(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    scope = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {}))
-    angle = joint_dimension(robot.model.joint(joints[0]))
+    scope, given = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {})), spec.set[key]
+    angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
     if not isinstance(given, JointState):
-        position = _start_value(given, path, angle, subject, scope, joints)
+        position = _start_value(read(spec, "set", key), key, angle, subject, scope, joints)
         return JointStart(robot_name, joints, position, None) if position else None
-    position = _start_value(given.position, (*path, "position"), angle, subject, scope, joints)
-    velocity = _start_value(given.velocity, (*path, "velocity"), angle / TIME, subject, scope, joints)
+    position = _start_value(read(given, "position"), key, angle, subject, scope, joints)
+    velocity = _start_value(read(given, "velocity"), key, angle / TIME, subject, scope, joints)
     return JointStart(robot_name, joints, position, velocity) if position and velocity else None
 
 
 def _start_value(
-    given: object, path: Path, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
+    text: Text, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
 ) -> Expression | None:
     """A draw that is written once is drawn anew for each joint of a group."""
-    values = scope.namespace.values
-    text = values.text(path, given)
-    typed = values.quantity(text, "the start of a joint", scope, dimension, subject.components, Stage.EPISODE)
+    namespace, values = scope.namespace, scope.namespace.values
+    typed = namespace.typed(text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope)
     if typed is None:
         return None
     reach, limits = typed.type.interval, subject.interval
@@ -98,7 +94,7 @@ def _start_value(
 
         help = "an engine pushes the joint back at once; keep to its limits"
         Confines(values, text, dimension, limits).report("a start at", reach, help)
-    return Expression(str(path[2]), text.span, text.text, typed, ".".join(map(str, path)), joints if len(joints) > 1 else None)
+    return text.expression(typed, key, spread=joints if len(joints) > 1 else None)
 
 
 # Before the first step nothing has touched or acted, and no picture was taken.
@@ -153,8 +149,8 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
     if spec.reset.require is None:
         return None
     values = namespace.values
-    text = values.text(("reset", "require"), spec.reset.require)
-    typed = values.expression(text, ParameterScope(namespace, Context.REQUIRE), boolean=True)
+    text = values.field(spec.reset, "require")
+    typed = values.expression(text, namespace.scope(Context.REQUIRE), boolean=True)
     if typed is None:
         return None
     for call in _calls(typed):
@@ -164,7 +160,7 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
             values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
     if constant(typed) == (False,):
         values.findings.add("DB105", text.span, "a requirement that no start meets", help="let it depend on where things are")
-    return Expression("require", text.span, text.text, typed, "reset.require")
+    return text.expression(typed)
 
 
 def _calls(value: Typed) -> list[Invocation]:

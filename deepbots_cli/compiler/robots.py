@@ -8,14 +8,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
-from deepbots_cli.compiler.values import Values, colour, figure
+from deepbots_cli.compiler.values import Values, colour
 from deepbots_cli.diagnostics import Findings, Fix, Span
 from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import intervals
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Scope, Subject, Symbol, Type, shown
+from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
 from deepbots_cli.frames import HERE, Frame, inside
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.robots import edits, meshes
@@ -191,15 +191,11 @@ class _WithUrdf:
 
 @dataclass(frozen=True)
 class Overrides:
-    """The changes that stand in the scenario at `path`, the robot's.
+    """The changes that the scenario makes to a robot. A figure that is drawn is drawn for each link or joint that a pattern means."""
 
-    A figure that is drawn is drawn for each link or joint that a pattern means.
-    """
-
-    path: Path
+    robot: str
     groups: Mapping[str, Group]
     namespace: Namespace
-    scope: Scope
 
     @property
     def values(self) -> Values:
@@ -209,100 +205,96 @@ class Overrides:
         """The model with all changes made that can be made; findings about the others."""
         links, joints = [link.name for link in model.links], [joint.name for joint in model.joints]
         for pattern, change in spec.links.items():
-            place: Path = (*self.path, "links", pattern)
-            for name in self._members(links, pattern, place, "link"):
-                model = self._change_link(model, model.link(name), change, place)
+            for name in self._members(links, pattern, change, "link"):
+                model = self._change_link(model, model.link(name), change)
         for pattern, joint_change in spec.joints.items():
-            place = (*self.path, "joints", pattern)
-            for name in self._members(joints, pattern, place, "joint"):
+            for name in self._members(joints, pattern, joint_change, "joint"):
                 joint = model.joint(name)
                 if joint.moves:
-                    model = self._change_joint(model, joint, joint_change, place)
+                    model = self._change_joint(model, joint, joint_change)
                 elif name == pattern:
-                    motionless(self.values, self.values.key_span(place), joint, model)
+                    motionless(self.values, self.values.key_span(joint_change.path), joint, model)
         return model
 
-    def _members(self, names: list[str], pattern: str, place: Path, what: str) -> tuple[str, ...]:
+    def _members(self, names: list[str], pattern: str, change: LinkOverride | JointOverride, what: str) -> tuple[str, ...]:
         members, missing = expand(names, pattern, self.groups)
         if missing:
-            unmatched(self.values, self.values.key_span(place), pattern, what, names)
+            unmatched(self.values, self.values.key_span(change.path), pattern, what, names)
         return members
 
-    def _figure(
-        self, place: Path, given: object, urdf: float | None, dimension: Dimension, what: str | None = None, of: str = ""
-    ) -> float | None:
-        """The SI value of a change; None where none is given, or after a finding.
+    def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
+        """The scope of a change of a figure that is `urdf` in the robot file."""
+        known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,))
+        return _WithUrdf(self.namespace.scope(Context.FIELD), known)
 
-        `what` is its entry in the table of variations if an episode may draw it, `of` the link or joint.
-        """
-        own = Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,)) if urdf is not None else _UNKNOWN
-        scope = _WithUrdf(self.scope, own)
-        if what is None:
-            return self.values.figure(place, given, dimension, scope)
-        return figure(self.namespace, place, given, dimension, scope, what, (str(self.path[-1]), of))
-
-    def _change_link(self, model: RobotModel, link: Link, change: LinkOverride, place: Path) -> RobotModel:
-        factors = self.values.figures((*place, "stretch"), change.stretch, NUMBER, self.scope, SPACE)
+    def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
+        of = (self.robot, link.name)
+        factors = self.namespace.triple(change, "stretch", stage=Stage.EPISODE)
         if factors:
-            x, y, z = factors
-            model = self._accepted(model, edits.stretch(model, link.name, (x, y, z)), (*place, "stretch"))
+            model = self._accepted(model, edits.stretch(model, link.name, factors), change, "stretch")
         if change.density is not None:
-            model = self._change_density(model, link.name, change, place)
+            model = self._change_density(model, link.name, change)
         elif change.mass is not None:
-            model = self._change_mass(model, model.link(link.name), change.mass, place)
+            model = self._change_mass(model, model.link(link.name), change)
         contact = {
-            field: self._figure((*place, key), getattr(change, key), None, NUMBER, what, link.name)
-            for key, (field, what) in _CONTACT.items()
+            field: self.namespace.varied(change, key, what, of, None, scope=self._scope()) for key, (field, what) in _CONTACT.items()
         }
-        paint = colour(self.namespace, (*place, "colour"), change.colour, (str(self.path[-1]), link.name))
-        model = edits.with_friction(model, link.name, **contact)
+        model, paint = edits.with_friction(model, link.name, **contact), colour(self.namespace, change, of)
         return edits.with_colour(model, link.name, paint) if paint else model
 
-    def _change_density(self, model: RobotModel, link: str, change: LinkOverride, place: Path) -> RobotModel:
+    def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:
-            span = self.values.key_span((*place, "density"))
+            span = self.values.key_span((*change.path, "density"))
             self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
             return model
-        density = self._figure((*place, "density"), change.density, None, MASS / LENGTH**3)
-        return self._accepted(model, edits.with_density(model, link, density), (*place, "density")) if density else model
+        density = self.namespace.fixed(change, "density", scope=self._scope(), stage=Stage.EPISODE)
+        return self._accepted(model, edits.with_density(model, link, density), change, "density") if density else model
 
-    def _change_mass(self, model: RobotModel, link: Link, given: object, place: Path) -> RobotModel:
-        if link.inertial is None and link.name != place[-1]:
+    def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
+        if link.inertial is None and link.name != change.path[-1]:
             return model  # a pattern means the links that have a mass
-        mass = self._figure((*place, "mass"), given, link.inertial.mass if link.inertial else None, MASS, "mass", link.name)
-        if mass == 0 and not self.namespace.varies("mass", (str(self.path[-1]), link.name)):
-            self.values.findings.add("DB105", self.values.span((*place, "mass")), "`mass` is 0 kg", help="give more than 0 kg")
-        return self._accepted(model, edits.with_mass(model, link.name, mass), (*place, "mass")) if mass else model
+        of, scope = (self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
+        mass = self.namespace.varied(change, "mass", "mass", of, None, scope=scope)
+        if mass == 0 and not self.namespace.varies("mass", of):
+            span = self.values.field(change, "mass").span
+            self.values.findings.add("DB105", span, "`mass` is 0 kg", help="give more than 0 kg")
+        return self._accepted(model, edits.with_mass(model, link.name, mass), change, "mass") if mass else model
 
-    def _accepted(self, old: RobotModel, new: RobotModel | str, place: Path) -> RobotModel:
+    def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
         """The changed model, or the old one and a finding that says why it cannot be changed so."""
         if isinstance(new, str):
-            self.values.findings.add("DB105", self.values.span(place), new)
+            self.values.findings.add("DB105", self.values.field(change, key).span, new)
             return old
         return new
 
-    def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride, place: Path) -> RobotModel:
+    def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride) -> RobotModel:
         position, effort, limit = joint_dimension(joint), effort_of(joint), joint.limit
-        damping = self._figure((*place, "damping"), change.damping, joint.damping, effort * TIME / position, "joint_damping", joint.name)
-        friction = self._figure((*place, "friction"), change.friction, joint.friction, effort, "joint_friction", joint.name)
-        torque = self._figure((*place, "max_torque"), change.max_torque, limit.effort, effort)
-        velocity = self._figure((*place, "max_velocity"), change.max_velocity, limit.velocity, position / TIME)
-        limit = replace(
-            limit,
-            effort=limit.effort if torque is None else torque,
-            velocity=limit.velocity if velocity is None else velocity,
-        )
+
+        def drawn(key: str, what: str, urdf: float | None, dimension: Dimension) -> float | None:
+            of, scope = (self.robot, joint.name), self._scope(dimension, urdf)
+            return self.namespace.varied(change, key, what, of, None, dimension=dimension, scope=scope)
+
+        def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:
+            scope = self._scope(dimension, urdf)
+            found = self.namespace.fixed(change, key, dimension=dimension, scope=scope, stage=Stage.EPISODE)
+            return urdf if found is None else found
+
+        damping = drawn("damping", "joint_damping", joint.damping, effort * TIME / position)
+        friction = drawn("friction", "joint_friction", joint.friction, effort)
+        torque, velocity = fixed("max_torque", limit.effort, effort), fixed("max_velocity", limit.velocity, position / TIME)
+        limit = replace(limit, effort=torque, velocity=velocity)
         if change.range is not None:
-            limit = self._range(joint, limit, change.range, (*place, "range"))
+            limit = self._range(joint, limit, change)
         return edits.with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
 
-    def _range(self, joint: Joint, limit: Limit, given: str, place: Path) -> Limit:
+    def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
         """`limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
-            headline = "a range for a joint that the robot file calls continuous"
-            self.values.findings.add("DB203", self.values.span(place), headline, help="make it revolute in the robot file")
+            span, headline = self.values.field(change, "range").span, "a range for a joint that the robot file calls continuous"
+            self.values.findings.add("DB203", span, headline, help="make it revolute in the robot file")
             return limit
-        ends = self.values.ends(self.values.text(place, given), "the range of a joint", self.scope, dimension=joint_dimension(joint))
+        scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
+        ends = self.namespace.ends(change, "range", what="the range of a joint", dimension=dimension, scope=scope)
         return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit
 
 
@@ -345,24 +337,23 @@ class RobotScene:
         return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names, *self.spec.sensors]
 
 
-def load_robot(name: str, spec: RobotSpec, document: Document, namespace: Namespace, scope: Scope) -> RobotScene | None:
+def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> RobotScene | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
-    path: Path = ("robots", name)
-    values = namespace.values
-    located = _locate(spec.urdf, (*path, "urdf"), document, values)
-    if located is None:
+    document, values = namespace.document, namespace.values
+    file_at = located(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
+    if file_at is None:
         return None
-    resolve_mesh = meshes.beside(located.parent, (*document.roots, *meshes.package_of(spec.urdf)))
+    resolve_mesh = meshes.beside(file_at.parent, (*document.roots, *meshes.package_of(spec.urdf)))
     found = Findings()
-    file = read(located, files.display(located), found, resolve_mesh=resolve_mesh)
+    file = read(file_at, files.display(file_at), found, resolve_mesh=resolve_mesh)
     if file is None:
         _tell(found, values, ())
         return None
-    groups = _groups(file.model, spec, path, values)
-    model = Overrides(path, groups, namespace, scope).apply(file.model, spec)
+    groups = _groups(file.model, spec, values)
+    model = Overrides(name, groups, namespace).apply(file.model, spec)
     has_mass = [file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None]
     _tell(found, values, has_mass)
-    return RobotScene(name, located.resolve(), spec, file, model, groups)
+    return RobotScene(name, file_at.resolve(), spec, file, model, groups)
 
 
 def _tell(found: Findings, values: Values, has_mass: Sequence[Span]) -> None:
@@ -372,21 +363,21 @@ def _tell(found: Findings, values: Values, has_mass: Sequence[Span]) -> None:
             values.findings.append(finding)
 
 
-def _locate(reference: str, path: Path, document: Document, values: Values) -> FilePath | None:
-    span = values.span(path)
+def located(reference: str, span: Span, document: Document, values: Values, *, robot: bool = False) -> FilePath | None:
+    """The file that the scenario names at `span`: in the project, in an installed package, or, of a `robot`, a shipped one."""
     if reference.startswith("package://"):
         found = meshes.in_package(reference)
-        if found is not None:
-            return found
-        values.findings.add("DB204", span, f"`{reference}` does not exist", help="the package must be installed, and hold such a file")
-        return None
+        if found is None:
+            help = "the package must be installed, and hold such a file"
+            values.findings.add("DB204", span, f"`{reference}` does not exist", help=help)
+        return found
     beside = files.resolve(reference, document.directory_of(span), document.roots)
     if isinstance(beside, FilePath):
         return beside
-    by_name = shipped.robot_path(reference)
+    by_name = shipped.robot_path(reference) if robot else None
     if by_name is not None:
         return by_name
-    notes = (f"shipped robots are {shown(shipped.robot_names())}",)
+    notes = (f"shipped robots are {shown(shipped.robot_names())}",) if robot else ()
     library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
     help = f"did you mean `{library}`?" if library else beside.help
@@ -394,11 +385,11 @@ def _locate(reference: str, path: Path, document: Document, values: Values) -> F
     return None
 
 
-def _groups(model: RobotModel, spec: RobotSpec, path: Path, values: Values) -> dict[str, Group]:
+def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Group]:
     groups: dict[str, Group] = {}
     joints, links = [joint.name for joint in model.moving_joints], [link.name for link in model.links]
     for name, patterns in spec.groups.items():
-        place = (*path, "groups", name)
+        place = (*spec.path, "groups", name)
         if name in joints or name in links:
             what = "joint" if name in joints else "link"
             values.findings.add("DB202", values.key_span(place), f"`{name}` is already a {what}", help="choose another name")

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
-from deepbots_cli.compiler.values import Text, Values, noise
+from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.values import Text, noise
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import NUMBER, TIME
+from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
-from deepbots_cli.expressions.types import Constant, Context, Invocation, Stage, Symbol, Type, Typed, walk
+from deepbots_cli.expressions.types import Constant, Context, Invocation, NoNames, Stage, Symbol, Type, Typed, walk
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
@@ -22,10 +22,9 @@ from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Measured, PythonTerm
 
 
-def foreign(name: str, given: PythonTerm, path: Path, namespace: Namespace, *, boolean: bool) -> Expression:
-    """The term at `path`, of which nothing is known but whether it is a truth value."""
-    values = namespace.values
-    text = values.text((*path, "python"), given.python)
+def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
+    """A term of which nothing is known but whether it is a truth value."""
+    values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.allow_code:
         headline = f"`{name}` runs Python code: {given.python}"
         values.findings.add("DB410", text.span, headline, help="say what it computes as an expression, if the language can")
@@ -35,7 +34,7 @@ def foreign(name: str, given: PythonTerm, path: Path, namespace: Namespace, *, b
     module, _, function = given.python.partition(":")
     kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), stage=Stage.STEP)
     nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
-    return Expression(name, text.span, text.text, nothing, ".".join(map(str, path)), foreign=Foreign(module, function))
+    return Expression(name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function))
 
 
 _SHOWN = 60
@@ -88,19 +87,16 @@ class Signals:
 
     def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
         if isinstance(given, PythonTerm):
-            self.valued[name] = foreign(name, given, place, self._namespace, boolean=True)
+            self.valued[name] = foreign(name, given, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)
-        added = None
-        whole, place = place, (*place, "value") if isinstance(given, Measured) else place
-        text = self._values.text(place, given)
+        text = self._values.field(given, "value") if isinstance(given, Measured) else self._values.text(place, given)
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
             typed = expect(typed, self._values.report(text), "an ending", boolean=True)
-        if typed is not None and isinstance(given, Measured) and "noise" in given.model_fields_set:
-            added = noise(self._values, (*whole, "noise"), given.noise, typed, ParameterScope(self._namespace, Context.FIELD))
         if typed is None:
             return Symbol(name, None)
-        self.valued[name] = Expression(name, text.span, text.text, typed, ".".join(map(str, place)), noise=added)
+        added = noise(self._namespace, given, typed) if isinstance(given, Measured) else None
+        self.valued[name] = text.expression(typed, name, noise=added)
         return Symbol(name, typed.type._replace(interval=EVERYTHING, stage=Stage.STEP) if added else typed.type)
 
     def ordered(self) -> tuple[Expression, ...]:
@@ -122,12 +118,12 @@ def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Expression, ...]
     terms = []
     for name, given in spec.reward.items():
         if isinstance(given, PythonTerm):
-            terms.append(foreign(name, given, ("reward", name), namespace, boolean=False))
+            terms.append(foreign(name, given, namespace, boolean=False))
             continue
-        text = namespace.values.text(("reward", name), given)
+        text = namespace.values.field(spec, "reward", name)
         typed = _amount(text, namespace)
         if typed is not None:
-            terms.append(Expression(name, text.span, text.text, typed, f"reward.{name}"))
+            terms.append(text.expression(typed))
     return tuple(terms)
 
 
@@ -153,20 +149,19 @@ def truncation(spec: Scenario, namespace: Namespace) -> Truncation:
                 "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )
         return Truncation()
-    scope = ParameterScope(namespace, Context.FIXED)
-    steps = None if limits.max_steps is None else values.number(("truncation", "max_steps"), limits.max_steps, NUMBER, scope)
-    time = None if limits.max_time is None else values.number(("truncation", "max_time"), limits.max_time, TIME, scope)
-    return Truncation(None if steps is None else int(steps), time)
+    steps = namespace.fixed(limits, "max_steps")
+    return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
 
 
-def solved(spec: Scenario, values: Values) -> Solved | None:
+def solved(spec: Scenario, namespace: Namespace) -> Solved | None:
+    values = namespace.values
     if spec.solved is None:
         return None
-    rate = values.number(("solved", "success_rate"), spec.solved.success_rate, NUMBER) if spec.solved.success_rate is not None else None
+    rate = namespace.fixed(spec.solved, "success_rate", scope=NoNames())
     known = spec.termination.success or spec.goal or any(map(values.is_lost, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or ask for a `mean_return`"
-        values.findings.add("DB407", values.span(("solved", "success_rate")), NO_SUCCESS, help=help)
+        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return Solved(spec.solved.episodes, mean_return, rate)
 

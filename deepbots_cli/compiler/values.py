@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
@@ -42,7 +43,7 @@ from deepbots_cli.program.resets import RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
-from deepbots_cli.scenario.base import Section
+from deepbots_cli.scenario.base import Section, fields
 from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, choose_from, colour_options, dimension_of, other_name
 from deepbots_cli.scenario.validate import meant_by
 
@@ -94,6 +95,24 @@ class Text(NamedTuple):
     text: str
     part: Callable[[int, int], Span]
     kind: FieldType | None = None
+    path: Path = ()
+
+    @property
+    def owner(self) -> str:
+        """The path in one text; streams of draws are named after it."""
+        return ".".join(map(str, self.path))
+
+    def expression(
+        self,
+        typed: Typed,
+        name: str | None = None,
+        *,
+        spread: Components | None = None,
+        redraw: Redraw | None = None,
+        noise: Noise | None = None,
+    ) -> Expression:
+        """The expression of which `typed` is the tree, called like the key unless it has a `name`."""
+        return Expression(name or str(self.path[-1]), self.span, self.text, typed, self.owner, spread, redraw, noise=noise)
 
     @property
     def span(self) -> Span:
@@ -154,14 +173,22 @@ class Values:
         """The text at `path`; one that the file leaves out is placed at what surrounds it."""
         node, _, steps = descend(self.root, path)
         if steps == len(path) and isinstance(node, Scalar):
-            return Text(node.text, node.part, self._kinds.get(path))
+            return Text(node.text, node.part, self._kinds.get(path), path)
         span = node.span
-        return Text(str(default), lambda _start, _end: span)
+        return Text(str(default), lambda _start, _end: span, None, path)
+
+    def field(self, section: Section, *steps: str | int) -> Text:
+        """The text of a field, or of an item below it; that of the default where the file leaves it out."""
+        value: Any = getattr(section, str(steps[0]))
+        for step in steps[1:]:
+            value = value[step]
+        text, kind = self.text((*section.path, *steps), value), fields(type(section))[str(steps[0])]
+        return text if text.kind or not isinstance(kind, FieldType) else text._replace(kind=kind)
 
     def key_text(self, path: Path) -> Text:
         """The text of the key at the end of `path`."""
         key = descend(self.root, path)[1]
-        return Text(key.text, key.part) if key else self.text(path, path[-1])
+        return Text(key.text, key.part, None, path) if key else self.text(path, path[-1])
 
     # Names
 
@@ -233,8 +260,13 @@ class Values:
         agrees = unification.truths if boolean else unification.numbers
         return typed if agrees([typed], self.report(text)) else None
 
+    def condition(self, text: Text, scope: Scope) -> Typed | None:
+        """The same for a single truth value."""
+        typed = self.expression(text, scope, boolean=True)
+        return typed and expect(typed, self.report(text), "a condition", boolean=True)
+
     def drawn(self, text: Text, scope: Scope) -> check.Checked | None:
-        """The same, where draws may be repeated (`every 5 s`)."""
+        """The typed tree of an expression where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
         checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
         period = checked.redraw.period if checked and checked.redraw else None
@@ -343,22 +375,13 @@ class Values:
         self, path: Path, default: object, dimension: Dimension, components: Components | None, scope: Scope | None = None
     ) -> tuple[float, ...] | None:
         """The fixed SI values of a vector with `components`; None after a finding."""
-        return self._figures(path, default, dimension, components, scope or NoNames(), Stage.FIXED)
+        return self.settled(self.text(path, default), scope or NoNames(), dimension, components)
 
-    def figures(
-        self, path: Path, given: object, dimension: Dimension, scope: Scope, components: Components | None = None
+    def settled(
+        self, text: Text, scope: Scope, dimension: Dimension | None, components: Components | None, stage: Stage = Stage.FIXED
     ) -> tuple[float, ...] | None:
-        """The same for a field that the language lets vary between episodes, which is not run yet; None where nothing is given."""
-        return None if given is None else self._figures(path, given, dimension, components, scope, Stage.EPISODE)
-
-    def figure(self, path: Path, given: object, dimension: Dimension, scope: Scope) -> float | None:
-        values = self.figures(path, given, dimension, scope)
-        return values[0] if values else None
-
-    def _figures(
-        self, path: Path, given: object, dimension: Dimension, components: Components | None, scope: Scope, stage: Stage
-    ) -> tuple[float, ...] | None:
-        text, what = self.text(path, given), f"`{path[-1]}`"
+        """The SI values of a field that is fixed; None after a finding. One that the language lets vary up to `stage` may not do so yet."""
+        what = f"`{text.path[-1]}`"
         typed = self.quantity(text, what, scope, dimension, components, stage)
         if typed is not None and typed.type.stage is not Stage.FIXED:
             self.findings.add("DB108", text.span, f"{what} that is drawn anew is not supported yet", help="give a fixed figure")
@@ -403,10 +426,21 @@ def figures(
     spread: Components | None = None,
 ) -> tuple[float, ...] | None:
     """The same for a vector of `components`, or for one figure that is drawn anew for each of `spread`."""
-    if given is None:
-        return None
-    values = namespace.values
-    text, called = values.text(path, given), f"`{path[-1]}`"
+    return None if given is None else varied(namespace, namespace.values.text(path, given), dimension, scope, what, of, components, spread)
+
+
+def varied(
+    namespace: Namespace,
+    text: Text,
+    dimension: Dimension | None,
+    scope: Scope,
+    what: str,
+    of: tuple[str, ...],
+    components: Components | None = None,
+    spread: Components | None = None,
+) -> tuple[float, ...] | None:
+    """The SI values of a figure that an episode may vary; a drawn one is noted in the table of variations."""
+    values, called = namespace.values, f"`{text.path[-1]}`"
     typed = values.quantity(text, called, scope, dimension, components or spread, Stage.EPISODE)
     if typed is None or not _is_bounded(typed, text, called, values):
         return None
@@ -415,31 +449,35 @@ def figures(
     if typed.type.stage is Stage.FIXED:
         fixed = values.fixed(typed, text, called)
         return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
-    owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
-    value = Expression(str(path[-1]), text.span, text.text, typed, owner, spread)
+    value = replace(text.expression(typed, spread=spread), owner=_owner(text, of))
     namespace.variations.append(RandomizedParameter(what, of, value, count))
     return (_middle(typed.type.interval),) * count
 
 
-def noise(values: Values, path: Path, given: object, of: Typed, scope: Scope) -> Noise | None:
-    """The noise on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of the value.
+def _owner(text: Text, of: tuple[str, ...]) -> str:
+    return ":".join((text.owner, *filter(None, of)))
 
-    None for a deviation of 0, and after a finding.
+
+def noise(namespace: Namespace, section: Section, of: Typed) -> Noise | None:
+    """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of it.
+
+    None where none is given, for a deviation of 0, and after a finding.
     """
-    text = values.text(path, given)
+    if "noise" not in section.model_fields_set:
+        return None
+    values, text = namespace.values, namespace.values.field(section, "noise")
     if of.type.boolean or of.type.picture:
         help = "take it out, or give it to the number behind it"
         values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
         return None
     components = of.type.components
-    deviation = values.quantity(text, "the noise", scope, None, components, Stage.EPISODE)
+    deviation = namespace.typed(text, "the noise", components=components)
     if deviation is None or zero(deviation):
         return None
     relative = deviation.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
     if not relative:
         deviation = expect(deviation, values.report(text), "the noise", dimension=of.type.dimension, components=components)
-    std = deviation and Expression("noise", text.span, text.text, deviation, ".".join(map(str, path)), components)
-    return Noise(std, relative) if std else None
+    return Noise(text.expression(deviation, spread=components), relative) if deviation else None
 
 
 def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:
@@ -461,28 +499,29 @@ def _middle(reach: Interval) -> float:
     return sum(ends) / len(ends) if ends else 0.0
 
 
-def colour(namespace: Namespace, path: Path, given: str | None, of: tuple[str, str] | None = None) -> Colour | None:
-    """The colour at `path`, None where none is given.
+def colour(namespace: Namespace, section: Section, of: tuple[str, str] | None = None) -> Colour | None:
+    """The `colour` of a section, None where none is given.
 
     Of several to draw from it is the first, and the draw is noted as a variation of a body and link, `of`; without
     one, a draw is a finding.
     """
+    given = getattr(section, "colour", None)
     if given is None:
         return None
+    text = namespace.values.field(section, "colour")
     if of is not None:
         namespace.colours[:] = [known for known in namespace.colours if known.of != of]  # as for a link that two patterns mean
     options = [_paint(word) for word in colour_options(given)]
     if len(options) > 1 and of is None:
         help = "it is the same in every episode; give one colour"
-        namespace.values.findings.add("DB407", namespace.values.span(path), "a draw of a colour that is fixed", help=help)
+        namespace.values.findings.add("DB407", text.span, "a draw of a colour that is fixed", help=help)
     elif len(options) > 1 and of is not None:
-        owner = ".".join(map(str, path)) + "".join(f":{name}" for name in of if name)
-        text, single = namespace.values.text(path, given), Type(stage=Stage.EPISODE)
+        single = Type(stage=Stage.EPISODE)
         ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
         which = Invocation(single, 0, 0, "integer", (), ends, 0)
         shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
-        drawn = Vector(single, 0, len(text.text), (which, *shades))
-        namespace.colours.append(RandomizedParameter("colour", of, Expression("colour", text.span, text.text, drawn, owner)))
+        drawn = text.expression(Vector(single, 0, len(text.text), (which, *shades)))
+        namespace.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
     return options[0]
 
 

@@ -15,14 +15,14 @@ its own validator, which pydantic builds when a scenario first has such a sectio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError, ValidationInfo, model_validator
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, PrivateAttr, TypeAdapter, ValidationError, ValidationInfo, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
@@ -66,6 +66,13 @@ class Section(BaseModel):
     key_rules: ClassVar[tuple[Keys, ...]] = ()
     marks: ClassVar[frozenset[str]] = frozenset()
     """Among several forms that are mappings, the keys that tell this one."""
+
+    _path: Path = PrivateAttr(())
+
+    @property
+    def path(self) -> Path:
+        """Where the section stands in the file that it was validated from."""
+        return self._path
 
     @model_validator(mode="wrap")
     @classmethod
@@ -320,6 +327,21 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
 
 
 # Walking
+
+
+def locate(value: object, path: Path = ()) -> None:
+    """Give `value`, if it is a section, and all sections below it their paths."""
+    if isinstance(value, Section):
+        value._path = path
+        below: Iterable[tuple[str | int, object]] = value.__dict__.items()
+    elif isinstance(value, dict):
+        below = value.items()
+    elif isinstance(value, tuple):
+        below = enumerate(value)
+    else:
+        return
+    for step, item in below:
+        locate(item, (*path, step))
 
 
 def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:

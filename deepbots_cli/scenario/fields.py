@@ -15,6 +15,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le
@@ -24,7 +25,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
-from deepbots_cli.expressions.types import Rewriting, shown
+from deepbots_cli.expressions.types import PLANE, SPACE, Components, Rewriting, shown
 
 Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
@@ -338,6 +339,13 @@ _BARE = frozenset({"length", "mass", "number"})
 """The measures of which a bare number is in SI units; for the others the compiler asks for a unit."""
 
 
+@cache
+def si(measure: str) -> Dimension | None:
+    """The dimension of a measure; None where it is one of several."""
+    unit = MEASURES[measure][2]
+    return None if " " in unit else _dimension(unit)
+
+
 def _parsed(text: str) -> syntax.Node | None:
     """The tree of an expression; raises its first syntax error."""
 
@@ -390,6 +398,16 @@ class Quantity(FieldType):
     whole: bool = False
     like: str = ""
     usual: str | None = None
+
+    @property
+    def si(self) -> Dimension | None:
+        """The dimension; None where it depends on what the quantity is of."""
+        return si(self.dimension)
+
+    @property
+    def axes(self) -> Components | None:
+        """The names of the components of a vector."""
+        return {2: PLANE, 3: SPACE}.get(self.components or 1)
 
     @property
     def noun(self) -> str:

@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Node, Path, Scalar, descend, to_data, walk
-from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, noun_of, sections, shape_at
+from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, locate, noun_of, sections, shape_at
 from deepbots_cli.scenario.fields import FieldType, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 from deepbots_cli.scenario.training import ELSEWHERE, Training
@@ -88,6 +88,7 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
             errors = refused.errors(include_url=False, include_input=False)[: findings.limit]
         else:
             scenario._pruned = frozenset(pruned)
+            locate(scenario)
             return scenario
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:

@@ -248,3 +248,15 @@ def test_digits_grouped_the_german_way_are_shown_what_a_whole_number_is(check: C
     (finding,) = check(cartpole.replace("total_timesteps: 100_000", "total_timesteps: 100.000"))[1]
     assert finding.code == "DB103"
     assert "as in `total_timesteps: 100_000`" in (finding.help or "")
+
+
+def test_every_section_knows_its_path_and_that_of_its_defaults(check: Check, cartpole: str) -> None:
+    scenario, _ = check(cartpole)
+    assert scenario is not None
+    robot = next(iter(scenario.robots))
+    assert scenario.path == ()
+    assert scenario.world.ground.path == ("world", "ground")
+    assert scenario.messages.to_robot.path == ("messages", "to_robot")
+    assert {sensor.path for sensor in scenario.robots[robot].sensors.values()} == {
+        ("robots", robot, "sensors", name) for name in scenario.robots[robot].sensors
+    }
