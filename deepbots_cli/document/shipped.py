@@ -48,7 +48,6 @@ def _added_dirs() -> tuple[Path, ...]:
     return tuple(found)
 
 
-@cache
 def data_roots() -> tuple[Path, ...]:
     """The folders that any scenario may read from, links followed."""
     return tuple((folder / part).resolve() for folder in (data_dir(), *_added_dirs()) for part in ("scenarios", "robots"))
