@@ -6,6 +6,5 @@ reader.py    elements to a checked model, every finding with its place
 meshes.py    where mesh files are, whether they may be read, what they hold
 inertia.py   closed forms; second moments
 edits.py     stretch, with_mass, with_friction, with_joint
-soundness.py whether a robot of a compiled scenario is one that the reader makes
 writer.py    the normalised URDF that an engine loads
 """

@@ -244,7 +244,8 @@ def test_whatever_run_json_holds_it_opens_or_is_refused_in_a_sentence(run_copy: 
     else:
         del record[key]
     (run_copy / "run.json").write_text(json.dumps(record))
-    assert "\n" not in refusal(run_copy)
+    compared = refusal(run_copy).split("\n")[1:]
+    assert not compared or (key == "interface" and all(line.startswith("  ") for line in compared))
 
 
 @pytest.mark.parametrize(
