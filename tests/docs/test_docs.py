@@ -17,6 +17,7 @@ from typing import NamedTuple
 import pytest
 import typer
 
+from deepbots_cli import api
 from deepbots_cli.cli.verbs import VERBS
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
@@ -181,3 +182,13 @@ def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
 
 def test_the_picture_is_small():
     assert (ROOT / "docs" / "images" / "cartpole.png").stat().st_size < 60_000
+
+
+def test_the_page_about_the_pipeline_quotes_the_code():
+    page = (ROOT / "docs" / "pipeline.md").read_text(encoding="utf-8")
+    files = [ROOT / "deepbots_cli" / name for name in re.findall(r"^\| `([\w/]+\.py)` \|", page, re.MULTILINE)]
+    assert len(files) == 5
+    code = "\n".join([path.read_text(encoding="utf-8") for path in (*files, ROOT / "scenarios" / "cartpole.yaml")])
+    code += api.compile("cartpole").code
+    lines = [line for block in blocks("text") if block.page == "docs/pipeline.md" for line in block.text.splitlines()]
+    assert [line for line in lines if line not in ("", "...") and line not in code] == []
