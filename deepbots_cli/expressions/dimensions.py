@@ -38,9 +38,8 @@ class Dimension(NamedTuple):
 
     def __str__(self) -> str:
         """The SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
-        known = QUANTITIES.get(self)
-        if known is not None and known.unit:
-            return known.unit
+        if unit := quantity(self).unit:
+            return unit
         bases = (("kg", self.kg), ("m", self.m), ("s", self.s), ("rad", self.rad))
         above = "*".join(_power(base, exponent) for base, exponent in bases if exponent > 0)
         below = "".join(f"/{_power(base, -exponent)}" for base, exponent in bases if exponent < 0)
@@ -51,14 +50,13 @@ class Dimension(NamedTuple):
         """For a sentence: `a speed (m/s)`, `an angle (rad)`, `a plain number`."""
         if self == NUMBER:
             return "a plain number"
-        known = QUANTITIES.get(self)
-        return f"{known.noun} ({self})" if known is not None and known.noun else f"a quantity in {self}"
+        noun = quantity(self).noun
+        return f"{noun} ({self})" if noun else f"a quantity in {self}"
 
     @property
     def example(self) -> str:
         """A value with its unit, for a hint."""
-        known = QUANTITIES.get(self)
-        return (known.example if known is not None else "") or f"0.5 {self}"
+        return quantity(self).example or f"0.5 {self}"
 
 
 def _power(base: str, exponent: Exponent) -> str:
@@ -97,9 +95,9 @@ class PhysicalQuantity(NamedTuple):
     bare_is_si: bool = False
 
 
-QUANTITIES = {
-    quantity.dimension: quantity
-    for quantity in (
+_QUANTITIES = {
+    known.dimension: known
+    for known in (
         PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible=1e5, bare_is_si=True),
         PhysicalQuantity(LENGTH**2, "an area"),
         PhysicalQuantity(LENGTH**3, "a volume"),
@@ -123,6 +121,11 @@ QUANTITIES = {
         PhysicalQuantity(TORQUE / ANGULAR_VELOCITY, "a rotational damping", "N*m*s/rad"),
     )
 }
+
+
+def quantity(dimension: Dimension) -> PhysicalQuantity:
+    """Noun, unit and plausible values of a dimension; empty where the messages have no word for it."""
+    return _QUANTITIES.get(dimension) or PhysicalQuantity(dimension)
 
 
 class Unit(NamedTuple):

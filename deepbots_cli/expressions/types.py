@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
@@ -191,23 +191,10 @@ class NoNames(NamedTuple):
         return ()
 
 
-Rewriting = Callable[[str], str]
-"""Makes the probable correction of a piece of text from that piece; the correction is never certain."""
-
-
 class Report(Protocol):
     """Takes a finding. `start` and `end` are offsets in the text of the expression, `meant` the text to put there."""
 
-    def __call__(
-        self,
-        code: str,
-        start: int,
-        end: int,
-        headline: str,
-        help: str | None = None,
-        notes: tuple[str, ...] = (),
-        meant: Meant | Rewriting | None = None,
-    ) -> None: ...
+    def __call__(self, code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None: ...
 
 
 # The typed tree: names, dimensions, shapes, intervals and stages are settled. Every node holds its type and its
