@@ -1,6 +1,6 @@
-"""Syntax tree to typed tree: names, dimensions, shapes, intervals and stages are settled here.
+"""Syntax tree to typed tree: resolves names, dimensions, shapes, intervals and stages.
 
-A part with a finding stops the check of everything above it; its neighbours are checked: one fault, one finding.
+A finding stops the check of all nodes above its own, but not of its neighbours: each fault gives one finding.
 """
 
 from __future__ import annotations
@@ -185,15 +185,14 @@ class _Checker:
             case syntax.Number():
                 return self._constant(node, (node,), None)
             case syntax.Binary():
-                return self._binary(node, *self.each(self.visit, (node.left, node.right)))
+                left, right = self.each(self.visit, (node.left, node.right))
+                return self._when(node, left, right) if node.operator == "when" else self._binary(node, left, right)
             case syntax.Call():
                 return self._call(node)
             case syntax.Member():
                 return self._pick(self.visit(node.value), node.member, node)
             case syntax.Unary():
                 return self._unary(node, self.visit(node.operand))
-            case syntax.When():
-                return self._when(node, *self.each(self.visit, (node.value, node.condition)))
             case syntax.Vector():
                 return self._vector(node)
             case syntax.Truth():
@@ -354,7 +353,7 @@ class _Checker:
 
     # operators
 
-    def _when(self, node: syntax.When, value: Typed, condition: Typed) -> Typed:
+    def _when(self, node: syntax.Binary, value: Typed, condition: Typed) -> Typed:
         """`a when c` is `where(c, a, 0)`."""
         require_kind([value], self._report)
         require_kind([condition], self._report, boolean=True)

@@ -1,8 +1,7 @@
-"""Dimensions and units: what a quantity measures, and the names that may stand behind a number.
+"""Dimensions of quantities, and the units that may stand behind a number.
 
-Angle is a dimension: an angular velocity times a radius becomes a speed only when it is divided by a radian.
-Unit names are reserved: no parameter or signal may take one. In an expression, a unit name that stands alone
-is a constant of one such unit.
+Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. Unit names are
+reserved: no parameter or signal may take one. A unit name without a number is one of the unit.
 """
 
 from __future__ import annotations
@@ -81,10 +80,10 @@ PRESSURE = FORCE / LENGTH**2
 
 
 class PhysicalQuantity(NamedTuple):
-    """What the messages say about a dimension.
+    """What messages say about a dimension.
 
-    `unit` is its name where the base units would read badly. No robot has a value beyond `plausible`: such a
-    value has a wrong unit or a slipped exponent. `bare_is_si` lets a field take a number without a unit.
+    `unit` replaces a combination of base units. Values beyond `plausible` (SI) get a warning: their unit or exponent is
+    probably wrong. `bare_is_si` lets a field take a number without a unit.
     """
 
     dimension: Dimension
@@ -211,7 +210,7 @@ _WRITTEN_OUT = {
     for word in words.split()
 }
 _AMBIGUOUS = frozenset({"rads", "nm"})
-"""They may also mean more than one radian, and nanometres."""
+"""They may also mean several radians, and nanometres."""
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
-from deepbots_cli.expressions.scalar import Const, Op, Scalar, World
+from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, World
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
 from deepbots_cli.plugins import Table
 
@@ -376,7 +376,7 @@ _ENTRIES = (
              _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau"),
     Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
              "where(contact(rover, ball), 1, 0)",
-             interval=lambda _condition, a, b: iv.hull((a, b)), truths=True, python="a if condition else b",
+             interval=iv.chosen, truths=True, python="a if condition else b",
              array="np.where(condition, a, b)"),
     Function("min", _PURE, (Param("x", many=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
              interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
@@ -568,6 +568,21 @@ def operation(name: str) -> Function:
         KeyError: There is none.
     """
     return OPERATORS[name] if name in OPERATORS else FUNCTIONS[name]
+
+
+def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
+    """The interval of a scalar tree, from the intervals `of` its arguments; a name or a reading of the world may be anything.
+
+    Truth values are 0 and 1: [0, 0] is never true, [1, 1] always.
+    """
+    match node:
+        case Const(value):
+            return iv.exact(float(value))
+        case Op("mul", (a, b)) if a == b:
+            return iv.power(of(a), iv.exact(2.0))
+        case Op(name, args) | State(name, args) | Draw(name, args):
+            return operation(name).interval(*map(of, args))
+    return EVERYTHING
 
 
 def math_names() -> frozenset[str]:

@@ -32,7 +32,6 @@ from deepbots_cli.expressions.syntax import (
     Truth,
     Unary,
     Vector,
-    When,
     depth,
     tokens,
 )
@@ -193,7 +192,7 @@ class _Parser:
         node = self._range(self._slot())
         if self._take("when"):
             condition = self._slot()
-            node = When(node.start, condition.end, node, condition)
+            node = Binary(node.start, condition.end, "when", node, condition)
         if self._take("every"):
             period = self._slot()
             node = Redrawn(node.start, period.end, node, period)
