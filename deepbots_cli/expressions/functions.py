@@ -516,17 +516,14 @@ OPERATORS: Mapping[str, Function] = {
 """The operators of scalar trees; they are no functions of the language."""
 
 
-_OWN = {function.name: function for function in _ENTRIES}
-
-
 def _read(_name: str, found: object) -> Iterator[tuple[str, Function]]:
     for function in [found] if isinstance(found, Function) else list(found):  # type: ignore[call-overload]
-        _require_usable(function, _OWN)
+        _require_usable(function)
         yield function.name, function
 
 
-def _require_usable(function: object, known: Mapping[str, Function]) -> None:
-    """Refuse an entry of another package that would break ours.
+def _require_usable(function: object) -> None:
+    """Refuse a function of another package that would break ours.
 
     Raises:
         ValueError: Says what is wrong with the entry.
@@ -534,7 +531,7 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
     if not isinstance(function, Function):
         raise ValueError(f"{str(function)[:60]!r} is no Function")
     name = function.name
-    if not name.isidentifier() or name in known or name in OPERATORS or name in UNITS or hasattr(math, name):
+    if not name.isidentifier() or name in OPERATORS or name in UNITS or hasattr(math, name):
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
@@ -558,7 +555,7 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
         raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
 
 
-FUNCTIONS: Mapping[str, Function] = Table(GROUP, _OWN, _read)
+FUNCTIONS: Mapping[str, Function] = Table(GROUP, {function.name: function for function in _ENTRIES}, _read)
 
 
 def operation(name: str) -> Function:
