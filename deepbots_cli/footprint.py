@@ -1,11 +1,10 @@
 """Footprints of bodies on the ground, as discs and rectangles; link frames; bounding boxes; the height at which a body rests.
 
-An object has a rectangle or a disc, exact while it stands upright; a robot has the disc around its links with all joints at 0.
-Lengths in m, angles in rad.
+The footprint of an object is a rectangle or a disc, exact while it stands upright. The footprint of a robot is the disc around
+its links with all joints at 0. Lengths are in m, angles in rad.
 
-The distances are written out rather than taken from shapely: lint needs them too, and imports no numpy; making a patch and its
-distance to another costs 17 us with shapely and 19 us here; and a draw of a place may hang on the last bit of a distance.
-Link frames are not taken from yourdfpy for the same first reason.
+Distances do not use shapely, and link frames do not use yourdfpy: lint needs both and imports no numpy. A patch and its distance
+to another take 19 us here and 17 us with shapely.
 """
 
 from __future__ import annotations
@@ -25,9 +24,10 @@ Spot = tuple[float, float]
 
 
 class Footprint(NamedTuple):
-    """A rectangle or a disc in the axes of a standing body: its middle from the origin, the radius around it, half its sides.
+    """A rectangle or a disc in the axes of a standing body.
 
-    `half` is None for a disc.
+    `middle` is relative to the body's origin; `radius` is that of the disc, or of the circle around the rectangle; `half` holds
+    half the sides of the rectangle, None for a disc.
     """
 
     middle: Spot
@@ -45,14 +45,14 @@ class Footprint(NamedTuple):
         return min(self.half) if self.half else self.radius
 
     def at(self, x: float, y: float, yaw: float) -> Patch:
-        """The patch that it covers when the body's origin is at (x, y)."""
+        """The patch that the footprint covers when the body's origin is at (x, y)."""
         c, s = cos(yaw), sin(yaw)
         mx, my = self.middle
         return Patch(x + c * mx - s * my, y + s * mx + c * my, self.radius, self.half, c, s)
 
 
 class Patch(NamedTuple):
-    """A footprint in the world: its middle, and the cosine and sine of its yaw."""
+    """A footprint in the world: the position of its middle, and the cosine and sine of its yaw."""
 
     x: float
     y: float
@@ -63,7 +63,7 @@ class Patch(NamedTuple):
 
     @property
     def extent(self) -> Spot:
-        """Half its size along x and y of the world."""
+        """Half the size along x and y of the world."""
         if self.half is None:
             return self.radius, self.radius
         a, b = self.half
@@ -71,7 +71,7 @@ class Patch(NamedTuple):
         return c * a + s * b, s * a + c * b
 
     def distance(self, x: float, y: float) -> float:
-        """From a point to its edge; 0 inside."""
+        """The distance of a point from the edge; 0 inside."""
         dx, dy = x - self.x, y - self.y
         if self.half is None:
             return max(0.0, hypot(dx, dy) - self.radius)
@@ -90,7 +90,7 @@ class Patch(NamedTuple):
         return all(hypot(x - self.x, y - self.y) + margin <= self.radius for x, y in other.corners())
 
     def corners(self) -> Iterator[Spot]:
-        """Of a rectangle."""
+        """The four corners of a rectangle."""
         a, b = self.half or (0.0, 0.0)
         for i, j in ((a, b), (a, -b), (-a, b), (-a, -b)):
             yield self.x + self.cos * i - self.sin * j, self.y + self.sin * i + self.cos * j
@@ -107,14 +107,14 @@ def gap(a: Patch, b: Patch) -> float:
 
 
 def _parted(a: Patch, b: Patch) -> bool:
-    """Whether a line along a side of either parts two rectangles: the theorem of the separating axis."""
+    """Whether two rectangles are disjoint: the separating axis theorem."""
     dx, dy = b.x - a.x, b.y - a.y
     axes = ((a.cos, a.sin), (-a.sin, a.cos), (b.cos, b.sin), (-b.sin, b.cos))
     return any(abs(c * dx + s * dy) >= _along(a, c, s) + _along(b, c, s) for c, s in axes)
 
 
 def _along(patch: Patch, c: float, s: float) -> float:
-    """Half the shadow of a rectangle on the axis (c, s)."""
+    """Half the length of a rectangle's projection on the axis (c, s)."""
     a, b = patch.half or (0.0, 0.0)
     return a * abs(c * patch.cos + s * patch.sin) + b * abs(s * patch.cos - c * patch.sin)
 
@@ -123,7 +123,7 @@ def _along(patch: Patch, c: float, s: float) -> float:
 
 
 def of_shape(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
-    """The footprint of an object whose origin is the middle of its shape; a tilted one has the rectangle around it."""
+    """The footprint of an object whose origin is the middle of its shape; the bounding rectangle if the object is tilted."""
     match shape:
         case Sphere(radius):
             return Footprint((0.0, 0.0), radius)
@@ -147,7 +147,7 @@ def of_robot(model: RobotModel) -> Footprint:
 
 
 def half_width(model: RobotModel) -> float:
-    """How far the origin of a robot keeps from a wall that it drives along: forwards, or sideways if it is longer that way."""
+    """The reach of a robot's shapes from its origin, along x or y, whichever is less: its distance from a wall that it drives along."""
     discs = _all_discs(model)
     return min(max((abs(disc[axis]) + disc[2] for disc in discs), default=0.0) for axis in (0, 1))
 
@@ -162,7 +162,7 @@ def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
 
 
 def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
-    """Discs (x, y, radius) whose hull, seen from above, holds a shape of a robot: exact for what lies or stands straight."""
+    """Discs (x, y, radius) whose hull, seen from above, holds a shape of a robot; exact for upright and for lying shapes."""
     x, y, _ = frame[0]
     axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
     match shape:
@@ -178,9 +178,9 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
 
 
 def feet(model: RobotModel, thickness: float) -> list[Spot]:
-    """Where a robot touches level ground with all joints at 0, in the frame of its root: all ends within `thickness` (m) of the lowest.
+    """The points where a robot with all joints at 0 touches level ground, in the frame of its root; meshes do not count.
 
-    Meshes do not count.
+    A point is the end of a shape within `thickness` (m) of the lowest.
     """
     lowest = -resting(model)
     touching = [(shape, frame) for shape, frame in _solids(model) if bounds_of_shape(shape, frame)[0][2] <= lowest + thickness]
@@ -205,7 +205,7 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
 
 
 def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """Every link in the frame of the root; `positions` of joints by name, in rad or m, are 0 where none is given."""
+    """The frame of every link in the frame of the root; `positions` of joints (rad or m) are by name, 0 by default."""
     below: dict[str, list[Joint]] = {}
     for joint in model.joints:
         below.setdefault(joint.parent, []).append(joint)
@@ -219,7 +219,7 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
 
 
 def behind(joint: Joint, parent: Frame, position: float) -> Frame:
-    """The frame of a joint's child, from that of its parent."""
+    """The frame of a joint's child link, from the frame of its parent link."""
     frame = frames.inside(parent, frames.frame(joint.origin))
     if not joint.moves or position == 0.0:
         return frame
@@ -257,7 +257,7 @@ def bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> B
 
 
 def without_meshes(model: RobotModel) -> RobotModel:
-    """The robot without the shapes that are read from files, which may take seconds."""
+    """The robot without its meshes, which may take seconds to read."""
 
     def plain(parts: tuple[Geometry, ...]) -> tuple[Geometry, ...]:
         return tuple(part for part in parts if not isinstance(part.shape, Mesh))
@@ -280,7 +280,7 @@ def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> 
 
 
 def bounds_of_shape(shape: Shape, frame: Frame = frames.HERE) -> Bounds:
-    """The box around a shape, in the frame that `frame` is given in."""
+    """The box around a shape whose own frame is `frame`."""
     (x, y, z), turn = frame
     match shape:
         case Sphere(radius):

@@ -13,7 +13,7 @@ Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 """Rows of a 3 by 3 matrix."""
 Frame = tuple[Triple, Quaternion]
-"""Where something is in something else: its origin there (m), and how it is turned."""
+"""A frame in another: its origin (m) and its rotation."""
 
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -25,13 +25,13 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def about(axis: Triple, angle: float) -> Quaternion:
-    """By `angle` (rad) about a unit axis."""
+    """The rotation by `angle` (rad) about a unit axis."""
     s = sin(angle / 2)
     return (axis[0] * s, axis[1] * s, axis[2] * s, cos(angle / 2))
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """First `b`, then `a`."""
+    """The rotation by `b`, then by `a`."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -43,7 +43,7 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def inverse(q: Quaternion) -> Quaternion:
-    """Of a unit quaternion."""
+    """The inverse of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
@@ -106,7 +106,7 @@ def frame(pose: Pose) -> Frame:
 
 
 def inside(outer: Frame, inner: Frame) -> Frame:
-    """`inner`, which is given in `outer`, in the frame that `outer` is given in."""
+    """The frame `inner`, given relative to `outer`, in the frame that `outer` is relative to."""
     return add(outer[0], rotate(outer[1], inner[0])), multiply(outer[1], inner[1])
 
 
@@ -135,7 +135,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def turned(m: Matrix, r: Matrix) -> Matrix:
-    """The tensor `m`, given in the axes of the child, in those of the parent: r m r^T."""
+    """The tensor `m` in the axes of the parent, from that in the axes of the child: r m r^T."""
     return product(product(r, m), transposed(r))
 
 

@@ -16,7 +16,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
 from deepbots_cli.document.nodes import Sequence as SequenceNode
-from deepbots_cli.expressions import check, parser, syntax, unification
+from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
@@ -29,7 +29,6 @@ from deepbots_cli.expressions.types import (
     NoNames,
     Redraw,
     Report,
-    Rewriting,
     Scope,
     Stage,
     Type,
@@ -38,7 +37,7 @@ from deepbots_cli.expressions.types import (
     Vector,
     zero,
 )
-from deepbots_cli.expressions.unification import expect, expect_range
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect, expect_kind, expect_range
 from deepbots_cli.program.resets import RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
@@ -220,24 +219,15 @@ class Values:
     def report(self, text: Text) -> Report:
         """Takes findings at offsets of `text`."""
 
-        def report(
-            code: str,
-            start: int,
-            end: int,
-            headline: str,
-            help: str | None = None,
-            notes: tuple[str, ...] = (),
-            meant: Meant | Rewriting | None = None,
-        ) -> None:
+        def report(code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None:
             span, piece = text.part(start, end), text.text[start:end]
             if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
                 return  # what to write instead of too few numbers shows the unit
             word = self._word_meant(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
                 help, meant = f"did you mean `{word}`? {help}", Meant(word, safe=False)
-            better = Meant(meant(piece), safe=False) if callable(meant) else meant
-            fix = Fix.replacing(span, piece, better.text, safe=better.safe) if better else None
-            self.findings.add(code, span, headline, help=help, notes=notes, fix=fix)
+            fix = Fix.replacing(span, piece, meant.text, safe=meant.safe) if meant else None
+            self.findings.add(code, span, headline, help=help, fix=fix)
 
         return report
 
@@ -257,8 +247,7 @@ class Values:
         self.readings.append(Reading(text, scope, (typed,) if typed else ()))
         if typed is None or boolean is None:
             return typed
-        agrees = unification.truths if boolean else unification.numbers
-        return typed if agrees([typed], self.report(text)) else None
+        return expect_kind(typed, self.report(text), boolean=boolean)
 
     def condition(self, text: Text, scope: Scope) -> Typed | None:
         """The same for a single truth value."""
@@ -564,7 +553,7 @@ def _parameter(values: Values, path: Path, given: Any, kind: FieldType, own: Dim
     if isinstance(kind, Range):
         ends = values.ends(text, what, scope, dimension=dimension)
         return (*ends.low, *ends.high) if ends else None
-    components = unification.ANY_SHAPE if isinstance(kind, Column) else {2: PLANE, 3: SPACE}.get(kind.components or 0)
+    components = ANY_SHAPE if isinstance(kind, Column) else {2: PLANE, 3: SPACE}.get(kind.components or 0)
     typed = values.quantity(text, what, scope, dimension, components)
     numbers = values.fixed(typed, text, what) if typed else None
     return None if numbers is None else tuple(map(float, numbers)) if components else float(numbers[0])

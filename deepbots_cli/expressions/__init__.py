@@ -1,17 +1,17 @@
 """The expression language: text with units in, typed tree, scalar trees and Python text out.
 
-It knows nothing of YAML or scenarios: it sees a text, a scope that resolves names, and a place to
-report findings to. Read in this order:
+The package knows nothing of YAML or scenarios. Its input is a text, a scope that resolves names, and a
+function that takes findings. Read in this order:
 
-dimensions.py   what a quantity measures, and the names behind numbers
+dimensions.py   dimensions and units
 intervals.py    interval arithmetic
-types.py        types, stages, symbols, scopes; the typed tree
-syntax.py       tokens and the untyped tree
-parser.py       text to tree, with hints for the commonest slips
-functions.py    THE table: all that is known of each function and operator; functions of other packages
-unification.py  whether values fit together and fit their field
-check.py        tree to typed tree
-scalar.py       single SI numbers: what the compiled scenario holds
-lower.py        typed tree to scalars; constants are folded
-printer.py      scalars to Python text; stateful functions as statements
+types.py        types, stages, symbols and scopes; the typed tree
+syntax.py       tokens and the syntax tree
+parser.py       text to syntax tree, with hints for common mistakes
+functions.py    the table of functions and operators; intervals of scalar trees; functions of other packages
+unification.py  agreement of values with each other and with their field
+check.py        syntax tree to typed tree
+scalar.py       scalar trees: one tree per SI number, as the compiled scenario holds them
+lower.py        typed tree to scalar trees; folds constants
+printer.py      scalar trees to Python text; stateful functions to statements
 """

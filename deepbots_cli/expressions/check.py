@@ -1,19 +1,20 @@
-"""Syntax tree to typed tree: names, dimensions, shapes, intervals and stages are settled here.
+"""Syntax tree to typed tree: resolves names, dimensions, shapes, intervals and stages.
 
-A part that is wrong becomes None, which every check above it accepts: one fault, one finding.
+A finding stops the check of all nodes above its own, but not of its neighbours: each fault gives one finding.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from fractions import Fraction
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 from deepbots_cli.diagnostics.nearest import Meant, meant
-from deepbots_cli.expressions import syntax, unification
-from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, Exponent, multiple, suggest_unit
+from deepbots_cli.expressions import syntax
+from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, multiple, suggest_unit
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, OPERATORS, Family, Form, Function, Param
 from deepbots_cli.expressions.intervals import TRUTH, Interval, exact, hull
 from deepbots_cli.expressions.types import (
@@ -30,11 +31,9 @@ from deepbots_cli.expressions.types import (
     Redraw,
     Reference,
     Report,
-    Rewriting,
     Scope,
     Stage,
     Subject,
-    Symbol,
     Type,
     Typed,
     TypedRange,
@@ -42,22 +41,37 @@ from deepbots_cli.expressions.types import (
     shown,
     size,
 )
+from deepbots_cli.expressions.unification import (
+    Stop,
+    components_of,
+    dimension_of,
+    fault,
+    or_none,
+    require_dimension,
+    require_kind,
+    warn_of_degrees,
+)
 
-_OPERATORS = {
-    "+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow",
-    "<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal",
-}  # fmt: skip
+A = TypeVar("A")
+B = TypeVar("B")
+
+_ARITHMETIC = {"+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow"}
+_COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal"}
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
 _NO_ZERO = "keep it away from zero, as in `max(x, 0.01 m)`"
 _KEEP_ABOVE = "keep it above with `max(x, ...)`"
-_NESTED = ("a vector inside a vector", "pick a component, as in `v.x`")
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and name that here",
     Family.STATEFUL: "keep it as a signal, and name that where signals are known",
     Family.MESSAGE: "only the supervisor receives what robots send; keep it as a signal, or send it under `receive`",
     Family.WORLD: "a robot knows only its sensors and messages; send it the value under `receive`",
+}
+_CONTEXT_HELP = {
+    **{(Context.FORBID, family): "compute it under `augment`, and name that here" for family in Family},
+    (Context.FIXED, Family.DRAW): "it is the same in every episode; give one figure",
+    (Context.SCRIPT, Family.STATEFUL): "keep it as a signal, and name that here",
 }
 # A common question about a part of the world that has no position.
 _ASKED = {
@@ -87,9 +101,6 @@ _CALLED_ELSEWHERE = {
 }
 
 
-_Bound = tuple[Param, Typed]
-
-
 class Checked(NamedTuple):
     """A whole text: its value, and how often its draws are repeated (None: once per episode)."""
 
@@ -97,59 +108,51 @@ class Checked(NamedTuple):
     redraw: Redraw | None = None
 
 
-def check(tree: syntax.Node, scope: Scope, report: Report) -> Typed | None:
+@or_none
+def check(tree: syntax.Node, scope: Scope, report: Report) -> Typed:
     """The typed tree of a text that gives one value; None after a finding that leaves it without a type."""
     if isinstance(tree, syntax.Redrawn):
         help = "only parameters and channel settings are drawn `every` period or `each step`"
         report("DB407", tree.value.end, tree.end, "a draw that is repeated", help)
-        return None
+        raise Stop
     return _Checker(scope, report).whole(tree)
 
 
-def check_drawn(tree: syntax.Node, scope: Scope, report: Report) -> Checked | None:
+@or_none
+def check_drawn(tree: syntax.Node, scope: Scope, report: Report) -> Checked:
     """As `check`, where the text may end in `every 5 s` or `each step`."""
     checker = _Checker(scope, report)
     if not isinstance(tree, syntax.Redrawn):
-        value = checker.whole(tree)
-        return Checked(value) if value else None
-    value = checker.whole(tree.value)
-    period = checker.whole(tree.period) if tree.period else None
-    if period and not (unification.numbers([period], report) and unification.has_dimension(period, TIME, "the period", report)):
-        return None
-    if value is None or (tree.period and period is None):
-        return None
+        return Checked(checker.whole(tree))
+    value, *periods = checker.each(checker.whole, (tree.value, *([tree.period] if tree.period else [])))
+    for period in periods:
+        require_kind([period], report)
+        require_dimension(period, TIME, "the period", report)
     if not checker.draws:
         help = "`every` and `each step` repeat draws such as `uniform(a .. b)`"
         report("DB401", tree.value.end, tree.end, "a repetition without a draw", help)
-    return Checked(value._replace(type=value.type._replace(stage=Stage.STEP)), Redraw(period))
+    return Checked(value._replace(type=value.type._replace(stage=Stage.STEP)), Redraw(periods[0] if periods else None))
 
 
-def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: bool = False) -> TypedRange | None:
+@or_none
+def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: bool = False) -> TypedRange:
     """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
-        report("DB401", tree.start, tree.end, "a single value where a range is needed", "write both ends: `low .. high`")
-        return None
+        raise fault(report, "DB401", tree, "a single value where a range is needed", "write both ends: `low .. high`")
     checker = _Checker(scope, report)
-    low, high = checker.whole(tree.low), checker.whole(tree.high)
-    if low is None or high is None or not unification.numbers((low, high), report):
-        return None
-    if unification.dimension_of((low, high), tree.start, tree.end, report) is None:
-        return None
-    if unification.components_of((low, high), tree.start, tree.end, report) is None:
-        return None
-    if not falling and low.type.interval.low > high.type.interval.high:
-        _report_falling(tree.low, tree.high, tree.start, tree.end, report)
-        return None
-    return TypedRange(low, high, tree.start, tree.end)
+    low, high = checker.each(checker.whole, (tree.low, tree.high))
+    found = TypedRange(low, high, tree.start, tree.end)
+    require_kind((low, high), report)
+    dimension_of((low, high), tree, report)
+    components_of((low, high), tree, report)
+    if not falling:
+        _require_rising(found, report)
+    return found
 
 
-def _report_falling(low: Typed | syntax.Node, high: Typed | syntax.Node, start: int, end: int, report: Report) -> None:
-    headline = "a range whose low end is above its high end"
-    report("DB105", start, end, headline, "give the low end first", meant=unification.swapped(low, high))
-
-
-class _Stop(Exception):  # noqa: N818 - no error: it carries nothing
-    """A part has a finding; nothing above it is checked."""
+def _require_rising(found: TypedRange, report: Report) -> None:
+    if found.low.type.interval.low > found.high.type.interval.high:
+        raise fault(report, "DB105", found, "a range whose low end is above its high end", "give the low end first")
 
 
 class _Checker:
@@ -158,23 +161,21 @@ class _Checker:
     def __init__(self, scope: Scope, report: Report) -> None:
         self._scope = scope
         self._report = report
+        self._fault = partial(fault, report)
         self._occurrences = 0
         self.draws = 0
 
-    def whole(self, tree: syntax.Node) -> Typed | None:
-        """A whole text, or one end of a range; None after a finding."""
-        try:
-            if isinstance(tree, syntax.Range):
-                raise self._fault("DB401", tree, "a range where a single value is needed")
-            value = self.visit(tree)
-            if value.type.copies:
-                help = "there may be any number of them: take `min`, `max`, `sum`, `norm`, `any` or `all` of it"
-                raise self._fault("DB404", tree, "a value for each copy of a group", help)
-            if size(value) > MAX_SIZE:
-                headline = f"an expression of more than {MAX_SIZE} operations on single numbers"
-                raise self._fault("DB005", tree, headline, "name parts of it, as signals or parameters")
-        except _Stop:
-            return None
+    def whole(self, tree: syntax.Node) -> Typed:
+        """A whole text, or one end of a range."""
+        if isinstance(tree, syntax.Range):
+            raise self._fault("DB401", tree, "a range where a single value is needed")
+        value = self.visit(tree)
+        if value.type.copies:
+            help = "there may be any number of them: take `min`, `max`, `sum`, `norm`, `any` or `all` of it"
+            raise self._fault("DB404", tree, "a value for each copy of a group", help)
+        if size(value) > MAX_SIZE:
+            headline = f"an expression of more than {MAX_SIZE} operations on single numbers"
+            raise self._fault("DB005", tree, headline, "name parts of it, as signals or parameters")
         return value
 
     def visit(self, node: syntax.Node) -> Typed:
@@ -184,15 +185,14 @@ class _Checker:
             case syntax.Number():
                 return self._constant(node, (node,), None)
             case syntax.Binary():
-                return self._binary(node, *self._visits(node.left, node.right))
+                left, right = self.each(self.visit, (node.left, node.right))
+                return self._when(node, left, right) if node.operator == "when" else self._binary(node, left, right)
             case syntax.Call():
                 return self._call(node)
             case syntax.Member():
                 return self._pick(self.visit(node.value), node.member, node)
             case syntax.Unary():
                 return self._unary(node, self.visit(node.operand))
-            case syntax.When():
-                return self._when(node, *self._visits(node.value, node.condition))
             case syntax.Vector():
                 return self._vector(node)
             case syntax.Truth():
@@ -200,41 +200,16 @@ class _Checker:
             case _:
                 raise self._fault("DB401", node, "a range or draw where a single value is needed")
 
-    def _visits(self, *nodes: syntax.Node) -> list[Typed]:
-        """All of them: every fault is reported before the check stops."""
-        found: list[Typed] = []
-        for node in nodes:
-            with suppress(_Stop):
-                found.append(self.visit(node))
-        self._require(len(found) == len(nodes))
+    @staticmethod
+    def each(visit: Callable[[A], B], items: Sequence[A]) -> list[B]:
+        """The result for every item: the faults of all of them are reported before the check stops."""
+        found: list[B] = []
+        for item in items:
+            with suppress(Stop):
+                found.append(visit(item))
+        if len(found) < len(items):
+            raise Stop
         return found
-
-    def _fault(self, code: str, place: syntax.Node | Typed, headline: str, help: str | None = None) -> _Stop:
-        """Reports a finding, and stops the check where it is raised."""
-        self._report(code, place.start, place.end, headline, help)
-        return _Stop()
-
-    def _require(self, fits: bool) -> None:
-        if not fits:
-            raise _Stop
-
-    def _numbers(self, *values: Typed) -> None:
-        self._require(unification.numbers(values, self._report))
-
-    def _truths(self, *values: Typed) -> None:
-        self._require(unification.truths(values, self._report))
-
-    def _dimension_of(self, values: Sequence[Typed], node: syntax.Node) -> Dimension:
-        found = unification.dimension_of(values, node.start, node.end, self._report)
-        if found is None:
-            raise _Stop
-        return found
-
-    def _components_of(self, values: Sequence[Typed], node: syntax.Node) -> Components | None:
-        found = unification.components_of(values, node.start, node.end, self._report)
-        if found is None:
-            raise _Stop
-        return found[0]
 
     # names
 
@@ -245,14 +220,12 @@ class _Checker:
             if symbol is None:
                 continue
             if symbol.refused is not None:
-                self._report("DB407", node.start, node.end, f"`{symbol.name}` has no value here", symbol.refused)
+                self._fault("DB407", node, f"`{symbol.name}` has no value here", symbol.refused)
             if symbol.type is None:
-                raise _Stop
+                raise Stop
             value: Typed = Reference(symbol.type, node.start, node.end, symbol)
-            written = symbol.name
-            for member in node.parts[length:]:
-                value = self._pick(value, member, node, f"{written}.")
-                written = f"{written}.{member}"
+            for index in range(length, len(node.parts)):
+                value = self._pick(value, node.parts[index], node, ".".join([*node.parts[:index], ""]))
             return value
         raise self._no_value(node)
 
@@ -263,7 +236,7 @@ class _Checker:
             raise self._fault("DB402", node, f"`.{member}` of a single value", "only vectors have components")
         wanted = (member,) if member in components else tuple(member)
         if not set(wanted) <= set(components) or len(set(wanted)) < len(wanted):
-            raise self._unknown("component", member, components, node.start, node.end, before)
+            raise self._unknown("component", member, components, node, before)
         chosen = value.type._replace(components=None if len(wanted) == 1 else wanted)
         return Pick(chosen, node.start, node.end, value, tuple(components.index(name) for name in wanted))
 
@@ -274,36 +247,33 @@ class _Checker:
             help = "name a part of the world, as in `position(cart.tip)`"
             raise self._fault("DB203", node, f"a value where `{function}` needs {wanted}", help)
         scope, name = self._scope, node.dotted
-        subject, symbol = scope.subject(name, kinds), None
+        subject = scope.subject(name, kinds)
         if subject is not None and subject.kind in kinds:
             return subject
-        if subject is None:
-            symbol = scope.lookup(name)
+        symbol = scope.lookup(name) if subject is None else None
         is_invalid = symbol is not None and symbol.type is None and symbol.refused is None
         if is_invalid or (subject is not None and subject.kind is Kind.BROKEN):
-            raise _Stop
+            raise Stop
         fitting = [known for known in dict.fromkeys(scope.subjects()) if (other := scope.subject(known, kinds)) and other.kind in kinds]
         if subject is None and symbol is None:
-            raise self._unknown("name", name, fitting, node.start, node.end)
+            raise self._unknown("name", name, fitting, node)
         found = subject.kind.words if subject is not None else "a value"
         raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", _known(fitting))
 
-    def _no_value(self, node: syntax.Name) -> _Stop:
+    def _no_value(self, node: syntax.Name) -> Stop:
         """A name that is no value: a part of the world, a function, or unknown."""
         scope, name = self._scope, node.dotted
         subject = scope.subject(name)
         if subject is not None:
             help = f"ask for one of its values, as in `{_ASKED.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
-            return _Stop() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.words}, not a value", help)
+            return Stop() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.words}, not a value", help)
         if name in FUNCTIONS:
             return self._fault("DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`")
         if asked := self._asked_of_a_body(node):
             help = f"what is known of the world is asked for by functions: `{asked}`"
-            self._report("DB402", node.start, node.end, f"unknown name `{name}`", help, meant=Meant(asked, safe=False))
-            return _Stop()
-        also = _NAMED.get(name.lower(), _ELSEWHERE.get(scope.context))
-        return self._unknown("name", name, scope.names(), node.start, node.end, also=also)
+            return self._fault("DB402", node, f"unknown name `{name}`", help, Meant(asked, safe=False))
+        return self._unknown("name", name, scope.names(), node, also=_NAMED.get(name.lower(), _ELSEWHERE.get(scope.context)))
 
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """`position(cart).x` for `cart.position.x` and for `cart.x`."""
@@ -318,20 +288,19 @@ class _Checker:
         return None
 
     def _unknown(
-        self, what: str, name: str, known: Iterable[str], start: int, end: int, before: str | None = "", also: str | None = None
-    ) -> _Stop:
+        self, what: str, name: str, known: Iterable[str], place: syntax.Node, before: str | None = "", also: str | None = None
+    ) -> Stop:
         """DB402 with the nearest of the known names, and a list of them.
 
-        `before` and the name stand between `start` and `end`; None says that the text cannot be written again. The
-        help `also` is for names that are like none of the known.
+        `before` and the name are the text of `place`; None says that it cannot be written again. The help `also` is for
+        names that are like none of the known.
         """
         names = sorted(known)
         near = _with_owner(name, names) or meant(name, names)
         listed = "; ".join(filter(None, (_known(names), None if near else also)))
         help = f"did you mean `{near.text}`? {listed}" if near else listed
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
-        self._report("DB402", start, end, f"unknown {what} `{name}`", help, meant=fix)
-        return _Stop()
+        return self._fault("DB402", place, f"unknown {what} `{name}`", help, fix)
 
     # literals
 
@@ -345,188 +314,166 @@ class _Checker:
         return Constant(known, node.start, node.end, values, unit)
 
     def _vector(self, node: syntax.Vector) -> Typed:
-        last = node.items[-1]
-        if isinstance(last, syntax.Name):
-            self._require_item(node, last)
-        components = _positions(len(node.items))
+        if isinstance(node.items[-1], syntax.Name):
+            self._require_item(node, node.items[-1])
         literals = [item for item in node.items if isinstance(item, syntax.Number)]
         if len(literals) == len(node.items):
-            return self._constant(node, literals, components)
-        items = self._visits(*node.items)
-        self._numbers(*items)
-        for item in items:
-            if item.type.components is not None:
-                raise self._fault("DB404", item, *_NESTED)
+            return self._constant(node, literals, _positions(len(literals)))
+        items = self.each(self.visit, node.items)
+        require_kind(items, self._report)
+        components = self._gathered(items)
         interval, stage = hull([item.type.interval for item in items]), max(item.type.stage for item in items)
-        result = Type(self._dimension_of(items, node), components, interval=interval, stage=stage)
+        result = Type(dimension_of(items, node, self._report), components, interval=interval, stage=stage)
         return Vector(result, node.start, node.end, tuple(items))
+
+    def _gathered(self, values: Sequence[Typed]) -> Components:
+        """The components of single values side by side."""
+        for value in values:
+            if value.type.components is not None:
+                raise self._fault("DB404", value, "a vector inside a vector", "pick a component, as in `v.x`")
+        return _positions(len(values))
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
         """The name behind the numbers must be their last item; otherwise it is a misspelt unit, or an operator is missing."""
-        symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(name.dotted)
-        if symbol is not None and len(node.items) > 2:
-            return
-        if symbol is not None:
-            raise self._missing(node, name, symbol)
-        unit, scaled = suggest_unit(name.dotted), multiple(name.dotted)
-        help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
-        if unit is not None:
-            help = f"did you mean `{unit.text}`?"
-        elif scaled is not None:
-            help = f"give it in {scaled[1]}: 1 {name.dotted} is {scaled[0]:g} {scaled[1]}"
-        self._report("DB501", name.start, name.end, f"unknown unit `{name.dotted}`", help, meant=unit)
-        raise _Stop
-
-    def _missing(self, node: syntax.Vector, name: syntax.Name, symbol: Symbol) -> _Stop:
-        """`when` is missing before a condition, an operator before a number."""
-        start, at = node.items[0].start, name.start - node.items[0].start
-        headline, help = f"an operator is missing before `{name.dotted}`", f"to multiply, write `*` before `{name.dotted}`"
-        fix: Rewriting | None = None
-        if symbol.type is not None and symbol.type.boolean:
-            headline, help = f"`when` is missing before `{name.dotted}`", f"what is paid on a condition is written `5 when {name.dotted}`"
-            fix = (lambda piece: f"{piece[:at]}when {piece[at:]}") if start == 0 else None  # only a whole text can take it
-        self._report("DB401", start, name.end, headline, help, meant=fix)
-        return _Stop()
+        written = name.dotted
+        symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
+        if symbol is None:
+            unit, scaled = suggest_unit(written), multiple(written)
+            help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
+            if unit is not None:
+                help = f"did you mean `{unit.text}`?"
+            elif scaled is not None:
+                help = f"give it in {scaled[1]}: 1 {written} is {scaled[0]:g} {scaled[1]}"
+            raise self._fault("DB501", name, f"unknown unit `{written}`", help, unit)
+        if len(node.items) == 2:
+            missing, help = "an operator", f"to multiply, write `*` before `{written}`"
+            if symbol.type is not None and symbol.type.boolean:
+                missing, help = "`when`", f"what is paid on a condition is written `5 when {written}`"
+            raise self._fault("DB401", node, f"{missing} is missing before `{written}`", help)
 
     # operators
 
-    def _when(self, node: syntax.When, value: Typed, condition: Typed) -> Typed:
+    def _when(self, node: syntax.Binary, value: Typed, condition: Typed) -> Typed:
         """`a when c` is `where(c, a, 0)`."""
-        self._numbers(value)
-        self._truths(condition)
-        components = self._components_of((value, condition), node)
+        require_kind([value], self._report)
+        require_kind([condition], self._report, boolean=True)
+        components = components_of((value, condition), node, self._report)
         nothing = Constant(Type(interval=exact(0.0)), node.end, node.end, (0.0,))
         stage = max(value.type.stage, condition.type.stage)
         result = Type(value.type.dimension, components, interval=hull((value.type.interval, exact(0.0))), stage=stage)
         return Invocation(result, node.start, node.end, "where", (), (condition, value, nothing))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
+        require_kind([operand], self._report, boolean=node.operator == "not")
         if node.operator == "not":
-            self._truths(operand)
             return Operation(operand.type, node.start, node.end, "not", (operand,))
-        self._numbers(operand)
         result = operand.type._replace(interval=OPERATORS["neg"].interval(operand.type.interval))
         if isinstance(operand, Constant):
             return operand._replace(type=result, start=node.start, values=tuple(-value for value in operand.values))
         return Operation(result, node.start, node.end, "neg", (operand,))
 
     def _binary(self, node: syntax.Binary, left: Typed, right: Typed) -> Typed:
-        components = self._components_of((left, right), node)
+        both = (left, right)
+        components = components_of(both, node, self._report)
         stage = max(left.type.stage, right.type.stage)
-        operator = _OPERATORS.get(node.operator, node.operator)
-        if operator in ("add", "sub", "mul", "div", "pow"):
-            self._numbers(left, right)
-            dimension = self._result_dimension(operator, node, left, right)
-            self._warn_of_domain(operator, left, right)
+        if operator := _ARITHMETIC.get(node.operator):
+            require_kind(both, self._report)
+            result = Type(self._result_dimension(node, left, right), components, stage=stage)
+            self._warn_of_domain(node.operator, left.type.interval, right.type.interval, node)
             interval = OPERATORS[operator].interval(left.type.interval, right.type.interval)
-            settled = all(value.type.interval.finite and value.type.interval.single for value in (left, right))
+            settled = all(value.type.interval.finite and value.type.interval.single for value in both)
             if settled and interval.single and not interval.finite:  # a division by zero gives an interval that is not single
-                self._report("DB406", node.start, node.end, "a result too large to be kept")
-            return Operation(Type(dimension, components, interval=interval, stage=stage), node.start, node.end, operator, (left, right))
-        if operator in ("and", "or"):
-            self._truths(left, right)
-        elif not (left.type.boolean and right.type.boolean and operator in ("equal", "not_equal")):
-            self._numbers(left, right)
-            if self._dimension_of((left, right), node) == ANGLE:
-                unification.warn_of_degrees(left, self._report)
-                unification.warn_of_degrees(right, self._report)
+                self._fault("DB406", node, "a result too large to be kept")
+            return Operation(result._replace(interval=interval), node.start, node.end, operator, both)
+        if node.operator not in _COMPARISONS:
+            require_kind(both, self._report, boolean=True)
+        elif not (left.type.boolean and right.type.boolean and node.operator in ("==", "!=")):
+            require_kind(both, self._report)
+            if dimension_of(both, node, self._report) == ANGLE:
+                warn_of_degrees(left, self._report)
+                warn_of_degrees(right, self._report)
         truth = Type(components=components, boolean=True, interval=TRUTH, stage=stage)
-        return Operation(truth, node.start, node.end, operator, (left, right))
+        return Operation(truth, node.start, node.end, _COMPARISONS.get(node.operator, node.operator), both)
 
-    def _result_dimension(self, operator: str, node: syntax.Binary, left: Typed, right: Typed) -> Dimension:
-        match operator:
-            case "mul":
-                return left.type.dimension * right.type.dimension
-            case "div":
-                return left.type.dimension / right.type.dimension
-            case "pow":
-                self._require(unification.has_dimension(right, NUMBER, "the exponent", self._report, alone=False))
-                return self._raised(left.type.dimension, right)
+    def _result_dimension(self, node: syntax.Binary, left: Typed, right: Typed) -> Dimension:
+        base, other = left.type.dimension, right.type.dimension
+        match node.operator:
+            case "*":
+                return base * other
+            case "/":
+                return base / other
+            case "^":
+                require_dimension(right, NUMBER, "the exponent", self._report)
+                known = right.type.interval
+                if base == NUMBER:
+                    return NUMBER
+                # A quantity takes only exponents that are known and simple.
+                if known.single and right.type.components is None and abs(known.low) <= _MAX_EXPONENT:
+                    near = Fraction(known.low).limit_denominator(_MAX_DENOMINATOR)
+                    if float(near) == known.low:
+                        return base ** (near if near.denominator > 1 else int(near))
+                help = "divide by a unit first: only a plain number takes any exponent"
+                raise self._fault("DB503", right, f"{base.words} to a power that is not a known, simple number", help)
             case _:
-                return self._dimension_of((left, right), node)
+                return dimension_of((left, right), node, self._report)
 
-    def _raised(self, base: Dimension, exponent: Typed) -> Dimension:
-        """The dimension of a power: a quantity takes only exponents that are known and simple."""
-        if base == NUMBER:
-            return NUMBER
-        known = exponent.type.interval
-        fraction = _simple(known.low) if known.single and exponent.type.components is None else None
-        if fraction is None:
-            help = "divide by a unit first: only a plain number takes any exponent"
-            raise self._fault("DB503", exponent, f"{base.words} to a power that is not a known, simple number", help)
-        return base**fraction
-
-    def _warn_of_domain(self, operator: str, left: Typed, right: Typed) -> None:
+    def _warn_of_domain(self, operator: str, a: Interval, b: Interval, node: syntax.Binary) -> None:
         """DB405 for a division by what can be zero, DB406 for a root of what can be negative."""
-        a, b = left.type.interval, right.type.interval
-        if operator == "div" and b.finite and 0.0 in b:
+        if operator == "/" and b.finite and 0.0 in b:
             between = f"the divisor lies between {b.low:g} and {b.high:g}, and can be zero"
-            self._report("DB405", right.start, right.end, "a division by zero" if b.single else between, _NO_ZERO)
-        if operator != "pow" or not a.finite:
-            return
-        if a.low < 0.0 and b.single and not b.low.is_integer():
-            headline = f"a broken power of a value that can be as low as {a.low:g}"
-            self._report("DB406", left.start, left.end, headline, _KEEP_ABOVE)
-        if 0.0 in a and b.high < 0.0:
-            self._report("DB405", left.start, left.end, "a negative power of a value that can be zero", _NO_ZERO)
+            self._fault("DB405", node.right, "a division by zero" if b.single else between, _NO_ZERO)
+        if operator == "^" and a.finite:
+            if a.low < 0.0 and b.single and not b.low.is_integer():
+                self._fault("DB406", node.left, f"a broken power of a value that can be as low as {a.low:g}", _KEEP_ABOVE)
+            if 0.0 in a and b.high < 0.0:
+                self._fault("DB405", node.left, "a negative power of a value that can be zero", _NO_ZERO)
 
     # calls
 
     def _call(self, node: syntax.Call) -> Typed:
         function = FUNCTIONS.get(node.function)
+        called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None:
             if help := _CALLED_ELSEWHERE.get(node.function):
-                self._report("DB402", node.start, node.name_end, f"unknown function `{node.function}`", help)
-                raise _Stop
-            raise self._unknown("function", node.function, FUNCTIONS, node.start, node.name_end)
+                raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
+            raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None
         if function.family in (Family.STATEFUL, Family.DRAW):
             occurrence = self._occurrences
             self._occurrences += 1
             self.draws += function.family is Family.DRAW
-        allowed = self._is_allowed(node, function)
-        subjects, bound = self._arguments(node, function)
-        typed = self._invocation(node, function, subjects, bound, occurrence)
-        self._require(allowed)
-        return typed
-
-    def _is_allowed(self, node: syntax.Call, function: Function) -> bool:
-        """Whether the function may be called in this place; DB407 otherwise."""
         context = self._scope.context
-        if function.family in ALLOWED[context]:
-            return True
-        help = _FAMILY_HELP.get(function.family)
-        if context is Context.FORBID:
-            help = "compute it under `augment`, and name that here"
-        elif context is Context.FIXED and function.family is Family.DRAW:
-            help = "it is the same in every episode; give one figure"
-        elif context is Context.SCRIPT and function.family is Family.STATEFUL:
-            help = "keep it as a signal, and name that here"
-        self._report("DB407", node.start, node.name_end, f"`{function.name}` in {context.value}", help)
-        return False
+        is_allowed = function.family in ALLOWED[context]
+        if not is_allowed:
+            help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
+            self._fault("DB407", called, f"`{function.name}` in {context.value}", help)
+        subjects, bound = self._arguments(node, function)
+        values = tuple(value for _, value in bound)
+        result = self._result(node, function, subjects, bound)
+        self._warn(function, bound)
+        if not is_allowed:
+            raise Stop
+        if function.name == "vector":
+            return Vector(result, node.start, node.end, values)
+        return Invocation(result, node.start, node.end, function.name, subjects, values, occurrence)
 
-    def _arguments(self, node: syntax.Call, function: Function) -> tuple[tuple[Subject, ...], list[_Bound]]:
+    def _arguments(self, node: syntax.Call, function: Function) -> tuple[tuple[Subject, ...], list[tuple[Param, Typed]]]:
         """The subjects, and each value with its parameter: both ends of a range have the same."""
-        params = function.params
-        fewest, given = sum(not param.optional for param in params), len(node.args)
+        params, given = function.params, len(node.args)
+        fewest = sum(not param.optional for param in params)
         if given < fewest or (given > len(params) and not params[-1].many):
             wanted = f"at least {fewest}" if params[-1].many else " or ".join(str(n) for n in sorted({fewest, len(params)}))
             noun = "argument" if wanted == "1" else "arguments"
             raise self._fault("DB401", node, f"`{function.name}` takes {wanted} {noun}, not {given}", _usage(function))
-        subjects: list[Subject] = []
-        bound: list[_Bound] = []
-        wrong = False
-        for index, arg in enumerate(node.args):
-            param = params[min(index, len(params) - 1)]
-            try:
-                if param.form is Form.SUBJECT:
-                    subjects.append(self._subject(arg, param.kinds, function.name))
-                else:
-                    bound += [(param, value) for value in self._visits(*self._parts(param, arg, function))]
-            except _Stop:
-                wrong = True
-        self._require(not wrong)
-        return tuple(subjects), bound
+
+        def argument(index: int) -> tuple[list[Subject], list[tuple[Param, Typed]]]:
+            param, arg = params[min(index, len(params) - 1)], node.args[index]
+            if param.form is Form.SUBJECT:
+                return [self._subject(arg, param.kinds, function.name)], []
+            return [], [(param, value) for value in self.each(self.visit, self._parts(param, arg, function))]
+
+        found = self.each(argument, range(given))
+        return tuple(subject for subjects, _ in found for subject in subjects), [pair for _, pairs in found for pair in pairs]
 
     def _parts(self, param: Param, arg: syntax.Node, function: Function) -> Sequence[syntax.Node]:
         """The values in one argument: one, both ends of a range, or all options."""
@@ -535,67 +482,54 @@ class _Checker:
                 raise self._fault("DB401", arg, "a range or draw where a single value is needed", _usage(function))
             case Form.VALUE, _:
                 return (arg,)
-            case Form.RANGE, syntax.Range(low=low, high=high):
-                return (low, high)
-            case Form.SPREAD, syntax.Spread(mean=mean, deviation=deviation):
-                return (mean, deviation)
-            case Form.OPTIONS, syntax.Options(items=items):
-                return items
+            case (Form.RANGE, syntax.Range()) | (Form.SPREAD, syntax.Spread()) | (Form.OPTIONS, syntax.Options()):
+                return syntax.children(arg)
         raise self._fault("DB401", arg, f"`{function.name}` needs `{param}` here", _usage(function))
 
-    def _invocation(
-        self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[_Bound], occurrence: int | None
-    ) -> Typed:
-        """The typed call: dimension, shape, interval and stage of the result."""
-        values = tuple(value for _, value in bound)
-        boolean = self._is_boolean(function, bound)
-        shared = self._shared_dimension(node, function, subjects, bound)
-        components = self._components(node, function, subjects, bound)
-        given = [subject.interval for subject in subjects] + [value.type.interval for value in values]
-        reduction = function.reduction if components is None and values and values[0].type.components else None
-        if boolean:
-            interval = TRUTH
-        elif reduction is None:
-            interval = function.interval(*given)
-        else:
-            interval = reduction.interval(given[0], len(values[0].type.components or ()))
-        if reduction is not None and values[0].type.copies:  # there may be none of them
-            interval = hull([interval, exact(float(reduction.empty or 0.0))])
-        self._warn(function, bound)
-        result = Type(NUMBER if boolean else function.result(shared), components, boolean, interval, _stage(function, values))
-        if function.name == "vector":
-            return Vector(result, node.start, node.end, values)
-        return Invocation(result, node.start, node.end, function.name, subjects, values, occurrence)
+    def _result(self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]) -> Type:
+        """Dimension, shape, interval and stage of the value of a call."""
+        values = [value for _, value in bound]
+        truths, others = [value for param, value in bound if param.truth], [value for param, value in bound if not param.truth]
+        any_truth = function.truths and any(value.type.boolean for value in others)
+        require_kind(truths, self._report, boolean=True)
+        require_kind(others, self._report, boolean=any_truth)
+        boolean = function.boolean or any_truth
 
-    def _is_boolean(self, function: Function, bound: list[_Bound]) -> bool:
-        """Whether the result is a truth value; DB403 for arguments that are not what they must be."""
-        conditions = [value for param, value in bound if param.truth]
-        others = [value for param, value in bound if not param.truth]
-        truths = function.truths and any(value.type.boolean for value in others)
-        fits = unification.truths(conditions, self._report)
-        fits = (unification.truths if truths else unification.numbers)(others, self._report) and fits
-        self._require(fits)
-        return function.boolean or truths
-
-    def _shared_dimension(self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[_Bound]) -> Dimension:
-        """The dimension of all arguments that have none of their own."""
-        what = f"the argument of `{function.name}`"
-        own = [(param.dimension, value) for param, value in bound if param.dimension is not None and not param.truth]
-        fits = [unification.has_dimension(value, dimension, what, self._report) for dimension, value in own]
-        self._require(all(fits))
+        for param, value in bound:
+            if param.dimension is not None:
+                require_dimension(value, param.dimension, f"the argument of `{function.name}`", self._report)
         shared = [value for param, value in bound if param.dimension is None and not param.truth]
-        return subjects[0].dimension if subjects and not shared else self._dimension_of(shared, node)
+        measured = subjects[0].dimension if subjects and not shared else dimension_of(shared, node, self._report)
 
-    def _components(self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[_Bound]) -> Components | None:
+        components = self._components(node, function, subjects, bound)
+        count = len(values[0].type.components or ()) if values else 0
+        reduction = function.reduction if components is None and count else None
+        given = [subject.interval for subject in subjects] + [value.type.interval for value in values]
+        interval = TRUTH if boolean else reduction.interval(given[0], count) if reduction else function.interval(*given)
+        if reduction and values[0].type.copies:  # there may be none of them
+            interval = hull([interval, exact(float(reduction.empty or 0.0))])
+
+        stage = max((value.type.stage for value in values), default=Stage.FIXED)
+        if function.family is Family.DRAW:
+            stage = max(stage, Stage.EPISODE)
+        elif function.family is not Family.PURE:
+            stage = Stage.STEP
+        return Type(NUMBER if boolean else function.result(measured), components, boolean, interval, stage)
+
+    def _components(
+        self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]
+    ) -> Components | None:
         """The components of the result; DB404 where the arguments have others than they must."""
         values = [value for _, value in bound]
+        for param, value in bound:
+            if param.components and value.type.components != param.components:
+                raise self._fault("DB404", value, f"{value.type.shape_words} where a vector of x, y, z is needed")
         if function.components is not None:
-            for param, value in bound:
-                if param.components and value.type.components != param.components:
-                    raise self._fault("DB404", value, f"{value.type.shape_words} where a vector of x, y, z is needed")
             return function.components
         if function.name == "vector":
-            return self._gathered(node, values)
+            if len(values) not in (len(PLANE), len(SPACE)):
+                raise self._fault("DB404", node, f"a vector of {len(values)} values", "`vector` takes two (x, y) or three (x, y, z)")
+            return self._gathered(values)
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.copies and function.reduction.empty is None:
@@ -607,37 +541,22 @@ class _Checker:
         groups = [subject.components for subject in subjects if subject.components is not None]
         if len(groups) > 1:
             raise self._fault("DB404", node, "a group on both sides", "name a single one on one side")
-        return groups[0] if groups else self._components_of(values, node)
+        return groups[0] if groups else components_of(values, node, self._report)
 
-    def _gathered(self, node: syntax.Call, values: list[Typed]) -> Components:
-        for value in values:
-            if value.type.components is not None:
-                raise self._fault("DB404", value, *_NESTED)
-        if len(values) not in (len(PLANE), len(SPACE)):
-            raise self._fault("DB404", node, f"a vector of {len(values)} values", "`vector` takes two (x, y) or three (x, y, z)")
-        return _positions(len(values))
-
-    def _warn(self, function: Function, bound: list[_Bound]) -> None:
+    def _warn(self, function: Function, bound: list[tuple[Param, Typed]]) -> None:
         """DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw from a falling range."""
-        values = [value for _, value in bound]
         for param, value in bound:
             if param.dimension == ANGLE and function.result(ANGLE) != ANGLE:
-                unification.warn_of_degrees(value, self._report)
+                warn_of_degrees(value, self._report)
+        values = [value for _, value in bound]
         interval = values[0].type.interval if values else TRUTH
         if interval.finite and interval.low < function.domain.low:
             headline = f"the argument of `{function.name}` can be as low as {interval.low:g}"
-            self._report("DB406", values[0].start, values[0].end, headline, _KEEP_ABOVE)
+            self._fault("DB406", values[0], headline, _KEEP_ABOVE)
         if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
             low, high = values
-            if low.type.interval.low > high.type.interval.high:
-                _report_falling(low, high, low.start, high.end, self._report)
-
-
-def _stage(function: Function, values: Sequence[Typed]) -> Stage:
-    if function.family in (Family.WORLD, Family.MESSAGE, Family.STATEFUL):
-        return Stage.STEP
-    drawn = Stage.EPISODE if function.family is Family.DRAW else Stage.FIXED
-    return max([drawn, *(value.type.stage for value in values)])
+            with suppress(Stop):
+                _require_rising(TypedRange(low, high, low.start, high.end), self._report)
 
 
 def _usage(function: Function) -> str:
@@ -647,16 +566,6 @@ def _usage(function: Function) -> str:
 def _positions(count: int) -> Components:
     """Two numbers are x y, three are x y z; longer lists are numbered from 1."""
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
-
-
-def _simple(value: float) -> Exponent | None:
-    """The exponent as a whole number or a fraction with a small denominator."""
-    if abs(value) > _MAX_EXPONENT:
-        return None
-    if value.is_integer():
-        return int(value)
-    near = Fraction(value).limit_denominator(_MAX_DENOMINATOR)
-    return near if float(near) == value else None
 
 
 def _with_owner(name: str, known: list[str]) -> Meant | None:

@@ -1,8 +1,7 @@
-"""Dimensions and units: what a quantity measures, and the names that may stand behind a number.
+"""Dimensions of quantities, and the units that may stand behind a number.
 
-Angle is a dimension: an angular velocity times a radius becomes a speed only when it is divided by a radian.
-Unit names are reserved: no parameter or signal may take one. In an expression, a unit name that stands alone
-is a constant of one such unit.
+Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. Unit names are
+reserved: no parameter or signal may take one. A unit name without a number is one of the unit.
 """
 
 from __future__ import annotations
@@ -38,9 +37,8 @@ class Dimension(NamedTuple):
 
     def __str__(self) -> str:
         """The SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
-        known = QUANTITIES.get(self)
-        if known is not None and known.unit:
-            return known.unit
+        if unit := quantity(self).unit:
+            return unit
         bases = (("kg", self.kg), ("m", self.m), ("s", self.s), ("rad", self.rad))
         above = "*".join(_power(base, exponent) for base, exponent in bases if exponent > 0)
         below = "".join(f"/{_power(base, -exponent)}" for base, exponent in bases if exponent < 0)
@@ -51,14 +49,13 @@ class Dimension(NamedTuple):
         """For a sentence: `a speed (m/s)`, `an angle (rad)`, `a plain number`."""
         if self == NUMBER:
             return "a plain number"
-        known = QUANTITIES.get(self)
-        return f"{known.noun} ({self})" if known is not None and known.noun else f"a quantity in {self}"
+        noun = quantity(self).noun
+        return f"{noun} ({self})" if noun else f"a quantity in {self}"
 
     @property
     def example(self) -> str:
         """A value with its unit, for a hint."""
-        known = QUANTITIES.get(self)
-        return (known.example if known is not None else "") or f"0.5 {self}"
+        return quantity(self).example or f"0.5 {self}"
 
 
 def _power(base: str, exponent: Exponent) -> str:
@@ -83,10 +80,10 @@ PRESSURE = FORCE / LENGTH**2
 
 
 class PhysicalQuantity(NamedTuple):
-    """What the messages say about a dimension.
+    """What messages say about a dimension.
 
-    `unit` is its name where the base units would read badly. No robot has a value beyond `plausible`: such a
-    value has a wrong unit or a slipped exponent. `bare_is_si` lets a field take a number without a unit.
+    `unit` replaces a combination of base units. Values beyond `plausible` (SI) get a warning: their unit or exponent is
+    probably wrong. `bare_is_si` lets a field take a number without a unit.
     """
 
     dimension: Dimension
@@ -97,9 +94,9 @@ class PhysicalQuantity(NamedTuple):
     bare_is_si: bool = False
 
 
-QUANTITIES = {
-    quantity.dimension: quantity
-    for quantity in (
+_QUANTITIES = {
+    known.dimension: known
+    for known in (
         PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible=1e5, bare_is_si=True),
         PhysicalQuantity(LENGTH**2, "an area"),
         PhysicalQuantity(LENGTH**3, "a volume"),
@@ -123,6 +120,11 @@ QUANTITIES = {
         PhysicalQuantity(TORQUE / ANGULAR_VELOCITY, "a rotational damping", "N*m*s/rad"),
     )
 }
+
+
+def quantity(dimension: Dimension) -> PhysicalQuantity:
+    """Noun, unit and plausible values of a dimension; empty where the messages have no word for it."""
+    return _QUANTITIES.get(dimension) or PhysicalQuantity(dimension)
 
 
 class Unit(NamedTuple):
@@ -208,7 +210,7 @@ _WRITTEN_OUT = {
     for word in words.split()
 }
 _AMBIGUOUS = frozenset({"rads", "nm"})
-"""They may also mean more than one radian, and nanometres."""
+"""They may also mean several radians, and nanometres."""
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 

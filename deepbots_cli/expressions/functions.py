@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
-from deepbots_cli.expressions.scalar import Const, Op, Scalar, World
+from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, World
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
 from deepbots_cli.plugins import Table
 
@@ -376,7 +376,7 @@ _ENTRIES = (
              _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau"),
     Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
              "where(contact(rover, ball), 1, 0)",
-             interval=lambda _condition, a, b: iv.hull((a, b)), truths=True, python="a if condition else b",
+             interval=iv.chosen, truths=True, python="a if condition else b",
              array="np.where(condition, a, b)"),
     Function("min", _PURE, (Param("x", many=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
              interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
@@ -516,17 +516,14 @@ OPERATORS: Mapping[str, Function] = {
 """The operators of scalar trees; they are no functions of the language."""
 
 
-_OWN = {function.name: function for function in _ENTRIES}
-
-
 def _read(_name: str, found: object) -> Iterator[tuple[str, Function]]:
     for function in [found] if isinstance(found, Function) else list(found):  # type: ignore[call-overload]
-        _require_usable(function, _OWN)
+        _require_usable(function)
         yield function.name, function
 
 
-def _require_usable(function: object, known: Mapping[str, Function]) -> None:
-    """Refuse an entry of another package that would break ours.
+def _require_usable(function: object) -> None:
+    """Refuse a function of another package that would break ours.
 
     Raises:
         ValueError: Says what is wrong with the entry.
@@ -534,7 +531,7 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
     if not isinstance(function, Function):
         raise ValueError(f"{str(function)[:60]!r} is no Function")
     name = function.name
-    if not name.isidentifier() or name in known or name in OPERATORS or name in UNITS or hasattr(math, name):
+    if not name.isidentifier() or name in OPERATORS or name in UNITS or hasattr(math, name):
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
@@ -558,7 +555,7 @@ def _require_usable(function: object, known: Mapping[str, Function]) -> None:
         raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
 
 
-FUNCTIONS: Mapping[str, Function] = Table(GROUP, _OWN, _read)
+FUNCTIONS: Mapping[str, Function] = Table(GROUP, {function.name: function for function in _ENTRIES}, _read)
 
 
 def operation(name: str) -> Function:
@@ -568,6 +565,21 @@ def operation(name: str) -> Function:
         KeyError: There is none.
     """
     return OPERATORS[name] if name in OPERATORS else FUNCTIONS[name]
+
+
+def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
+    """The interval of a scalar tree, from the intervals `of` its arguments; a name or a reading of the world may be anything.
+
+    Truth values are 0 and 1: [0, 0] is never true, [1, 1] always.
+    """
+    match node:
+        case Const(value):
+            return iv.exact(float(value))
+        case Op("mul", (a, b)) if a == b:
+            return iv.power(of(a), iv.exact(2.0))
+        case Op(name, args) | State(name, args) | Draw(name, args):
+            return operation(name).interval(*map(of, args))
+    return EVERYTHING
 
 
 def math_names() -> frozenset[str]:

@@ -129,8 +129,7 @@ def square_root(a: Interval) -> Interval:
 
 
 def logarithm(a: Interval) -> Interval:
-    low, high = (guarded(math.log, bound, beyond=-INF) if bound > 0.0 else -INF for bound in (a.low, a.high))
-    return Interval(low, high)
+    return monotone(lambda x: math.log(x) if x > 0.0 else -INF, a)
 
 
 def sine(a: Interval) -> Interval:
@@ -169,6 +168,11 @@ def maximum(*intervals: Interval) -> Interval:
 
 def clamped(a: Interval, low: Interval, high: Interval) -> Interval:
     return minimum(maximum(a, low), high)
+
+
+def chosen(condition: Interval, a: Interval, b: Interval) -> Interval:
+    """`a` where the condition holds, otherwise `b`."""
+    return a if condition.low > 0.0 else b if condition.high <= 0.0 else hull((a, b))
 
 
 def times_count(a: Interval, count: int) -> Interval:

@@ -10,8 +10,9 @@ The first fault ends the reading of a text: what follows it could only be guesse
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
@@ -28,11 +29,9 @@ from deepbots_cli.expressions.syntax import (
     Redrawn,
     Spread,
     Token,
-    TokenKind,
     Truth,
     Unary,
     Vector,
-    When,
     depth,
     tokens,
 )
@@ -50,8 +49,7 @@ _STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=":
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is never closed"
 _SMALLER = "name parts of it, as signals or parameters"
-_SLOT_ENDS = {",", ")", "..", "+-", "|"}
-_SUFFIXES = {"when", "every", "each"}
+_SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the first is the end of the text
 _WANT_VALUE = {"when", "and", "or", "not", "every"}
 
 
@@ -65,7 +63,7 @@ def parse(text: str, report: Report) -> Node | None:
             return _remembered(text)  # each level takes a character at least, so that it cannot be too deep
         tree = _Parser(text).text()
     except _SyntaxError as fault:
-        report(fault.code, fault.start, fault.end, fault.headline, fault.help, meant=fault.meant)
+        report(*fault.finding)
         return None
     if depth(tree) > MAX_DEPTH:
         report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} operations, one upon the other", _SMALLER)
@@ -83,11 +81,10 @@ class _SyntaxError(Exception):
     """Carries the finding to `parse`, which reports it."""
 
     def __init__(
-        self, start: int, end: int, headline: str, help: str | None = None, code: str = "DB401", meant: Meant | None = None
+        self, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None, code: str = "DB401"
     ) -> None:
         super().__init__(headline)
-        self.meant = meant
-        self.start, self.end, self.headline, self.help, self.code = start, end, headline, help, code
+        self.finding = (code, start, end, headline, help, meant)
 
 
 class _Parser:
@@ -107,14 +104,10 @@ class _Parser:
         """The token after this one, where this one is not END."""
         return self._tokens[self._at + 1]
 
-    @property
-    def _ended(self) -> bool:
-        return self._peek.kind is TokenKind.END
-
     def _next(self) -> Token:
         """The token here; the END stays in place however often it is taken."""
         token = self._tokens[self._at]
-        if token.kind is not TokenKind.END:
+        if token.kind != "END":
             self._at += 1
         return token
 
@@ -124,15 +117,14 @@ class _Parser:
         self._next()
         return True
 
-    def _unclosed(self) -> Token | None:
-        """The last parenthesis that nothing closes."""
-        opened: list[Token] = []
-        for token in self._tokens:
-            if token.text == "(":
-                opened.append(token)
-            elif token.text == ")" and opened:
-                opened.pop()
-        return opened[-1] if opened else None
+    def _several(self, item: Callable[[], Node], sign: str) -> tuple[Node, ...]:
+        """One item or more, with the sign between them."""
+        found = [item()]
+        while self._take(sign):
+            found.append(item())
+        return tuple(found)
+
+    # numbers and units
 
     def _number(self) -> Number:
         token = self._next()
@@ -161,54 +153,46 @@ class _Parser:
             factors += 1
             if factors > _MAX_FACTORS:
                 raise _SyntaxError(self._peek.start, self._peek.end, f"a unit of more than {_MAX_FACTORS} factors")
-            times = self._next().text == "*"
-            factor = self._unit_power()
-            unit = unit.times(factor) if times else unit.per(factor)
+            join = unit.times if self._next().text == "*" else unit.per
+            unit = join(self._unit_power())
         return unit
 
     def _unit_power(self) -> Unit:
-        unit = UNITS[self._next().text]
-        if self._peek.text != "^":
+        unit, power = UNITS[self._next().text], self._peek
+        if not self._take("^"):
             return unit
-        begin = self._next()
-        sign = self._next() if self._peek.text == "-" else None
-        digits = self._next()
-        if not digits.text.isdigit() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
-            raise _SyntaxError(
-                begin.start,
-                digits.end,
-                "a unit raised to something other than a small whole number",
-                "put the number and its unit in parentheses",
-            )
-        return unit.to_power(-int(digits.text) if sign else int(digits.text))
+        is_negative, digits = self._take("-"), self._next()
+        if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
+            headline = "a unit raised to something other than a small whole number"
+            raise _SyntaxError(power.start, digits.end, headline, "put the number and its unit in parentheses")
+        return unit.to_power(-int(digits.text) if is_negative else int(digits.text))
 
     def _unit_at(self, index: int) -> bool:
         """Whether a unit name stands there; `min(` is a function."""
         token = self._tokens[index]
-        return token.kind is TokenKind.NAME and token.text in UNITS and self._tokens[index + 1].text != "("
+        return token.kind == "NAME" and token.text in UNITS and self._tokens[index + 1].text != "("
 
     def _one_over(self) -> bool:
         """Whether `1/s` or the like begins here, written without spaces."""
-        one = self._peek
-        if one.text != "1" or self._ahead.text != "/":
+        if self._peek.text != "1" or self._ahead.text != "/":
             return False
-        slash = self._ahead
-        return slash.start == one.end and self._tokens[self._at + 2].start == slash.end and self._unit_at(self._at + 2)
+        one, slash, unit = self._tokens[self._at : self._at + 3]
+        return one.end == slash.start and slash.end == unit.start and self._unit_at(self._at + 2)
 
     def _percent_ends(self) -> bool:
         """Whether the `%` here closes its number; before an operand it would be a modulo."""
         behind = self._ahead
-        return (behind.kind in (TokenKind.SIGN, TokenKind.END) and behind.text != "(") or behind.text in WORDS
+        return (behind.kind in ("SIGN", "END") and behind.text != "(") or behind.text in WORDS
 
     # text and slots
 
     def text(self) -> Node:
-        if self._ended:
+        if not self._peek.text:
             raise _SyntaxError(0, self._peek.end, "an expression is missing")
         node = self._range(self._slot())
         if self._take("when"):
             condition = self._slot()
-            node = When(node.start, condition.end, node, condition)
+            node = Binary(node.start, condition.end, "when", node, condition)
         if self._take("every"):
             period = self._slot()
             node = Redrawn(node.start, period.end, node, period)
@@ -217,8 +201,8 @@ class _Parser:
             if step.text != "step":
                 raise _SyntaxError(step.start, step.end, "`each` without `step`", "write `each step`, or `every` and a duration")
             node = Redrawn(node.start, step.end, node, None)
-        if not self._ended:
-            self._unexpected()
+        if self._peek.text:
+            raise self._misplaced()
         return node
 
     def _slot(self) -> Node:
@@ -239,7 +223,7 @@ class _Parser:
             items.append(item)
         unit = self._unit() if items and not isinstance(items[-1], Name) else None
         last = self._tokens[self._at - 1].end
-        if not items or not self._slot_ends():
+        if not items or self._peek.text not in _SLOT_ENDS:
             self._at = begin
             return None
         if len(items) == 1 and isinstance(items[0], Number):
@@ -250,21 +234,15 @@ class _Parser:
         token = self._peek
         if token.text in ("-", "+"):
             number = self._ahead
-            apart = not before or token.start > before[-1].end
-            if number.kind is not TokenKind.NUMBER or number.start > token.end or not apart:
+            is_apart = not before or token.start > before[-1].end
+            if number.kind != "NUMBER" or number.start > token.end or not is_apart:
                 return None
             self._next()
             value = self._number().value
             return Number(token.start, number.end, -value if token.text == "-" else value)
-        if token.kind is TokenKind.NUMBER:
+        if token.kind == "NUMBER":
             return None if before and self._one_over() else self._number()
-        if before and token.kind is TokenKind.NAME and token.text not in UNITS and token.text not in WORDS:
-            return None if self._ahead.text == "(" else self._name()
-        return None
-
-    def _slot_ends(self) -> bool:
-        token = self._peek
-        return self._ended or token.text in _SLOT_ENDS or token.text in _SUFFIXES
+        return self._name() if before and self._name_ahead() and token.text not in UNITS else None
 
     # operations
 
@@ -275,7 +253,7 @@ class _Parser:
             operator = self._next()
             right = self._operation(strength + 1)
             if strength == _COMPARISON and _STRENGTH.get(self._peek.text) == _COMPARISON:
-                opening = self._unclosed()
+                opening = _unclosed(self._tokens)
                 if opening is not None and opening.start < right.start:  # what was left out belongs before the second one
                     raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
                 raise _SyntaxError(left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`")
@@ -300,7 +278,7 @@ class _Parser:
         base = self._atom()
         while self._take("."):
             member = self._next()
-            if member.kind is not TokenKind.NAME:
+            if member.kind != "NAME":
                 raise _SyntaxError(member.start, member.end, "a component name is missing after the point")
             base = Member(base.start, member.end, base, member.text)
         if self._peek.text != "^":
@@ -312,30 +290,27 @@ class _Parser:
 
     def _atom(self) -> Node:
         token = self._peek
-        if token.kind is TokenKind.NUMBER:
+        if token.kind == "NUMBER":
             return self._quantity()
         if token.text == "(":
             return self._group()
-        if token.kind is not TokenKind.NAME or token.text in WORDS:
-            raise self._fault(missing=True)
+        if token.kind != "NAME" or token.text in WORDS:
+            raise self._misplaced(missing=True)
         if self._ahead.text == "(":
             return self._call()
+        if token.text not in ("true", "false") and token.text not in UNITS:
+            return self._name()
         self._next()
-        if token.text in ("true", "false"):
-            return Truth(token.start, token.end, token.text == "true")
         if token.text in UNITS:
             return Number(token.start, token.end, 1.0, UNITS[token.text])
-        self._at -= 1
-        return self._name()
+        return Truth(token.start, token.end, token.text == "true")
 
     def _quantity(self) -> Node:
         """A number with its unit; a unit binds tighter than any operator."""
         number = self._number()
-        unit = self._unit()
-        if unit:
+        if unit := self._unit():
             return number._replace(end=self._tokens[self._at - 1].end, unit=unit)
-        token = self._peek
-        if token.kind is TokenKind.NAME and token.text not in WORDS and self._ahead.text != "(":
+        if self._name_ahead():
             name = self._name()
             return Vector(number.start, name.end, (number, name))
         return number
@@ -344,71 +319,60 @@ class _Parser:
         opening = self._next()
         self._deeper(opening)
         inner = self._slot()
-        self._nesting -= 1
-        closing = self._close(opening)
-        return inner._replace(start=opening.start, end=closing.end)
+        return inner._replace(start=opening.start, end=self._close(opening))
 
     def _call(self) -> Node:
         name, opening = self._next(), self._next()
         self._deeper(opening)
-        args: list[Node] = []
-        if self._peek.text != ")":
-            args.append(self._argument())
-            while self._take(","):
-                args.append(self._argument())
-        self._nesting -= 1
-        closing = self._close(opening)
-        return Call(name.start, closing.end, name.text, tuple(args), name.end)
+        args = () if self._peek.text == ")" else self._several(self._argument, ",")
+        return Call(name.start, self._close(opening), name.text, args, name.end)
 
     def _argument(self) -> Node:
         first = self._range(self._slot())
         if self._take("+-"):
             deviation = self._slot()
             return Spread(first.start, deviation.end, _borrow_unit(first, deviation), deviation)
-        if self._peek.text != "|":
+        if not self._take("|"):
             return first
-        items = [first]
-        while self._take("|"):
-            items.append(self._slot())
-        return Options(first.start, items[-1].end, tuple(items))
+        items = (first, *self._several(self._slot, "|"))
+        return Options(first.start, items[-1].end, items)
 
     # names, nesting, faults
 
-    def _name(self) -> Name:
-        first = self._next()
-        parts = [first.text]
-        end = first.end
-        while self._peek.text == "." and self._ahead.kind is TokenKind.NAME:
-            self._next()
-            part = self._next()
-            parts.append(part.text)
-            end = part.end
-        if len(parts) > _MAX_DOTS:
-            raise _SyntaxError(first.start, end, f"a name of {len(parts)} parts")
-        return Name(first.start, end, tuple(parts))
+    def _name_ahead(self) -> bool:
+        """Whether a name stands here that is no word of the grammar and calls no function."""
+        return self._peek.kind == "NAME" and self._peek.text not in WORDS and self._ahead.text != "("
 
-    def _close(self, opening: Token) -> Token:
-        if self._ended:
-            raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
-        if self._peek.text != ")":
-            self._unexpected()
-        return self._next()
+    def _name(self) -> Name:
+        parts = [self._next()]
+        while self._peek.text == "." and self._ahead.kind == "NAME":
+            self._next()
+            parts.append(self._next())
+        start, end = parts[0].start, parts[-1].end
+        if len(parts) > _MAX_DOTS:
+            raise _SyntaxError(start, end, f"a name of {len(parts)} parts")
+        return Name(start, end, tuple(part.text for part in parts))
 
     def _deeper(self, token: Token) -> None:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, "DB005")
+            raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, code="DB005")
 
-    def _unexpected(self) -> NoReturn:
-        raise self._fault(missing=False)
+    def _close(self, opening: Token) -> int:
+        """Where the parenthesis ends that closes `opening`."""
+        self._nesting -= 1
+        if not self._peek.text:
+            raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
+        if self._peek.text != ")":
+            raise self._misplaced()
+        return self._next().end
 
-    def _fault(self, missing: bool) -> _SyntaxError:
+    def _misplaced(self, *, missing: bool = False) -> _SyntaxError:
         """The fault at a token that cannot stand here; `missing` where a value was due."""
         before = self._tokens[self._at - 1] if self._at else None
-        if before is not None and before.kind is TokenKind.NAME and before.text in _SLIPS:
-            return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _SLIPS[before.text].help)
-        headline, help, meant = _diagnosis(self._tokens, self._at, missing)
-        return _SyntaxError(self._peek.start, self._peek.end, headline, help, meant=meant)
+        if before is not None and before.kind == "NAME" and before.text in _HINTS:
+            return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help)
+        return _SyntaxError(self._peek.start, self._peek.end, *_diagnosis(self._tokens, self._at, missing))
 
 
 def _borrow_unit(left: Node, right: Node) -> Node:
@@ -421,7 +385,7 @@ def _borrow_unit(left: Node, right: Node) -> Node:
 # Hints: signs and words of other languages, and the commonest slips.
 
 
-class _Slip(NamedTuple):
+class _Hint(NamedTuple):
     """What to write instead, in words and, where it has one meaning wherever it stands, as text."""
 
     help: str
@@ -432,97 +396,97 @@ _SAME = {
     "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/",
     "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
 }  # fmt: skip
-_CONDITIONAL = _Slip("write `where(condition, a, b)`, or `a when condition`")
-_NO_TEXT = _Slip("expressions hold no text, only numbers and names")
-_SLIPS = {sign: _Slip(f"write `{text.strip()}`", text) for sign, text in _SAME.items()} | {
-    "**": _Slip("a power is `a ^ b`", "^"),
-    "−": _Slip("write the plain minus `-`", "-"),
-    "–": _Slip("write the plain minus `-`", "-"),
-    "\u00a0": _Slip("this is a space that only looks like one; type it anew", " "),
-    "!": _Slip("write `not`"),
+_CONDITIONAL = _Hint("write `where(condition, a, b)`, or `a when condition`")
+_NO_TEXT = _Hint("expressions hold no text, only numbers and names")
+_HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _SAME.items()} | {
+    "**": _Hint("a power is `a ^ b`", "^"),
+    "−": _Hint("write the plain minus `-`", "-"),
+    "–": _Hint("write the plain minus `-`", "-"),
+    "\u00a0": _Hint("this is a space that only looks like one; type it anew", " "),
+    "!": _Hint("write `not`"),
     "?": _CONDITIONAL,
     ":": _CONDITIONAL,
     "if": _CONDITIONAL,
     "else": _CONDITIONAL,
-    "is": _Slip("compare with `==`"),
-    "in": _Slip("compare with `<` and `>`, joined by `and`"),
-    "lambda": _Slip("there are no functions of one's own; name the value under `signals`"),
-    "[": _Slip("a component is named: `v.x`"),
-    "{": _Slip("a vector is written `0 0 1 m`, or `vector(a, b, c)`"),
+    "is": _Hint("compare with `==`"),
+    "in": _Hint("compare with `<` and `>`, joined by `and`"),
+    "lambda": _Hint("there are no functions of one's own; name the value under `signals`"),
+    "[": _Hint("a component is named: `v.x`"),
+    "{": _Hint("a vector is written `0 0 1 m`, or `vector(a, b, c)`"),
     '"': _NO_TEXT,
     "'": _NO_TEXT,
-    "...": _Slip("a range has two dots: `low .. high`", ".."),
-    "..": _Slip("a range stands alone or in a function such as `clamp(x, low .. high)`"),
-    "//": _Slip("write `/`; a comment begins with ` # `"),
-    "%": _Slip("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
-    ",": _Slip("a comma only parts the arguments of a function; decimals take a point"),
-    "+-": _Slip("`normal(mean +- deviation)` is a draw; elsewhere put a space between the signs"),
-    "|": _Slip("`abs(x)` is a value without its sign, `choice(a | b)` is a draw; for conditions write `or`"),
-    "->": _Slip("a schedule belongs in the settings of `train`"),
+    "...": _Hint("a range has two dots: `low .. high`", ".."),
+    "..": _Hint("a range stands alone or in a function such as `clamp(x, low .. high)`"),
+    "//": _Hint("write `/`; a comment begins with ` # `"),
+    "%": _Hint("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
+    ",": _Hint("a comma only parts the arguments of a function; decimals take a point"),
+    "+-": _Hint("`normal(mean +- deviation)` is a draw; elsewhere put a space between the signs"),
+    "|": _Hint("`abs(x)` is a value without its sign, `choice(a | b)` is a draw; for conditions write `or`"),
+    "->": _Hint("a schedule belongs in the settings of `train`"),
 }
 
 
 def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Meant | None]:
     """Headline, help and correction, where the token `at` cannot stand; `missing` where a value was due."""
-    token, slip = tokens[at], _SLIPS.get(tokens[at].text)
-    before = tokens[at - 1] if at else token
+    token, before = tokens[at], tokens[at - 1] if at else tokens[at]
     shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
-    help = slip.help if slip else None
-    if token.kind is TokenKind.END:
-        return "the expression breaks off", _missing_end(tokens, before) if at else None, None
+    help, text = _HINTS.get(token.text, (None, None))
+    if token.kind == "END":
+        return "the expression breaks off", _missing_end(tokens) if at else None, None
     if token.text == "=":
         return "`=` in an expression", *_about_equals(tokens, at)
-    if token.kind is TokenKind.STRANGE or (token.kind is TokenKind.NAME and slip):
-        return f"`{shown}` in an expression", help, _correction(tokens, at, slip.text if slip else None)
+    if token.kind == "STRANGE" or (token.kind == "NAME" and help):
+        if text is not None and text.isalpha():  # a word needs blanks around it
+            text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
+        # Of three dots, the last may be the point of a decimal.
+        return f"`{shown}` in an expression", help, None if text is None else Meant(text, safe=token.text != "...")
     if missing:
         return f"a value is missing before `{shown}`", help, None
     if token.text == ")":
         return "a parenthesis that was never opened", None, None
-    if token.text == "," and at and tokens[at + 1].kind is TokenKind.END:
-        return "a comma at the end", "a line ends without one", Meant("", safe=True)
-    if number := _decimal(tokens, at):
-        return "a comma in a number", f"decimals take a point: `{number}`", Meant(".", safe=False)
-    if token.kind is TokenKind.SIGN and token.text != "(":
+    if token.text == ",":
+        return _about_comma(tokens, at)
+    if token.kind == "SIGN" and token.text != "(":
         return f"`{shown}` in an odd place", help, None
-    if token.text == "(" and before.kind is TokenKind.NAME:
+    if token.text == "(" and before.kind == "NAME":
         help = "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
-    elif token.kind is TokenKind.NUMBER and before.kind is TokenKind.NUMBER:
+    elif token.kind == before.kind == "NUMBER":
         help = "a vector within a larger expression is written `vector(a, b, c)`"
-    elif token.kind is TokenKind.NAME and tokens[at + 1].kind is TokenKind.END:
+    elif token.kind == "NAME" and tokens[at + 1].kind == "END":
         help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
     return f"an operator is missing before `{shown}`", help, None
 
 
-def _correction(tokens: list[Token], at: int, text: str | None) -> Meant | None:
-    """The text to write for the token, with the blanks that a word needs around it."""
-    if text is None or tokens[at].text == "...":
-        return Meant("..", safe=False) if text else None  # the third point may be that of a decimal
-    before = " " if text.isalpha() and at and tokens[at - 1].end == tokens[at].start else ""
-    after = " " if text.isalpha() and tokens[at + 1].start == tokens[at].end else ""
-    return Meant(f"{before}{text}{after}", safe=True)
+def _unclosed(tokens: list[Token]) -> Token | None:
+    """The last parenthesis that nothing closes."""
+    closed = 0
+    for token in reversed(tokens):
+        if token.text == "(" and closed == 0:
+            return token
+        closed += {")": 1, "(": -1}.get(token.text, 0)
+    return None
 
 
-def _decimal(tokens: list[Token], at: int) -> str | None:
-    """The number that `0,5` was meant to be, where the token is its comma."""
-    if tokens[at].text != "," or not 0 < at < len(tokens) - 1:
-        return None
+def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Meant | None]:
+    if tokens[at + 1].kind == "END":
+        return "a comma at the end", "a line ends without one", Meant("", safe=True)
     whole, comma, part = tokens[at - 1 : at + 2]
-    if not (whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start):
-        return None
-    return f"{whole.text}.{part.text}"
+    if whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start:
+        return "a comma in a number", f"decimals take a point: `{whole.text}.{part.text}`", Meant(".", safe=False)
+    return "`,` in an odd place", _HINTS[","].help, None
 
 
-def _missing_end(tokens: list[Token], last: Token) -> str | None:
-    if last.text == ")" or (last.kind is not TokenKind.SIGN and last.text not in _WANT_VALUE):
+def _missing_end(tokens: list[Token]) -> str | None:
+    last = tokens[-2]
+    if last.text == ")" or (last.kind != "SIGN" and last.text not in _WANT_VALUE):
         return None
-    signs = [token.text for token in tokens]
-    missing = "a value and the closing `)` are" if signs.count("(") > signs.count(")") else "a value is"
+    missing = "a value and the closing `)` are" if _unclosed(tokens) else "a value is"
     return f"{missing} missing behind `{last.text}`"
 
 
 def _about_equals(tokens: list[Token], at: int) -> tuple[str, Meant | None]:
     if at and tokens[at - 1].text in ("+", "-", "*", "/"):
         return "leave it out: an entry says what a value is, and the terms of a reward are added up", None
-    if at >= 2 and tokens[at - 1].kind is TokenKind.NAME and tokens[at - 2].text in ("(", ","):
+    if at >= 2 and tokens[at - 1].kind == "NAME" and tokens[at - 2].text in ("(", ","):
         return "arguments are given in order, without their names", None
     return "compare with `==`", Meant("==", safe=True)

@@ -1,8 +1,8 @@
-"""What is known of an expression before anything runs: types, the names it may use, and the typed tree."""
+"""Types, symbols and scopes of expressions, and the typed tree."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
@@ -19,11 +19,11 @@ Shape = tuple[int, int, int]
 
 
 class Copies(tuple[str, ...]):
-    """The components of a value per copy of a group. A class, since a joint may be called `hip#1` as well."""
+    """The components of a value that has one per copy of a group. Names do not tell them: a joint may be called `hip#1`, too."""
 
 
 class Stage(IntEnum):
-    """When a number is settled: in the file, at a reset, or in every step."""
+    """When a value is known: in the file, at a reset, or in every step."""
 
     FIXED = 0
     EPISODE = 1
@@ -35,10 +35,9 @@ class Stage(IntEnum):
 
 
 class Type(NamedTuple):
-    """Dimension, components (None for a single value), truth or number, interval in SI units, stage.
+    """Dimension, components (None for a single value), interval in SI units and stage of a number, truth value or picture.
 
-    The interval of a vector covers all its components; that of a truth value means nothing. A picture is
-    neither truth nor number.
+    The interval of a vector covers all its components. The interval of a truth value has no meaning.
     """
 
     dimension: Dimension = NUMBER
@@ -70,10 +69,10 @@ def shown(names: Iterable[str], limit: int = 12) -> str:
 
 
 class Symbol(NamedTuple):
-    """A named value. `type` None marks one with an invalid definition: its uses are not reported.
+    """A named value.
 
-    `value` holds SI numbers, one per component, where the value is fixed and known; it is folded.
-    `refused` says why the name, which exists, has no value in this place.
+    `type` is None if the definition is invalid; uses are then not reported. `value` holds the SI numbers of a fixed value, one
+    per component; lowering folds them. `refused` says why the name has no value in this place.
     """
 
     name: str
@@ -83,7 +82,7 @@ class Symbol(NamedTuple):
 
 
 class Kind(StrEnum):
-    """What a name stands for as the argument of a world function."""
+    """The kind of a part of the world, as an argument of a world function."""
 
     ROBOT = "robot"
     LINK = "link"
@@ -106,12 +105,12 @@ class Kind(StrEnum):
 
 
 class Subject(NamedTuple):
-    """A part of the world that functions may ask about.
+    """A part of the world, as an argument of a world function.
 
-    `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the
-    link whose pose stands for it: a robot's base link. `pieces` are the bodies of a wall: a question about
-    the wall is asked of each piece. For joints, `dimension` is that of their position (angle or length) and
-    `interval` its limits. The kind `BROKEN` marks one with an invalid definition: its uses are not reported.
+    `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the link whose pose is read:
+    a robot's base link. `pieces` are the bodies of a wall; a function reads each piece. For joints, `dimension` is that of
+    their position (angle or length) and `interval` holds their limits. Uses of the kind `BROKEN`, an invalid definition, are
+    not reported.
     """
 
     name: str
@@ -132,7 +131,7 @@ class Subject(NamedTuple):
 
 
 class Context(Enum):
-    """The place of an expression in the scenario, which decides what may be called in it."""
+    """The place of an expression in the scenario; it decides which functions may be called."""
 
     FIXED = "a fixed value"
     PARAMETER = "a parameter"
@@ -152,7 +151,7 @@ class Context(Enum):
 
 
 class Scope(Protocol):
-    """What an expression may see from its place."""
+    """The names that an expression may use in its place."""
 
     @property
     def context(self) -> Context: ...
@@ -161,10 +160,7 @@ class Scope(Protocol):
         """The value of the dotted `name`."""
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The part of the world that the dotted `name` means as an argument of a function.
-
-        Where several parts share the name, as a joint and its link may, it means one of `kinds`.
-        """
+        """The part of the world with the dotted `name`; one of `kinds` where several parts share it, as a joint and its link may."""
 
     def names(self) -> Iterable[str]:
         """Every name that `lookup` knows, for suggestions."""
@@ -174,7 +170,7 @@ class Scope(Protocol):
 
 
 class NoNames(NamedTuple):
-    """The scope of a literal: it holds nothing."""
+    """The empty scope, for literals."""
 
     context: Context = Context.FIXED
 
@@ -191,27 +187,13 @@ class NoNames(NamedTuple):
         return ()
 
 
-Rewriting = Callable[[str], str]
-"""Makes the probable correction of a piece of text from that piece; the correction is never certain."""
-
-
 class Report(Protocol):
-    """Takes a finding. `start` and `end` are offsets in the text of the expression, `meant` the text to put there."""
+    """Takes a finding at the offsets `[start, end)` of the text; `meant` is the text to write there instead."""
 
-    def __call__(
-        self,
-        code: str,
-        start: int,
-        end: int,
-        headline: str,
-        help: str | None = None,
-        notes: tuple[str, ...] = (),
-        meant: Meant | Rewriting | None = None,
-    ) -> None: ...
+    def __call__(self, code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None: ...
 
 
-# The typed tree: names, dimensions, shapes, intervals and stages are settled. Every node holds its type and its
-# place in the text, [start, end).
+# The typed tree. Every node holds its type and its place in the text, [start, end).
 
 
 class Constant(NamedTuple):

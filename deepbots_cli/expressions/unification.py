@@ -1,18 +1,18 @@
-"""Unification: whether values fit together and fit their place, and what to write where they do not.
+"""Unification: whether values fit together and fit their field, and what to write where they do not.
 
-Truth with truth, dimension with dimension, component with component. Each function reports what does not fit;
-its caller stops there.
+Truth with truth, dimension with dimension, component with component. What does not fit is reported and raises `Stop`.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, QUANTITIES, Dimension
+from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension, quantity
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
@@ -20,7 +20,6 @@ from deepbots_cli.expressions.types import (
     Operation,
     Reference,
     Report,
-    Rewriting,
     Stage,
     Typed,
     TypedRange,
@@ -29,43 +28,60 @@ from deepbots_cli.expressions.types import (
     zero,
 )
 
+P = ParamSpec("P")
+T = TypeVar("T")
+Place = syntax.Node | Typed | TypedRange
+"""A node, for its place in the text."""
+
 ANY_SHAPE: Components = ("*",)
 _BEYOND = 10  # times what is plausible: an engine's sums lose their digits
 _LARGEST = 1e30  # of a dimension without a plausible limit
 
 
+class Stop(Exception):  # noqa: N818 - no error: it carries nothing
+    """A part has a finding; nothing above it is checked."""
+
+
+def fault(report: Report, code: str, place: Place, headline: str, help: str | None = None, meant: Meant | None = None) -> Stop:
+    """Report a finding about a node; the caller raises the result."""
+    report(code, place.start, place.end, headline, help, meant)
+    return Stop()
+
+
+def or_none(function: Callable[P, T]) -> Callable[P, T | None]:
+    """The same function, which returns None after a finding."""
+
+    @wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> T | None:
+        try:
+            return function(*args, **kwargs)
+        except Stop:
+            return None
+
+    return checked
+
+
 # Whether values fit together
 
 
-def numbers(values: Sequence[Typed], report: Report) -> bool:
-    """Whether all are numbers; DB403 for each that is a truth value, DB404 for each picture."""
-    return _are(False, values, report)
-
-
-def truths(values: Sequence[Typed], report: Report) -> bool:
-    """Whether all are truth values; DB403 for each number, DB404 for each picture."""
-    return _are(True, values, report)
-
-
-def _are(boolean: bool, values: Sequence[Typed], report: Report) -> bool:
-    pictures = [value for value in values if value.type.picture]
-    for value in pictures:
-        report("DB404", value.start, value.end, "a picture where a single value belongs", "pictures are sent and observed as they are")
-    if pictures:
-        return False
-    wrong = [value for value in values if value.type.boolean != boolean]
+def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = False) -> None:
+    """Require numbers, or truth values where `boolean`; DB403 for each of the other kind, DB404 for each picture."""
+    wrong = [value for value in values if value.type.picture] or [value for value in values if value.type.boolean != boolean]
     for value in wrong:
-        if boolean:
-            report("DB403", value.start, value.end, "a number where a truth value belongs", "compare it, as in `x > 0`")
+        if value.type.picture:
+            fault(report, "DB404", value, "a picture where a single value belongs", "pictures are sent and observed as they are")
+        elif boolean:
+            fault(report, "DB403", value, "a number where a truth value belongs", "compare it, as in `x > 0`")
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
             help = f"make it a number with `where({name}, 1, 0)`, or write what a whole value is then: `5 when {name}`"
-            report("DB403", value.start, value.end, "a truth value where a number belongs", help)
-    return not wrong
+            fault(report, "DB403", value, "a truth value where a number belongs", help)
+    if wrong:
+        raise Stop
 
 
-def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) -> Dimension | None:
-    """The one dimension of all values except bare zeros; otherwise None after DB502 or DB503."""
+def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimension:
+    """The one dimension of all values except bare zeros; DB502 or DB503 where they differ."""
     counted = [value for value in values if not zero(value)]
     if not counted:
         return NUMBER
@@ -74,35 +90,26 @@ def dimension_of(values: Sequence[Typed], start: int, end: int, report: Report) 
         if value.type.dimension == first.type.dimension:
             continue
         if bare(value):
-            missing_unit(value, first.type.dimension, report)
-        else:
-            help = "both sides must measure the same; divide by a unit where a plain number is meant"
-            report("DB503", start, end, f"{first.type.words} meets {value.type.words}", _plain_name((first, value)) or help)
-        return None
+            raise missing_unit(value, first.type.dimension, report)
+        help = "both sides must measure the same; divide by a unit where a plain number is meant"
+        raise fault(report, "DB503", place, f"{first.type.words} meets {value.type.words}", _plain_name(first, value) or help)
     return first.type.dimension
 
 
-def has_dimension(value: Typed, dimension: Dimension, what: str, report: Report, *, alone: bool = True, unit: str | None = None) -> bool:
-    """Whether `value` has `dimension` (a bare zero has any); otherwise DB502 or DB503 about `what`.
-
-    Args:
-        alone: No operator stands beside the value, so that text written behind it applies to all of it.
-        unit: The probable unit of a bare number.
-    """
+def require_dimension(value: Typed, dimension: Dimension, what: str, report: Report, unit: str | None = None) -> None:
+    """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably that of a bare number."""
     if zero(value) or value.type.dimension == dimension:
-        return True
+        return
     if bare(value):
-        missing_unit(value, dimension, report, unit)
-    else:
-        help = _plain_name([value]) or _remedy(value, dimension)
-        meant = divided(value, value.type.dimension) if alone and dimension == NUMBER and not isinstance(value, Constant) else None
-        report("DB503", value.start, value.end, f"{what} is {value.type.words}, not {dimension.words}", help, meant=meant)
-    return False
+        raise missing_unit(value, dimension, report, unit)
+    help = _plain_name(value) or _remedy(value, dimension)
+    raise fault(report, "DB503", value, f"{what} is {value.type.words}, not {dimension.words}", help)
 
 
-def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report, unit: str | None = None) -> None:
+def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report, unit: str | None = None) -> Stop:
     """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells."""
     ends = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
+    help = f"write its unit, as in `{dimension.example}`"
     constants = [end for end in ends if isinstance(end, Constant)]
     if len(constants) == len(ends):
         written = " .. ".join(" ".join(f"{number:.10g}" for number in end.values) for end in constants)
@@ -111,12 +118,10 @@ def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report
         if dimension == ANGLE:  # nobody writes an angle beyond a turn in radians
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
-    else:
-        help = f"write its unit, as in `{dimension.example}`"
-    report("DB502", value.start, value.end, f"a number without unit where {dimension.words} is needed", help)
+    return fault(report, "DB502", value, f"a number without unit where {dimension.words} is needed", help)
 
 
-def _plain_name(values: Sequence[Typed]) -> str | None:
+def _plain_name(*values: Typed) -> str | None:
     """A hint for a plain number that comes from a name: its definition probably lacks a unit."""
     for value in values:
         if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
@@ -128,12 +133,10 @@ def _plain_name(values: Sequence[Typed]) -> str | None:
 def _remedy(value: Typed, needed: Dimension) -> str:
     """What to write instead of a value of another dimension."""
     given = value.type.dimension
-    if isinstance(value, Constant) and value.unit is not None and needed == NUMBER:
-        return "leave out its unit"
-    if isinstance(value, Reference) and given == NUMBER:
-        return f"give it a unit where it is defined, or multiply: `{value.symbol.name} * {needed.example}`"
     if needed == NUMBER:
-        return f"divide by the unit: `/ {_divisor(given)}`"
+        unit = str(given)
+        divisor = f"({unit})" if "/" in unit or "*" in unit else unit
+        return "leave out its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {divisor}`"
     if given == NUMBER:
         return f"give one of its numbers a unit, as in `{needed.example}`"
     if given / needed == ANGLE:
@@ -143,25 +146,20 @@ def _remedy(value: Typed, needed: Dimension) -> str:
     return f"one of its units is wrong, or a factor in {needed / given} is missing"
 
 
-def components_of(values: Sequence[Typed], start: int, end: int, report: Report) -> tuple[Components | None] | None:
-    """The components of the result (in a tuple of one, None inside for a single value), or None after DB404."""
-    found: Components | None = None
-    for value in values:
-        components = value.type.components
-        if components is None or components == found:
-            continue
-        if found is not None:
-            _report_differing(found, components, start, end, report)
-            return None
-        found = components
-    return (found,)
+def components_of(values: Sequence[Typed], place: Place, report: Report) -> Components | None:
+    """The components of the result, None for a single value; DB404 where vectors differ."""
+    vectors = [value.type.components for value in values if value.type.components is not None]
+    for components in vectors:
+        if components != vectors[0]:
+            raise _differing(vectors[0], components, place, report)
+    return vectors[0] if vectors else None
 
 
-def _report_differing(first: Components, second: Components, start: int, end: int, report: Report) -> None:
+def _differing(first: Components, second: Components, place: Place, report: Report) -> Stop:
     help = "components are paired by name; pick those that match, as in `v.x`"
     if set(first) == set(second):
         help = "the names are the same in another order; give both groups one order"
-    report("DB404", start, end, f"a vector of {shown(first)} meets one of {shown(second)}", help)
+    return fault(report, "DB404", place, f"a vector of {shown(first)} meets one of {shown(second)}", help)
 
 
 def warn_of_degrees(value: Typed, report: Report) -> None:
@@ -174,12 +172,20 @@ def warn_of_degrees(value: Typed, report: Report) -> None:
         if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
             headline, help = f"{largest:g} rad is more than a full turn", f"if degrees are meant, write `{largest:g} deg`"
             meant = Meant(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
-            report("DB504", value.start, value.end, headline, help, meant=meant)
+            fault(report, "DB504", value, headline, help, meant)
 
 
 # Whether a value fits its field
 
 
+@or_none
+def expect_kind(value: Typed, report: Report, *, boolean: bool) -> Typed:
+    """The value if it is a truth value (`boolean`) or a number, or None after a finding."""
+    require_kind([value], report, boolean=boolean)
+    return value
+
+
+@or_none
 def expect(
     value: Typed,
     report: Report,
@@ -190,7 +196,7 @@ def expect(
     boolean: bool = False,
     stage: Stage = Stage.STEP,
     unit: str | None = None,
-) -> Typed | None:
+) -> Typed:
     """The value as a field takes it, or None after a finding.
 
     Args:
@@ -201,17 +207,21 @@ def expect(
         stage: The latest at which the value may be settled.
         unit: The probable unit of a bare number.
     """
-    if boolean != value.type.boolean or value.type.picture:
-        (truths if boolean else numbers)([value], report)
-        return None
+    require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
-        if not (bare(value) and _bare_is_si(dimension)) and not has_dimension(value, dimension, what, report, unit=unit):
-            return None
+        if not (bare(value) and quantity(dimension).bare_is_si):
+            require_dimension(value, dimension, what, report, unit)
         value = value._replace(type=value.type._replace(dimension=dimension))
-    fits = _has_shape(value, components, what, report) and _has_stage(value, stage, what, report)
-    return value if fits and _has_size(value, stage, what, report) else None
+    _require_shape(value, components, what, report)
+    if value.type.stage > stage:
+        allowed = "may be drawn once per episode, but not change within it" if stage is Stage.EPISODE else "must be fixed"
+        raise fault(report, "DB407", value, f"{what} is {value.type.stage.words}", f"it {allowed}")
+    if value.type.interval.finite and not boolean:
+        _require_size(value, stage, what, report)
+    return value
 
 
+@or_none
 def expect_range(
     found: TypedRange,
     report: Report,
@@ -221,122 +231,65 @@ def expect_range(
     components: Components | None = None,
     stage: Stage = Stage.FIXED,
     unit: str | None = None,
-) -> TypedRange | None:
+) -> TypedRange:
     """As `expect`, for both ends of a range."""
-    needs_unit = dimension is not None and dimension != NUMBER and not _bare_is_si(dimension)
+    needs_unit = dimension is not None and dimension != NUMBER and not quantity(dimension).bare_is_si
     if dimension and needs_unit and bare(found.low) and bare(found.high) and not zero(found.high):
-        missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
-        return None
+        raise missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
     high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
     low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage) if high else None
-    return None if low is None or high is None else found._replace(low=low, high=high)
+    if low is None or high is None:
+        raise Stop
+    return found._replace(low=low, high=high)
 
 
-def _bare_is_si(dimension: Dimension) -> bool:
-    return dimension in QUANTITIES and QUANTITIES[dimension].bare_is_si
-
-
-def _has_shape(value: Typed, components: Components | None, what: str, report: Report) -> bool:
+def _require_shape(value: Typed, components: Components | None, what: str, report: Report) -> None:
     found = value.type.components
     if components == ANY_SHAPE or found is None or found == components:
-        return True
+        return
     if components is None:
         help = f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
-        report("DB404", value.start, value.end, f"{what} is {value.type.shape_words}, not a single value", help)
-    elif len(found) != len(components) and found[0] in ("x", "1"):
+        raise fault(report, "DB404", value, f"{what} is {value.type.shape_words}, not a single value", help)
+    if len(found) != len(components) and found[0] in ("x", "1"):
         headline = f"{what} has {len(found)} values, not {len(components)}"
-        report("DB106", value.start, value.end, headline, f"give {' and '.join(components)}")
-    else:
-        _report_differing(components, found, value.start, value.end, report)
-    return False
+        raise fault(report, "DB106", value, headline, f"give {' and '.join(components)}")
+    raise _differing(components, found, value, report)
 
 
-def _has_stage(value: Typed, stage: Stage, what: str, report: Report) -> bool:
-    if value.type.stage <= stage:
-        return True
-    allowed = "may be drawn once per episode, but not change within it" if stage is Stage.EPISODE else "must be fixed"
-    report("DB407", value.start, value.end, f"{what} is {value.type.stage.words}", f"it {allowed}")
-    return False
-
-
-def _has_size(value: Typed, stage: Stage, what: str, report: Report) -> bool:
-    """Warns of implausible values; refuses those settled before the episode that no engine computes with."""
-    interval, dimension = value.type.interval, value.type.dimension
-    largest = max(abs(interval.low), abs(interval.high))
-    plausible = QUANTITIES[dimension].plausible if dimension in QUANTITIES else math.inf
+def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None:
+    """Warn of implausible values; refuse values beyond an engine's precision that are settled before the episode."""
+    dimension = value.type.dimension
+    largest = max(map(abs, value.type.interval))
+    plausible = quantity(dimension).plausible
     limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
-    counts = interval.finite and not value.type.boolean
-    if counts and largest > limit and stage is not Stage.STEP:
+    if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        report("DB105", value.start, value.end, f"{what} of {largest:g}{unit}", f"give at most {limit:g}{unit}")
-        return False
+        raise fault(report, "DB105", value, f"{what} of {largest:g}{unit}", f"give at most {limit:g}{unit}")
     if dimension == ANGLE:
         warn_of_degrees(value, report)
-    if counts and largest > plausible:
-        report("DB505", value.start, value.end, f"{what} of {largest:g} {dimension}", "check the unit")
-    return True
+    if largest > plausible:
+        fault(report, "DB505", value, f"{what} of {largest:g} {dimension}", "check the unit")
 
 
-# Corrections made from the text of a value: good guesses, never certain
-
-_SIGNED = rf"[-+]?{syntax.NUMBER}"
-_LITERAL = re.compile(rf"({_SIGNED}(?:\s+{_SIGNED})*)\s*([A-Za-z%][\w*/^%-]*)?", re.ASCII)
-
-
-def swapped(low: Typed | syntax.Node, high: Typed | syntax.Node) -> Rewriting:
-    """The ends of a range in the other order; a unit behind the last moves behind the new last."""
-    start, middle, end = low.start, low.end - low.start, high.start - low.start
-
-    def rewriting(piece: str) -> str:
-        first, between, last = piece[:middle], piece[middle:end], piece[end : high.end - start]
-        bare, united = _LITERAL.fullmatch(first), _LITERAL.fullmatch(last)
-        if bare and united and united[2] and not bare[2]:
-            return f"{united[1]}{between}{first} {united[2]}"
-        return f"{last}{between}{first}"
-
-    return rewriting
-
-
-def divided(value: Typed, dimension: Dimension) -> Rewriting:
-    """The value over a unit of its dimension; of `a when c`, `a` is divided."""
-    part = _amount(value)
-    start, end = part.start - value.start, part.end - value.start
-    return lambda piece: f"{piece[:start]}{_factor(piece[start:end], part)} / {_divisor(dimension)}{piece[end:]}"
-
-
-def negated(value: Typed) -> Rewriting:
-    """The value with its sign turned: a minus comes or goes, and a difference is taken in the other order."""
-    part = _amount(value)
-    start, end = part.start - value.start, part.end - value.start
-    return lambda piece: f"{piece[:start]}{_negative(piece[start:end], part)}{piece[end:]}"
-
-
-def _negative(text: str, value: Typed) -> str:
-    if not (isinstance(value, Operation) and _is_sum(value)):
-        return text[1:].lstrip() if text.startswith("-") else f"-{text}"
-    if value.operator == "add":
-        return f"-({text})"
-    left, right = (text[part.start - value.start : part.end - value.start] for part in value.args)
-    between = text[len(left) : len(text) - len(right)]
-    return f"{right}{between}{_factor(left, value.args[0])}"
-
-
-def _amount(value: Typed) -> Typed:
-    """`a` of `a when c`; any other value itself."""
+def negated(value: Typed) -> Callable[[str], str]:
+    """Makes the text of the value with its sign turned from the text of the value; of `a when c`, `a` is turned."""
     is_when = isinstance(value, Invocation) and value.function == "where" and value.args[1].start == value.start
-    return value.args[1] if is_when and isinstance(value, Invocation) else value
+    part = value.args[1] if is_when and isinstance(value, Invocation) else value
+    length = part.end - part.start
 
+    def turned(text: str) -> str:
+        amount, rest = text[:length], text[length:]
+        if not (isinstance(part, Operation) and _is_sum(part)):
+            return amount[1:].lstrip() + rest if amount.startswith("-") else f"-{amount}{rest}"
+        if part.operator == "add":
+            return f"-({amount}){rest}"
+        left, right = (amount[arg.start - part.start : arg.end - part.start] for arg in part.args)
+        return f"{right} - ({left}){rest}" if _is_sum(part.args[0]) else f"{right} - {left}{rest}"
 
-def _factor(text: str, value: Typed) -> str:
-    return f"({text})" if _is_sum(value) else text
+    return turned
 
 
 def _is_sum(value: Typed) -> bool:
     """Whether it is a sum or a difference without parentheses around it, which a node counts as its own."""
     return isinstance(value, Operation) and value.operator in ("add", "sub") and value.args[0].start == value.start
-
-
-def _divisor(dimension: Dimension) -> str:
-    unit = str(dimension)
-    return f"({unit})" if "/" in unit or "*" in unit else unit

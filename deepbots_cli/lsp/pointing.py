@@ -137,7 +137,7 @@ def _innermost(piece: Piece) -> Piece:
 def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
     """The nodes below; of arguments that name a part of the world, which kinds it may be of."""
     function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
-    for index, child in enumerate((*syntax.children(node), *(node.items if isinstance(node, syntax.Vector) else ()))):
+    for index, child in enumerate(syntax.children(node)):
         param = function.params[min(index, len(function.params) - 1)] if function and function.params else None
         yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.functions import FUNCTIONS, operation
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact, hull
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
+from deepbots_cli.expressions.functions import interval_of
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import NamedScalars
 
@@ -96,19 +96,9 @@ def _options(expression: Scalar) -> list[float]:
 
 
 def _interval(node: Scalar, scenario: Program) -> Interval:
-    """How far the values of an expression reach, whatever is drawn."""
-    match node:
-        case Const(value):
-            return exact(float(value))
-        case Name(name, component):
-            full = name if component is None else f"{name}.{component}"
-            numbers = (pair for entry in scenario.parameters if entry.name == name for pair in entry.numbers)
-            return next((_interval(value, scenario) for other, value in numbers if other == full), EVERYTHING)
-        case Draw(distribution, args):
-            return FUNCTIONS[distribution].interval(*(_interval(arg, scenario) for arg in args))
-        case Op("where", (_, *cases)):
-            return hull([_interval(case, scenario) for case in cases])
-        case Op(op, args):
-            return operation(op).interval(*(_interval(arg, scenario) for arg in args))
-        case _:
-            return EVERYTHING
+    """The interval of an expression over all draws."""
+    if not isinstance(node, Name):
+        return interval_of(node, lambda arg: _interval(arg, scenario))
+    full = node.name if node.component is None else f"{node.name}.{node.component}"
+    numbers = (pair for entry in scenario.parameters if entry.name == node.name for pair in entry.numbers)
+    return next((_interval(value, scenario) for other, value in numbers if other == full), EVERYTHING)

@@ -25,7 +25,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
-from deepbots_cli.expressions.types import PLANE, SPACE, Components, Rewriting, shown
+from deepbots_cli.expressions.types import PLANE, SPACE, Components, shown
 
 Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
@@ -349,15 +349,7 @@ def si(measure: str) -> Dimension | None:
 def _parsed(text: str) -> syntax.Node | None:
     """The tree of an expression; raises its first syntax error."""
 
-    def report(
-        code: str,
-        start: int,
-        end: int,
-        headline: str,
-        help: str | None = None,
-        notes: tuple[str, ...] = (),
-        meant: Meant | Rewriting | None = None,
-    ) -> None:
+    def report(code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None:
         raise error(code, headline, help)
 
     return parser.parse(text, report)

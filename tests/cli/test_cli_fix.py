@@ -194,13 +194,6 @@ def test_a_number_in_odd_groups_stays_the_text_that_it_is(deepbots, scenario):
 
 GUESSES = [
     ("reward: {alive: abs(x) < track}", "reward: {alive: 1 when abs(x) < track}"),
-    ("reward: {alive: -speed}", "reward: {alive: -speed / (m/s)}"),
-    ("reward: {alive: track - abs(x) when not fallen}", "reward: {alive: (track - abs(x)) / m when not fallen}"),
-    ("reward: {alive: exp(abs(x) - track)}", "reward: {alive: exp((abs(x) - track) / m)}"),
-    ("observation: {x: 0.4 .. -0.4 m}", "observation: {x: -0.4 .. 0.4 m}"),
-    ("observation: {x: 0.4 m .. -40 cm}", "observation: {x: -40 cm .. 0.4 m}"),
-    ("parameters: {track: 0.39 m}\nobservation: {x: track .. -track}", "parameters: {track: 0.39 m}\nobservation: {x: -track .. track}"),
-    ("reset: {set: {cart.pole_hinge: uniform(1 .. -1 deg)}}", "reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}"),
 ]
 
 

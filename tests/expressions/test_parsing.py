@@ -95,6 +95,7 @@ REFUSED = [
     ("1_00 m", "1_00", "100_000"),
     ("1e999", "1e999", "largest"),
     ("2 m^99", "^99", "parentheses"),
+    ("2 m^²", "^²", "parentheses"),
     ("x .. y .. x", "..", None),
     ("gas each tick", "tick", "each step"),
 ]
