@@ -1,33 +1,30 @@
-"""The base of the models: sections, unions of them, sizes; and the shape of what may stand under a key.
+"""The base of the models: sections, unions of them, sizes; and the shape of the value of a key.
 
 A key of a section is one annotated field of its model, with its sentence as a docstring below. `shape_of` reads an annotation:
 
-    FieldType     a single value (fields.py); int, bool, str and Literal are read as `Plain` and `Word`
+    FieldType     a single value (fields.py)
     Section       a mapping with known keys: the model class itself
     MappingOf     a mapping with names that the user chooses
     ListOf        a list
     Forms         a union that is discriminated by the form of the value
     Kinds         a union of sections that is discriminated by the word under one key
 
-The compiler, the language server, the JSON Schema and the reference pages all go by these shapes. A nested section is validated by
-its own validator, which pydantic builds when a scenario first has such a section: a scenario uses a third of the models.
+The compiler, the language server, the JSON Schema and the reference pages go by these shapes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, PrivateAttr, TypeAdapter, ValidationError, ValidationInfo, model_validator
-from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.scenario.fields import FieldType, Plain, Word, article, at, choose_from, count, error, mismatch, word_meant
+from deepbots_cli.scenario.fields import FieldType, Flag, Number, Text, Word, article, at, choose_from, count, error, mismatch, word_meant
 
 T = TypeVar("T")
 Many = tuple[T, ...]
@@ -36,7 +33,8 @@ Many = tuple[T, ...]
 LENIENT = "lenient"
 """The key of the validation context that lets lists and mappings have too few entries, since faulty ones were taken out."""
 
-_is_building: ContextVar[bool] = ContextVar("_is_building", default=False)
+_PLAIN: Mapping[Any, FieldType] = {int: Number(whole=True), float: Number(), bool: Flag(), str: Text()}
+"""How plain types, which pydantic validates itself, are called."""
 
 
 @dataclass(frozen=True)
@@ -78,29 +76,15 @@ class Section(BaseModel):
     @classmethod
     def _check_keys(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
         own = [found for keys in cls.key_rules for found in keys.errors(data)] if isinstance(data, Mapping) else []
+        if not own:
+            return handler(data)
         try:
-            section = handler(data)
+            handler(data)
         except ValidationError as others:
-            if own:
-                own += [
-                    InitErrorDetails(type=PydanticCustomError(e["type"], e["msg"], e.get("ctx")), loc=e["loc"], input=e["input"])
-                    for e in others.errors(include_url=False)
-                ]
-            else:
-                raise
-        if own:
-            raise ValidationError.from_exception_data(cls.__name__, own)
-        return section
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        if _is_building.get():
-            return core_schema.with_info_plain_validator_function(lambda value, info: cls.model_validate(value, context=info.context))
-        token = _is_building.set(True)
-        try:
-            return handler(source)
-        finally:
-            _is_building.reset(token)
+            for found in others.errors(include_url=False):
+                refused = PydanticCustomError(found["type"], found["msg"], found.get("ctx"))
+                own.append(InitErrorDetails(type=refused, loc=found["loc"], input=found["input"]))
+        raise ValidationError.from_exception_data(cls.__name__, own)
 
 
 @dataclass(frozen=True)
@@ -121,15 +105,11 @@ class Size:
         return value
 
 
-ANY_SIZE = Size(0)
-
-
 @dataclass(frozen=True)
 class ListOf:
     """The shape of a list."""
 
     item: Shape
-    size: Size = ANY_SIZE
 
 
 @dataclass(frozen=True)
@@ -138,7 +118,6 @@ class MappingOf:
 
     key: FieldType
     value: Shape
-    size: Size = ANY_SIZE
 
 
 @dataclass(frozen=True)
@@ -301,28 +280,24 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return shape_of(arguments[0], (*annotation.__metadata__, *metadata))
-    size = ANY_SIZE
     for item in metadata:
-        match item:
-            case Forms():
-                return _forms_of(annotation)
-            case FieldType() | Kinds():
-                return item
-            case Size():
-                size = item
+        if isinstance(item, Forms):
+            return _forms_of(annotation)
+        if isinstance(item, (FieldType, Kinds)):
+            return item
     if origin is Literal:
         return Word(arguments)
     if origin in (Union, UnionType):
         (only,) = (option for option in arguments if option is not NoneType)
         return shape_of(only, metadata)
     if origin is dict and isinstance(key := shape_of(arguments[0]), FieldType):
-        return MappingOf(key, shape_of(arguments[1]), size)
+        return MappingOf(key, shape_of(arguments[1]))
     if origin is tuple:
-        return ListOf(shape_of(arguments[0]), size)
+        return ListOf(shape_of(arguments[0]))
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
-    if annotation in (int, bool, str):
-        return Plain.of(annotation, [each for item in metadata for each in (item.metadata if isinstance(item, FieldInfo) else [item])])
+    if annotation in _PLAIN:
+        return _PLAIN[annotation]
     raise TypeError(f"no shape for {annotation!r}")
 
 
@@ -408,28 +383,24 @@ def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) ->
     return settle(shape, data) if settled else shape
 
 
-def sections(shape: Shape) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
+def sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
     """Every section and every union of kinds below a shape: its path, and the key that tells its kind.
 
     In the path `*` stands for a name that the user chooses.
     """
-    yield from _sections(shape, (), "")
-
-
-def _sections(shape: Shape, path: tuple[str, ...], mark: str) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
     match shape:
         case ListOf(item=inner):
-            yield from _sections(inner, path, "")
+            yield from sections(inner, path)
         case MappingOf(value=inner):
-            yield from _sections(inner, (*path, "*"), "")
+            yield from sections(inner, (*path, "*"))
         case Forms(options=options):
             for option in options:
-                yield from _sections(option, path, "")
+                yield from sections(option, path)
         case Kinds():
             yield path, shape, ""
             for name, model in (*shape.models.items(), *shape.marked.items()):
-                yield from _sections(model, path, shape.key if name in shape.models else "")
+                yield from sections(model, path, shape.key if name in shape.models else "")
         case type():
             yield path, shape, mark
             for name, below in fields(shape).items():
-                yield from _sections(below, (*path, name), "")
+                yield from sections(below, (*path, name))

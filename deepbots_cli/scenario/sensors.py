@@ -12,8 +12,7 @@ its reader as SI numbers and words.
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
-from annotated_types import Ge, Le
-from pydantic import Field, Strict
+from pydantic import Field
 
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import (
@@ -40,6 +39,7 @@ from deepbots_cli.scenario.fields import (
     LinkName,
     LinkNames,
     LocalName,
+    Number,
     Prose,
     Quantity,
     RandomizableDelay,
@@ -292,7 +292,7 @@ NamedRays = Annotated[dict[LocalName, SensorFrame], Size(1, "ray")]
 class RayScan(LinkSensor):
     """Looks along rays: given by name, or as a fan of a number of them."""
 
-    rays: Annotated[NamedRays | Annotated[int, Strict(), Ge(1), Le(4096)], FORMS] | None = None
+    rays: Annotated[NamedRays | Annotated[int, Number(1, 4096, whole=True)], FORMS] | None = None
     """Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one."""
     fan: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""

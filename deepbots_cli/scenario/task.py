@@ -2,9 +2,6 @@
 
 from typing import Annotated, ClassVar
 
-from annotated_types import Ge, Le
-from pydantic import Strict
-
 from deepbots_cli.scenario.base import FORMS, Keys, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     BodyName,
@@ -13,13 +10,13 @@ from deepbots_cli.scenario.fields import (
     Expression,
     Length,
     LocalName,
+    Number,
     Period,
     PositiveInt,
     Prose,
     Quantity,
     RandomizableDuration,
     Range,
-    Real,
     Reference,
     Scalar,
     Setting,
@@ -34,7 +31,7 @@ from deepbots_cli.scenario.fields import (
 from deepbots_cli.scenario.world import Pose
 
 PYTHON_PATH = Text("the place of a function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
-Number = Annotated[Scalar, Quantity("any")]
+Choice = Annotated[Scalar, Quantity("any")]
 Noise = Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)]
 
 
@@ -59,7 +56,7 @@ class DiscreteAction(Section):
 
     marks: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
-    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Number] | Number, FORMS]], Size(2, "choice")]
+    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
     """The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."""
     forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
     """When an option may not be chosen."""
@@ -175,7 +172,7 @@ class Solved(Section):
 
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), min=1, max=2),)
 
-    mean_return: Annotated[float, Real()] | None = None
+    mean_return: Annotated[float, Number()] | None = None
     """Least mean return over the episodes."""
     success_rate: Share | None = None
     """Least share of successful episodes, 0 to 1."""
@@ -288,7 +285,7 @@ class Reset(Section):
     """Arrangements by names of your choice: a place for each body, or a map in letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
     """What must hold at the start; otherwise everything is drawn again."""
-    attempts: Annotated[int, Strict(), Ge(1), Le(100_000)] = 100
+    attempts: Annotated[int, Number(1, 100_000, whole=True)] = 100
     """How often to draw before giving up."""
     settle: Duration = "0 s"
     """Simulated time for things to come to rest before the episode begins."""

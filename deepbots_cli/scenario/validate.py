@@ -1,13 +1,13 @@
 """Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
 
-The first round reports. Whatever has a finding is then taken out and the rest is validated again, until it passes: later
-passes see all that is sound, and nothing is reported twice.
+The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later stages see
+everything that is sound, and nothing is reported twice.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -21,19 +21,17 @@ from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Node, Path, Scalar, descend, to_data, walk
 from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, locate, noun_of, sections, shape_at
-from deepbots_cli.scenario.fields import FieldType, mismatch
+from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 from deepbots_cli.scenario.training import ELSEWHERE, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
-# Characters before a value in which its key stands.
-_LOOKED_BACK = 400
 _SHOWN = 40
 _EXEMPLARY = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
-_OWN_SECTION = "it is a section of its own, which begins at the left edge: take away the blanks in front of it and of its lines"
 
+_OWN_SECTION = "it is a section of its own, which begins at the left edge: take away the blanks in front of it and of its lines"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,
@@ -48,16 +46,12 @@ _STAND_INS: dict[str, object] = {
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is wrong at `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
+    """A finding about `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
 
-    code: str
     path: Path
-    headline: str
-    help: str | None = None
+    finding: Finding
     missing: tuple[str, ...] = ()
-    at_key: bool = False
     meant: Meant | None = None
-    notes: tuple[str, ...] = ()
 
 
 def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
@@ -73,14 +67,8 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
         return None
     data: Any = to_data(root)
     pruned: set[Path] = set()
-    for path, node in walk(root):
-        if path and isinstance(node, Scalar) and node.value is None:
-            span = _key_span(root, path)
-            findings.add("DB107", span, f"`{_name_of(path)}` has no value", help="give it one, or take the key out")
-            _prune(data, path, pruned)
     _advise(root, data, findings)
 
-    earlier = findings.errors  # a warning leaves its value in place, so nothing is missing because of it
     for round_number in range(_ROUNDS):
         try:
             scenario = Scenario.model_validate(data, context={LENIENT: round_number > 0})
@@ -92,8 +80,8 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
             return scenario
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
-            new = [problem for problem in problems if not (_is_follow_up(root, problem, earlier) or _is_misspelt(problem, problems))]
-            found = [_finding(root, data, problem) for problem in _together(_in_place(root, data, new, findings))]
+            new = [problem for problem in problems if not (_is_follow_up(root, problem) or _is_misspelt(problem, problems))]
+            found = [problem.finding for problem in _together(root, _in_place(root, data, new))]
             for one in found:
                 findings.append(one)
             if findings.limit is not None and len(problems) >= findings.limit:  # the rest would be in the way of later passes
@@ -143,14 +131,17 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
     if kind == "missing":
         *_, key = path
         path = path[:-1]
-        return _Problem("DB102", path, f"missing key `{key}` {_place(path)}", about_key(data, (*path, key)), (str(key),), at_key=True)
+        finding = Finding("DB102", _key_span(root, path), f"missing key `{key}` {_place(path)}", about_key(data, (*path, key)))
+        return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-        return _Problem("DB101", path, headline, _help_for_unknown(data, path), at_key=True, meant=meant_by(data, path))
-    node = descend(root, path)[0]
+        help, near = _help_for_unknown(data, path) or about_key(data, path), meant_by(data, path)
+        key_node = descend(root, path)[1]
+        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), meant=near)
+    node, key_node, _ = descend(root, path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.Mapping) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
-    context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node))
+    context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
     kind = context.get("code", kind)
     headline, help, near = context["headline"], context["help"], context["meant"]
     if expected := context.get("expected"):
@@ -163,17 +154,34 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
     elif kind == "DB107":
         headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
     at_key = at_key or kind in ("DB101", "DB102", "DB107")
-    return _Problem(kind, path, headline, help, context["missing"], at_key=at_key, meant=near)
+    span = _key_span(root, path) if at_key or node.span.begin.line != node.span.finish.line else node.span
+    fix = _fix(key_node if at_key else node, near)
+    return _Problem(path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"])
 
 
-def _reworded(shape: Shape | None, value: object) -> dict[str, Any]:
-    """What the field type says of a value that pydantic's own type refused; it knows units of thousands, `on` and `off`, near words."""
+def _key_span(root: nodes.Mapping, path: Path) -> Span:
+    """The key at `path`, the head of the item of a list, or the first line of the file."""
+    node, key, _ = descend(root, path)
+    if key is not None and path:
+        return key.span
+    span = node.span
+    end = span.source.text.find("\n", span.start, span.end)
+    return Span(span.source, span.start, span.end if end < 0 else end)
+
+
+def _fix(word: Node | None, near: Meant | None) -> Fix | None:
+    return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe) if near and isinstance(word, Scalar) else None
+
+
+def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any]:
+    """The words of the field type for a value that pydantic's own type refused with `message`."""
     refused = mismatch("another type" if shape is None else noun_of(shape), value=value)
     if isinstance(shape, FieldType):
         try:
             shape.validate(value)
-        except PydanticCustomError as error:
-            refused = error
+            refused = error("DB105", message)  # a bound of pydantic, in the model of a plug-in
+        except PydanticCustomError as own:
+            refused = own
     return {**(refused.context or {}), "code": refused.type}
 
 
@@ -204,112 +212,59 @@ def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | Non
     return None
 
 
-def _is_follow_up(root: nodes.Mapping, problem: _Problem, earlier: Sequence[Finding]) -> bool:
-    """Whether something is missing or empty only because the value there was found faulty before, and left out."""
-    if problem.code not in ("DB102", "DB107"):
+def _is_follow_up(root: nodes.Mapping, problem: _Problem) -> bool:
+    """Whether a key is missing, or a mapping empty, only because its text had a finding and was left out."""
+    node = descend(root, problem.path)[0]
+    if not isinstance(node, nodes.Mapping) or not node.partial:
         return False
-    span = descend(root, problem.path)[0].span
-    inside = [found.span for found in earlier if found.span.source is span.source and span.start <= found.span.start <= span.end]
-    if problem.code == "DB107":
-        return bool(inside)
-    return any(_is_about(found, key) for found in inside for key in problem.missing)
-
-
-def _is_about(span: Span, key: str) -> bool:
-    """Whether a finding at `span` marks this key, its value or an item of it, or a file that was to be included and may have held it."""
-    # Not all of the text before it: with tens of thousands of findings the copies took minutes.
-    before = span.source.text[max(0, span.start - _LOOKED_BACK) : span.start].rstrip()
-    list_so_far = r"\s*(\[[^][{}:]*|-[^:]*)?$"
-    return span.text.strip("'\"") == key or re.search(rf"\b({re.escape(key)}|include)['\"]?:{list_so_far}", before) is not None
+    empty = {key.text for key in node.hollow}
+    is_missing = problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
+    return is_missing or problem.finding.code == "DB107"
 
 
 def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
-    """Whether the missing key stands there in a spelling that is reported anyway."""
-    if not problem.missing:
-        return False
-    misspelt = (other.meant for other in problems if other.at_key and other.path[:-1] == problem.path)
+    """Whether a key that is reported as unknown is the missing one, misspelt."""
+    misspelt = (other.meant for other in problems if problem.missing and other.path[:-1] == problem.path)
     return any(near is not None and near.text in problem.missing for near in misspelt)
 
 
-def _together(problems: list[_Problem]) -> list[_Problem]:
-    """All sections that a file lacks as one problem: they are many while it is being written. Its notes explain all but the first."""
-    lacking = [problem for problem in problems if problem.code == "DB102" and not problem.path]
-    if len(lacking) < 2:
-        return problems
-    missing = tuple(key for problem in lacking for key in problem.missing)
-    headline = f"missing keys {', '.join(f'`{key}`' for key in missing)} {_place(())}"
-    notes = tuple(problem.help for problem in lacking[1:] if problem.help)
-    together = _Problem("DB102", (), headline, lacking[0].help, missing, at_key=True, notes=notes)
-    return [together, *(problem for problem in problems if problem not in lacking)]
-
-
-# Sections with blanks in front of them
-
-
-def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem], findings: Findings) -> list[_Problem]:
-    """The same, with a section that stands inside of another, by blanks in front of it, as one problem."""
-    displaced = {path for problem in problems if (path := _displaced(root, data, problem.path))}
-    inside = displaced | (_hollow_sections(root, findings) if problems else set())
-    if not inside:
-        return problems
-    names = {str(path[-1]) for path in displaced}
-    left = [
-        problem
-        for problem in problems
-        if not any(problem.path[:depth] in inside for depth in range(1, len(problem.path) + 1))
-        and not (problem.code == "DB102" and not problem.path and names.issuperset(problem.missing))
-    ]
-    moved = [_Problem("DB101", at, f"`{at[-1]}` stands {_place(at[:-1])}", _OWN_SECTION, at_key=True) for at in sorted(displaced, key=str)]
-    return [*moved, *left]
+def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem]) -> list[_Problem]:
+    """The same, with all problems of a section that is indented into another one as a single problem."""
+    moved: dict[Path, _Problem] = {}
+    kept = []
+    for problem in problems:
+        if path := _displaced(root, data, problem.path):
+            moved[path] = _Problem(path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` stands {_place(path[:-1])}", _OWN_SECTION))
+        else:
+            kept.append(problem)
+    lacking = {(str(path[-1]),) for path in moved}
+    return [*moved.values(), *(problem for problem in kept if problem.path or problem.missing not in lacking)]
 
 
 def _displaced(root: nodes.Mapping, data: object, path: Path) -> Path | None:
-    """The first key on the path that is a section which the file lacks at its top, where nothing of the kind belongs."""
+    """The first key on the path that is a section which the file lacks, where its name is no key."""
     for depth in range(1, len(path)):
-        key = path[depth]
-        if key in Scenario.model_fields and key not in root.entries:
-            holder, node = shape_at(Scenario, data, path[:depth]), descend(root, path[: depth + 1])[0]
-            if isinstance(node, nodes.Mapping) and not (isinstance(holder, type) and key in holder.model_fields):
-                return path[: depth + 1]
+        key, here = path[depth], path[: depth + 1]
+        if key in Scenario.model_fields and key not in root.entries and isinstance(descend(root, here)[0], nodes.Mapping):
+            holder = shape_at(Scenario, data, path[:depth])
+            if not isinstance(holder, type) or key not in holder.model_fields:
+                return here
     return None
 
 
-def _hollow_sections(root: nodes.Mapping, findings: Findings) -> set[Path]:
-    """The entries below a section that has lost its lines to the one around it; says so where the section has no value."""
-    empty = {found.span.start: found for found in findings if found.code == "DB107"}
-    inside: set[Path] = set()
-    for path, node in walk(root) if empty else ():
-        if not path or not isinstance(node, nodes.Mapping):
-            continue
-        for key in node.hollow:
-            if key.text in Scenario.model_fields and key.text not in root.entries and key.span.start in empty:
-                findings.advise(empty[key.span.start], _OWN_SECTION)
-                inside |= {(*path, name) for name, entry in node.entries.items() if entry.key.span.start > key.span.start}
-    return inside
+def _together(root: nodes.Mapping, problems: list[_Problem]) -> list[_Problem]:
+    """All sections that a file lacks as one problem: they are many while it is being written. Its notes explain all but the first."""
+    lacking = [problem for problem in problems if problem.finding.code == "DB102" and not problem.path]
+    if len(lacking) < 2:
+        return problems
+    missing = tuple(key for problem in lacking for key in problem.missing)
+    headline = f"missing keys {_listed(missing)} {_place(())}"
+    help, *notes = (problem.finding.help or "" for problem in lacking)
+    together = _Problem((), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing)
+    return [together, *(problem for problem in problems if problem not in lacking)]
 
 
-# Problems to findings
-
-
-def _finding(root: nodes.Mapping, data: Any, problem: _Problem) -> Finding:
-    node, key, _ = descend(root, problem.path)
-    span, word, fix = node.span, key if problem.at_key else node, None
-    if problem.at_key or span.begin.line != span.finish.line:
-        span = _key_span(root, problem.path)
-    if problem.meant is not None and isinstance(word, Scalar):
-        fix = Fix.replacing(word.part(0, len(word.text)), word.text, problem.meant.text, safe=problem.meant.safe)
-    help = problem.help or about_key(data, problem.path)
-    return Finding(problem.code, span, problem.headline, help, notes=problem.notes, fix=fix)
-
-
-def _key_span(root: nodes.Mapping, path: Path) -> Span:
-    """The key at `path`, the head of the item of a list, or the first line of the file."""
-    node, key, _ = descend(root, path)
-    if key is not None and path:
-        return key.span
-    span = node.span
-    end = span.source.text.find("\n", span.start, span.end)
-    return Span(span.source, span.start, span.end if end < 0 else end)
+# Keys without a value
 
 
 def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:

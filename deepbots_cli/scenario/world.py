@@ -2,8 +2,7 @@
 
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Le
-from pydantic import Field, Strict
+from pydantic import Field
 
 from deepbots_cli.scenario.base import Keys, Kinds, Many, Section, Size
 from deepbots_cli.scenario.fields import (
@@ -15,6 +14,7 @@ from deepbots_cli.scenario.fields import (
     FilePath,
     LocalName,
     MeshFile,
+    Number,
     Point,
     Prose,
     Quantity,
@@ -156,7 +156,7 @@ class World(Section):
 
     timestep: Timestep
     """One control tick: robots sense and act this often, such as `32 ms`."""
-    substeps: Annotated[int, Strict(), Ge(1), Le(10_000)] = 1
+    substeps: Annotated[int, Number(1, 10_000, whole=True)] = 1
     """Physics steps in one control tick."""
     gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
     """Gravity in the world frame, m/s^2."""
