@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, PrivateAttr, T
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.scenario.fields import FieldType, Flag, Number, Text, Word, article, at, choose_from, count, error, mismatch, word_meant
+from deepbots_cli.scenario.fields import PLAIN, FieldType, Word, article, at, choose_from, count, error, mismatch, word_meant
 
 T = TypeVar("T")
 Many = tuple[T, ...]
@@ -32,9 +32,6 @@ Many = tuple[T, ...]
 
 LENIENT = "lenient"
 """The key of the validation context that lets lists and mappings have too few entries, since faulty ones were taken out."""
-
-_PLAIN: Mapping[Any, FieldType] = {int: Number(whole=True), float: Number(), bool: Flag(), str: Text()}
-"""How plain types, which pydantic validates itself, are called."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +205,7 @@ class Kinds:
     def find(self, value: object) -> type[Section] | None:
         """The model for `value`, raw or validated; None if its kind is unknown."""
         if isinstance(value, Section):
-            return type(value) if type(value) in (self.models.get(str(getattr(value, self.key, None))), *self.marked.values()) else None
+            return type(value) if type(value) in self.every else None
         if not isinstance(value, Mapping):
             return None
         word = value.get(self.key)
@@ -296,8 +293,8 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
         return ListOf(shape_of(arguments[0]))
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
-    if annotation in _PLAIN:
-        return _PLAIN[annotation]
+    if annotation in PLAIN:
+        return PLAIN[annotation]
     raise TypeError(f"no shape for {annotation!r}")
 
 

@@ -28,7 +28,7 @@ Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
 JsonSchema = dict[str, object]
 
-_JSON_TYPES = {str: "string", int: "number", float: "number", bool: "boolean", dict: "object", list: "array", tuple: "array"}
+_JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean", dict: "object", list: "array", tuple: "array"}
 
 LARGEST = 1e30
 """Beyond this a number means nothing physical, and arithmetic on it overflows."""
@@ -214,7 +214,7 @@ class FieldType:
         return None
 
     def json_schema(self) -> JsonSchema:
-        types = list(dict.fromkeys(_JSON_TYPES[each] for each in self.takes))
+        types = list(dict.fromkeys(_JSON_TYPES[each] for each in self.takes if each is not int or float not in self.takes))
         return {"type": types if len(types) > 1 else types[0]}
 
     def validate(self, value: object) -> object:
@@ -265,28 +265,19 @@ class Flag(FieldType):
 class Number(FieldType):
     """A plain number within bounds, or a text that matches `text`, whose groups are such numbers or percentages.
 
-    With `exclusive` the minimum itself is refused. `name` and `like` replace the noun and the example.
+    With `exclusive` the minimum itself is refused.
     """
 
     minimum: float | None = None
     maximum: float | None = None
     exclusive: bool = False
-    whole: bool = False
     text: str = ""
-    name: str = ""
-    like: str = ""
-
-    @property
-    def noun(self) -> str:
-        return self.name or ("a whole number" if self.whole else "a number")
-
-    @property
-    def example(self) -> str | None:
-        return self.like or None
+    noun: str = "a number"
+    example: str | None = None
 
     @property
     def takes(self) -> tuple[type, ...]:
-        return (int,) if self.whole else (int, float)
+        return (int, float)
 
     def holds(self, value: object) -> bool:
         return re.fullmatch(self.text, value) is not None if isinstance(value, str) else super().holds(value)
@@ -296,38 +287,41 @@ class Number(FieldType):
         for number in map(read_fraction, found.groups()) if found else [value]:
             check_bounds(number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
 
+    def json_schema(self) -> JsonSchema:
+        bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
+        schema = self._matching(f"^({self.text}|{GROUPED})$" if self.text else f"^{GROUPED}$")
+        schema["type"] = [super().json_schema()["type"], "string"]
+        return schema | {word: bound for word, bound in bounds.items() if bound is not None}
+
+
+@dataclass(frozen=True)
+class Whole(Number):
+    """A whole number within bounds."""
+
+    noun: str = "a whole number"
+
+    @property
+    def takes(self) -> tuple[type, ...]:
+        return (int,)
+
     def help_for(self, value: object) -> str | None:
-        near = count_meant(value) if self.whole else None
+        near = count_meant(value)
         return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
 
     def meant_by(self, value: object) -> Meant | None:
-        near = count_meant(value) if self.whole and isinstance(value, str) else None
+        near = count_meant(value) if isinstance(value, str) else None
         return Meant(near, safe=True) if near else None
-
-    def json_schema(self) -> JsonSchema:
-        bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
-        types = {"type": ["integer" if self.whole else "number", "string"]}
-        pattern = f"^({self.text}|{GROUPED})$" if self.text else f"^{GROUPED}$"
-        return self._matching(pattern) | types | {word: bound for word, bound in bounds.items() if bound is not None}
 
 
 @dataclass(frozen=True)
 class Text(FieldType):
     """A text, which matches `pattern` if there is one. The headline of another text is `refused`."""
 
-    name: str = "a text"
+    noun: str = "a text"
     pattern: str = ""
-    like: str = ""
+    example: str | None = None
     refused: str = ""
     help: str = ""
-
-    @property
-    def noun(self) -> str:
-        return self.name
-
-    @property
-    def example(self) -> str | None:
-        return self.like or None
 
     def check(self, value: Any) -> None:
         if self.pattern and not re.fullmatch(self.pattern, value, re.ASCII):
@@ -797,28 +791,26 @@ class Setting(FieldType):
 # Field types that several sections use
 
 
-PositiveInt = Annotated[int, Number(1, 1_000_000_000, whole=True)]
-SmallInt = Annotated[int, Number(1, 1000, whole=True)]
+PLAIN: Mapping[object, FieldType] = {int: Whole(), float: Number(), bool: Flag(), str: Text()}
+"""Field types of plain Python types, which pydantic validates itself."""
+
+PositiveInt = Annotated[int, Whole(1, 1_000_000_000)]
+SmallInt = Annotated[int, Whole(1, 1000)]
 Bool = Annotated[bool, Flag()]
 Prose = Annotated[str, Text()]
-Fraction = Annotated[Scalar, Number(0, 1, text=_PERCENT, name="a number from 0 to 1", like="0.9"), AfterValidator(read_fraction)]
-Schedule = Annotated[Scalar, Number(0, text=_SCHEDULE, name="a number or a schedule", like="3e-4 -> 0")]
+Fraction = Annotated[Scalar, Number(0, 1, text=_PERCENT, noun="a number from 0 to 1", example="0.9"), AfterValidator(read_fraction)]
+Schedule = Annotated[Scalar, Number(0, text=_SCHEDULE, noun="a number or a schedule", example="3e-4 -> 0")]
 
 Length = Annotated[Scalar, Quantity("length", minimum=0)]
 Thickness = Annotated[Scalar, Quantity("length", minimum=1e-4)]
-Duration = Annotated[Scalar, Quantity("time", minimum=0)]
-Period = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)]
 Timestep = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True, usual="ms")]
 Share = Annotated[Scalar, Quantity("number", minimum=0, maximum=1)]
-Extent = Annotated[Scalar, Quantity("length", components=3, minimum=1e-4)]
 Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
 Point = Annotated[Scalar, Quantity("length", components=2)]
 Scale = Annotated[Scalar, Quantity("number", components=3)]
 
 RandomizableFactor = Annotated[Scalar, Quantity("number", stage="episode", minimum=0)]
 RandomizableShare = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, maximum=1)]
-RandomizableMass = Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)]
-RandomizableDuration = Annotated[Scalar, Quantity("time", stage="episode", minimum=0)]
 RandomizableDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60, usual="ms")]
 RandomizableCoordinate = Annotated[Scalar, Quantity("length", stage="episode")]
 RandomizableAngle = Annotated[Scalar, Quantity("angle", stage="episode", words=("any",))]
@@ -827,7 +819,6 @@ RandomizableCount = Annotated[Scalar, Quantity("number", stage="episode", minimu
 Colour = Annotated[str, Color()]
 SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
-LinkPattern = Annotated[str, Pattern("link")]
 JointPattern = Annotated[str, Pattern("joint")]
 BodyName = Annotated[str, Reference("body")]
 JointNames = Annotated[str | tuple[str, ...], Reference("joints")]

@@ -11,13 +11,13 @@ from pydantic import Field
 
 from deepbots_cli.plugins import Table
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, require_kind
-from deepbots_cli.scenario.fields import Bool, Fraction, Number, PositiveInt, Prose, Scalar, Schedule
+from deepbots_cli.scenario.fields import Bool, Fraction, Number, PositiveInt, Prose, Scalar, Schedule, Whole
 
 Weight = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
-StepsOrAll = Annotated[int, Number(-1, 1_000_000_000, whole=True)]
-StepsOrEpisodes = Number(
-    1, 1_000_000_000, whole=True, text="[1-9][0-9]{0,8} (?:step|episode)s?", name="a number of steps or episodes", like="1 episode"
+StepsOrAll = Annotated[int, Whole(-1, 1_000_000_000)]
+StepsOrEpisodes = Whole(
+    1, 1_000_000_000, text="[1-9][0-9]{0,8} (?:step|episode)s?", noun="a number of steps or episodes", example="1 episode"
 )
 
 
@@ -46,14 +46,14 @@ class Hindsight(Section):
 class Policy(Section):
     """The network of the policy."""
 
-    hidden: Many[Annotated[int, Number(1, 8192, whole=True)]] = (64, 64)
+    hidden: Many[Annotated[int, Whole(1, 8192)]] = (64, 64)
     """Units of each hidden layer, such as `[64, 64]`."""
     activation: Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"] = "tanh"
     """Activation between the layers."""
 
 
 class Training(Section):
-    """What all algorithms have in common; each adds its hyperparameters."""
+    """Keys of all algorithms; each adds its hyperparameters."""
 
     place: ClassVar[str] = ""
     """`module:attribute` of its class, imported when it is used."""
@@ -61,9 +61,9 @@ class Training(Section):
 
     algorithm: Prose
     """The learning algorithm."""
-    total_timesteps: Annotated[int, Number(1, 10**12, whole=True)]
+    total_timesteps: Annotated[int, Whole(1, 10**12)]
     """Steps of the agent to train for, summed over all environments."""
-    environments: Annotated[int, Number(1, 1024, whole=True)] = 1
+    environments: Annotated[int, Whole(1, 1024)] = 1
     """Copies of the environment that are trained in at once."""
     policy: Policy = Field(default_factory=Policy)
     """The network of the policy."""
@@ -109,7 +109,7 @@ class _OnPolicy(Training):
 
 
 class _Proximal(_OnPolicy):
-    batch_size: Annotated[int, Number(2, 1_000_000_000, whole=True)] | None = None
+    batch_size: Annotated[int, Whole(2, 1_000_000_000)] | None = None
     """Samples in one gradient step."""
     n_epochs: PositiveInt | None = None
     """Passes over the samples of a roll-out."""
@@ -133,7 +133,7 @@ class _OffPolicy(Training):
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
     buffer_size: PositiveInt | None = None
     """Steps that are remembered."""
-    learning_starts: Annotated[int, Number(0, 1_000_000_000, whole=True)] | None = None
+    learning_starts: Annotated[int, Whole(0, 1_000_000_000)] | None = None
     """Steps before the first update."""
     batch_size: PositiveInt | None = None
     """Samples in one gradient step."""
@@ -162,7 +162,7 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
     """Use that noise already before learning starts."""
     ent_coef: Annotated[Scalar, Number(0, text=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
-    """Weight of the entropy; `auto` learns it, `auto_0.1` from that on."""
+    """Weight of the entropy; `auto` learns it, `auto_0.1` begins at 0.1."""
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
     target_entropy: Annotated[Scalar, Number(text="auto")] | None = None
@@ -257,7 +257,7 @@ class RecurrentPPO(_StateDependentExploration, _Proximal):
     place = "sb3_contrib:RecurrentPPO"
 
     algorithm: Literal["RecurrentPPO"]
-    lstm: Annotated[int, Number(1, 2048, whole=True)] | None = None
+    lstm: Annotated[int, Whole(1, 2048)] | None = None
     """Units of the memory: an LSTM before the layers of actor and of critic."""
 
 
@@ -267,7 +267,7 @@ class TQC(_SoftActorCritic):
     place = "sb3_contrib:TQC"
 
     algorithm: Literal["TQC"]
-    top_quantiles_to_drop_per_net: Annotated[int, Number(0, 1_000_000_000, whole=True)] | None = None
+    top_quantiles_to_drop_per_net: Annotated[int, Whole(0, 1_000_000_000)] | None = None
     """Highest quantiles to drop, per critic."""
 
 
@@ -299,4 +299,4 @@ ELSEWHERE: Mapping[str, str] = {
     "lstm_hidden_size": "write `lstm: 64`",
     "n_envs": "write `environments`",
 }
-"""What other tools set among the hyperparameters, and where it is set here."""
+"""Hyperparameters of other tools, and where they are set here."""
