@@ -31,7 +31,7 @@ Many = tuple[T, ...]
 """A list in the file, a tuple in the model."""
 
 LENIENT = "lenient"
-"""The key of the validation context that lets lists and mappings have too few entries, since faulty ones were taken out."""
+"""Key of the validation context. If it is set, lists and mappings may have too few entries, since faulty ones were removed."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Keys:
     max: int = 1
 
     def errors(self, data: Mapping[str, object]) -> Iterator[InitErrorDetails]:
-        """What is wrong with the keys of a section."""
+        """The errors of the keys of a section."""
         given = [name for name in self.names if name in data]
         if len(given) > self.max:
             refused = error("DB101", f"`{given[-1]}` cannot stand beside `{given[0]}`", "keep one of the two")
@@ -54,19 +54,19 @@ class Keys:
 
 
 class Section(BaseModel):
-    """A mapping whose keys the language knows."""
+    """A mapping with known keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     key_rules: ClassVar[tuple[Keys, ...]] = ()
     marks: ClassVar[frozenset[str]] = frozenset()
-    """Among several forms that are mappings, the keys that tell this one."""
+    """Keys that distinguish this form from other forms that are mappings."""
 
     _path: Path = PrivateAttr(())
 
     @property
     def path(self) -> Path:
-        """Where the section stands in the file that it was validated from."""
+        """The place of the section in its file."""
         return self._path
 
     @model_validator(mode="wrap")
@@ -111,7 +111,7 @@ class ListOf:
 
 @dataclass(frozen=True)
 class MappingOf:
-    """The shape of a mapping with keys of the user's own."""
+    """The shape of a mapping with keys that the user chooses."""
 
     key: FieldType
     value: Shape
@@ -135,12 +135,12 @@ class Forms:
 
     @property
     def help(self) -> str | None:
-        """How the first option that is a single value is written."""
+        """An example of the first option that is a single value."""
         hints = (option.help_for(None) for option in self.options if isinstance(option, FieldType))
         return next((hint for hint in hints if hint), None)
 
     def index(self, value: object) -> int | None:
-        """Which option `value`, raw or validated, has the form of."""
+        """The index of the option whose form `value`, raw or validated, has."""
         return next((i for i, option in enumerate(self.options) if _fits(option, value)), None)
 
     def choose(self, value: object) -> Shape | None:
@@ -231,7 +231,7 @@ class Kinds:
 
 
 def kind_of(model: type[Section], key: str = "type") -> str:
-    """The word under the `key` that tells the kind of a model."""
+    """The word under `key` for the kind of a model; empty if there are several."""
     words = get_args(model.model_fields[key].annotation)
     return str(words[0]) if len(words) == 1 else ""
 
@@ -254,7 +254,7 @@ Shape = FieldType | type[Section] | ListOf | MappingOf | Forms | Kinds
 
 
 def noun_of(shape: Shape) -> str:
-    """What a finding calls a value of this shape."""
+    """The noun for a value of this shape, with its article."""
     match shape:
         case FieldType():
             return shape.noun
@@ -273,7 +273,11 @@ def fields(section: type[Section]) -> Mapping[str, Shape]:
 
 
 def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
-    """The shape of an annotation, None apart; one that has no shape is a mistake in a model."""
+    """The shape of an annotation without None.
+
+    Raises:
+        TypeError: The annotation of a model has no shape.
+    """
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return shape_of(arguments[0], (*annotation.__metadata__, *metadata))
@@ -302,7 +306,7 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
 
 
 def locate(value: object, path: Path = ()) -> None:
-    """Give `value`, if it is a section, and all sections below it their paths."""
+    """Set the paths of `value` and of all sections below it."""
     if isinstance(value, Section):
         value._path = path
         below: Iterable[tuple[str | int, object]] = value.__dict__.items()
@@ -317,10 +321,10 @@ def locate(value: object, path: Path = ()) -> None:
 
 
 def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:
-    """Every single value that the user wrote in a validated section: its path, its field type, and the value as it was written.
+    """Yield the path, the field type and the written value of every single value in a validated section.
 
-    A chosen key comes with the path of its entry, the field type of the key and the key itself as value, right before what the
-    entry holds. Values left to their defaults are not visited.
+    A key that the user chose comes before the values of its entry, with the path of the entry, the field type of keys, and the key
+    as value. Defaults are not visited.
     """
     for name, shape in fields(type(section)).items():
         if name in section.model_fields_set:
@@ -351,7 +355,7 @@ def _visit(shape: Shape, value: object, path: Path) -> Iterator[tuple[Path, Fiel
 
 
 def settle(shape: Shape, data: object) -> Shape | None:
-    """The shape with its forms and kinds decided by the data."""
+    """The shape after choosing among forms and kinds by the data; None if there is no choice."""
     match shape:
         case Forms():
             chosen = shape.choose(data)
@@ -363,9 +367,9 @@ def settle(shape: Shape, data: object) -> Shape | None:
 
 
 def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) -> Shape | None:
-    """The shape of the value at `path` in raw data; None where data and language part.
+    """The shape of the value at `path` in raw data; None if the language does not know the path.
 
-    Unless `settled`, the last one still has its forms and kinds.
+    Unless `settled`, the result may be a union of forms or kinds.
     """
     for step in path:
         match settle(shape, data), data:
@@ -381,7 +385,7 @@ def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) ->
 
 
 def sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
-    """Every section and every union of kinds below a shape: its path, and the key that tells its kind.
+    """Yield every section and every union of kinds below a shape: its path, and the key of its kind.
 
     In the path `*` stands for a name that the user chooses.
     """

@@ -57,7 +57,7 @@ def about_kind(kinds: Kinds, name: str) -> str:
 
 
 def unit_of(shape: Shape) -> str:
-    """The unit in which a number is kept, `1` for a plain number; empty where there is no number."""
+    """The SI unit of a value, `1` for a plain number; empty for other values."""
     match shape:
         case Quantity(dimension=measure) | Range(dimension=measure) | Column(dimension=measure):
             return MEASURES[measure][2]
@@ -70,7 +70,7 @@ def unit_of(shape: Shape) -> str:
 
 
 def default_of(section: type[Section], key: str) -> str:
-    """The default as it would be written; empty where there is none to write."""
+    """The default as text; empty if there is none."""
     info = section.model_fields[key]
     value = info.default
     if info.is_required() or info.default_factory or value is None or value in ("", (), {}):
@@ -79,7 +79,7 @@ def default_of(section: type[Section], key: str) -> str:
 
 
 def hover(section: type[Section], key: str) -> str:
-    """A key in Markdown: what it takes, its sentence, its unit and default, an example."""
+    """A key in Markdown: its type, sentence, unit, default and example."""
     shape = fields(section)[key]
     unit = unit_of(shape)
     shown = "none, a plain number" if unit == "1" else unit if unit.startswith("of the ") else f"`{unit.replace(' or ', '` or `')}`"
@@ -94,7 +94,7 @@ def hover(section: type[Section], key: str) -> str:
 
 
 class Example(NamedTuple):
-    """A key with its value: as one writes it, as data, and as a node."""
+    """The example of a key: its value as text and as data, and its node."""
 
     text: str
     data: object
@@ -112,7 +112,7 @@ def example_of(section: type[Section], key: str) -> Example | None:
 
 
 def example_text(section: type[Section], key: str) -> str:
-    """How the value of a key may be written; of the key that tells the kind, the first kind."""
+    """The example of a key as text; of a word, the first one."""
     if found := example_of(section, key):
         return found.text
     shape = fields(section)[key]

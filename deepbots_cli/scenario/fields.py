@@ -36,7 +36,7 @@ _LISTED = 24
 _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
 GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
-"""Digits in groups of three: a number here, and a text to other readers of YAML 1.2, which editors are."""
+"""Digits in groups of three: a number in a scenario, but a text in editors, which read YAML 1.2."""
 
 
 # Errors
@@ -45,13 +45,13 @@ GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 def error(
     code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), meant: Meant | None = None
 ) -> PydanticCustomError:
-    """An error with the parts of a finding; `missing` are keys, `meant` is what to write instead of the whole value."""
+    """An error with the parts of a finding: `missing` keys, and `meant`, a replacement of the whole value."""
     context = {"headline": headline, "help": help, "missing": missing, "meant": meant}
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 
 
 def mismatch(expected: str, help: str | None = None, meant: Meant | None = None, *, value: object) -> PydanticCustomError:
-    """A value of the wrong type; `validate` says how it is written in the file."""
+    """An error about a value of the wrong type; `validate` shows how it is written in the file."""
     refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, meant=meant)
     refused.context["expected"] = expected  # type: ignore[index]
     return refused
@@ -70,7 +70,7 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-# Words that were probably meant
+# Probable words
 
 _OTHER_NAMES = {
     "cartesian": "ik inverse_kinematics end_effector eef ee tcp osc operational_space cartesian_position task_space",
@@ -98,24 +98,24 @@ _OTHER_NAMES = {
     "cylinder": "disc disk puck",
     "any": "random rand uniform arbitrary",
 }
-"""Words of the language with their names elsewhere."""
+"""Words of the language with their names in other tools."""
 
 
 def other_name(word: str, known: Iterable[str]) -> str | None:
-    """The one of the `known` words that other tools call `word`."""
+    """The `known` word for a name in other tools."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
     return next((ours for ours in known if plain in _OTHER_NAMES.get(ours, "").split()), None)
 
 
 def choose_from(word: str, words: Sequence[str]) -> str:
-    """The help of an unknown word: what was probably meant, and what there is."""
+    """The help for an unknown word: the probable word, and all known words."""
     near = other_name(word, words) or nearest(word, words)
     listed = shown((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
 
 
 def word_meant(word: str, words: Sequence[str]) -> Meant | None:
-    """The word of the language that was probably meant, as something to write."""
+    """The probable word of the language, as a replacement."""
     other = other_name(word, words)
     return Meant(other, safe=False) if other else meant(word, words, ours=True)
 
@@ -176,17 +176,17 @@ class FieldType:
 
     @property
     def noun(self) -> str:
-        """What a finding calls it, with its article."""
+        """The noun in findings, with its article."""
         return "a value"
 
     @property
     def example(self) -> str | None:
-        """How one may be written."""
+        """An example of a value."""
         return None
 
     @property
     def plural(self) -> str:
-        """What a list of them is called."""
+        """The noun for the items of a list."""
         noun, preposition, rest = self.noun.split(" ", 1)[1].partition(" with ")
         return f"{noun}s{preposition}{rest}"
 
@@ -206,7 +206,7 @@ class FieldType:
         """Raise an `error` if the content of a text is wrong, whatever the scenario around it."""
 
     def help_for(self, value: object) -> str | None:
-        """What to write instead of a value of the wrong form."""
+        """The help for a value of the wrong form."""
         return f"write it like `{self.example}`" if self.example else None
 
     def meant_by(self, value: object) -> Meant | None:
@@ -333,7 +333,7 @@ class Text(FieldType):
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """How a `Literal`, which pydantic validates itself, is called; or one of the names of a table that plug-ins may add to."""
+    """One of several words: a `Literal`, which pydantic validates itself, or a name of a table with plug-ins."""
 
     known: Collection[str]
 
@@ -377,10 +377,10 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
     "reading": ("a figure in the unit of the sensor", "0.01 rad", "of the sensor"),
     "any": ("a quantity", "0.5 m", "of the value"),
 }
-"""What each measure is called in a sentence, how one is written, and the unit in which it is kept."""
+"""Noun, example and SI unit of each measure."""
 
 _BARE = frozenset({"length", "mass", "number"})
-"""The measures of which a bare number is in SI units; for the others the compiler asks for a unit."""
+"""Measures of which a bare number is in SI units; other measures need a unit."""
 
 
 @cache
@@ -517,7 +517,7 @@ class Column(FieldType):
 
 @dataclass(frozen=True)
 class Range(Parsed):
-    """Two bounds, `lo .. hi unit`; with `auto` that word takes the interval that is known."""
+    """Two bounds, `lo .. hi unit`; with `auto` the word `auto` stands for the known interval."""
 
     dimension: str
     auto: bool = False
@@ -650,14 +650,14 @@ BUILT_IN = frozenset(
 )
 """Values that every scenario has."""
 GRAMMAR = frozenset(["and", "or", "not", "when", "every", "each", "auto", "any", "urdf"])
-"""Words that expressions read as their grammar, and fields as values of their own."""
+"""Keywords of expressions, and special values of fields."""
 NAME = r"[a-z_][a-z0-9_]*"
 LONGEST = 64
 
 
 @dataclass(frozen=True)
 class Name(FieldType):
-    """A name in lower case; a `shared` one lies in the flat namespace of the scenario, where some are taken."""
+    """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in names."""
 
     shared: bool = False
 
@@ -702,7 +702,7 @@ COLOURS = {
 
 
 def colour_options(text: str) -> list[str]:
-    """The colours that one may be drawn from, or the single one."""
+    """The colours of a choice, or the single colour."""
     drawn = re.fullmatch(r"choice\(([^()]*)\)", text.strip())
     return [part.strip() for part in drawn[1].split("|")] if drawn else [text.strip()]
 
@@ -780,9 +780,9 @@ class Until(FieldType):
 
 
 class Setting(FieldType):
-    """The new value of whatever the key names: a number, a quantity, a draw, a word, or all that stands below the key.
+    """The new value of a parameter or path: a number, a quantity, a draw, a word, or a whole section.
 
-    The compiler checks it where it is put.
+    The compiler checks it at its place.
     """
 
     takes = (str, int, float, bool, dict, list)

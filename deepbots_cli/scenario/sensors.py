@@ -1,9 +1,8 @@
 """What a robot can sense: one class per kind.
 
-A class says everything about its kind: its parameters (fields with a docstring each), what it measures (its docstring), the dimension,
-components and interval of its readings, and the `reader` that takes them in a running world. Validation, JSON Schema, completion,
-hover, reference and runtime come from it. The bases say what a sensor sits on: `JointSensor`, `LinkSensor`, `ContactSensor`,
-`RayScan`, `RaySensor`, `Camera`.
+A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the dimension, components and
+interval of readings, and the `reader` that takes readings in a running world. Validation, JSON Schema, completion, hover, reference
+and runtime use it. The bases are `JointSensor`, `LinkSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
 
 Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its `type`. Its own fields reach
 its reader as SI numbers and words.

@@ -46,7 +46,7 @@ _STAND_INS: dict[str, object] = {
 
 @dataclass(frozen=True)
 class _Problem:
-    """A finding about `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
+    """A finding about `path`, with `missing` keys, or with the key that was probably `meant` by an unknown one."""
 
     path: Path
     finding: Finding
@@ -55,9 +55,9 @@ class _Problem:
 
 
 def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
-    """The scenario in `root`; what is wrong with it goes to `findings`.
+    """Validate `root`; errors go to `findings`.
 
-    With findings, the scenario lacks what they are about (`Scenario.pruned` has the paths) and stand-ins
+    Returns the scenario. If there are findings, faulty entries are removed from it (`Scenario.pruned` has the paths), and stand-ins
     fill required sections. None if the file is written for another version of the language.
 
     Raises:
@@ -102,7 +102,7 @@ def _is_readable(root: nodes.Mapping, findings: Findings) -> bool:
 
 
 def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = ()) -> None:
-    """Take out the entry at `path`; from a list the whole list, since its other items keep their numbers."""
+    """Remove the entry at `path`; of a list the whole list, since its items keep their numbers."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
     if not path:
@@ -126,7 +126,7 @@ def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = 
 
 
 def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
-    """An error of pydantic, or one of a field type or section, in the words of the language."""
+    """An error of pydantic, of a field type or of a section, in the words of the language."""
     path, kind = error["loc"], error["type"]
     if kind == "missing":
         *_, key = path
@@ -186,7 +186,7 @@ def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any
 
 
 def _describe(node: Node) -> str:
-    """What stands there, for `expected ..., found ...`."""
+    """The noun for a node, for `expected ..., found ...`."""
     match node:
         case nodes.Sequence():
             return "a list"
@@ -201,7 +201,7 @@ def _describe(node: Node) -> str:
 
 
 def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | None] | None:
-    """What the form of a wrong value shows, whatever was wanted in its place: what to do, and what to write where that is sure."""
+    """Help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case Scalar(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
             return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`", None
@@ -229,7 +229,7 @@ def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
 
 
 def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem]) -> list[_Problem]:
-    """The same, with all problems of a section that is indented into another one as a single problem."""
+    """Replace all problems of a section that is indented into another section by a single one."""
     moved: dict[Path, _Problem] = {}
     kept = []
     for problem in problems:
@@ -253,7 +253,7 @@ def _displaced(root: nodes.Mapping, data: object, path: Path) -> Path | None:
 
 
 def _together(root: nodes.Mapping, problems: list[_Problem]) -> list[_Problem]:
-    """All sections that a file lacks as one problem: they are many while it is being written. Its notes explain all but the first."""
+    """Replace the problems of missing sections by a single one: a new file lacks many. Its notes explain all but the first."""
     lacking = [problem for problem in problems if problem.finding.code == "DB102" and not problem.path]
     if len(lacking) < 2:
         return problems
@@ -268,7 +268,7 @@ def _together(root: nodes.Mapping, problems: list[_Problem]) -> list[_Problem]:
 
 
 def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
-    """Say of keys without a value what they take: the text alone, which was read first, does not know."""
+    """Add help to the findings about keys without a value; the parser does not know the language."""
     vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
     for path, node in walk(root) if vague else ():
         for key in node.hollow if isinstance(node, nodes.Mapping) else ():
@@ -277,7 +277,7 @@ def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
 
 
 def _wanted(data: object, path: Path) -> str:
-    """What to write behind a key that has no value."""
+    """The help for a key without a value."""
     told = about_key(data, path)
     if told is not None and told.startswith(f"`{path[-1]}`"):
         return told
@@ -303,7 +303,7 @@ def _wanted(data: object, path: Path) -> str:
 
 
 def _place(path: Path) -> str:
-    """Where a key stands, for a headline."""
+    """The place of a key, for a headline."""
     if not path:
         return "at the top level"
     last = path[-1]
@@ -330,7 +330,7 @@ def _keys_of(shape: Shape | None) -> str | None:
 
 
 def about_key(data: object, path: Path) -> str | None:
-    """What the innermost known key of a path is for."""
+    """The sentence about the innermost known key of a path."""
     from deepbots_cli.scenario.docs import description, example_of  # only on the way to a finding
 
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
@@ -345,7 +345,7 @@ def about_key(data: object, path: Path) -> str | None:
 
 
 def _help_for_unknown(data: object, path: Path) -> str | None:
-    """Where an unknown key belongs, what was probably meant, or at least what there is."""
+    """The help for an unknown key: where it belongs, the probable key, or the known keys."""
     *_, key = map(str, path)
     parent = path[:-1]
     section = shape_at(Scenario, data, parent)
@@ -372,7 +372,7 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
 
 
 def meant_by(data: object, path: Path) -> Meant | None:
-    """The key that was probably meant by an unknown one; not certain where the language knows that one elsewhere."""
+    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
         return None
@@ -382,7 +382,7 @@ def meant_by(data: object, path: Path) -> Meant | None:
 
 @cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
 def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
-    """Where each key of the language is known: the paths of the sections that have it, `*` for a name of the user's own."""
+    """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
     found: dict[str, set[tuple[str, ...]]] = {}
     for home, section, _ in sections(Scenario):
         for key in section.model_fields if isinstance(section, type) else ():
@@ -391,7 +391,7 @@ def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
 
 
 def _nearest_home(parent: Path, key: str) -> str | None:
-    """The place of the language that knows this key and is nearest to where it stands, unless there are many."""
+    """The nearest place where this key exists, unless there are many."""
     here = tuple(step for step in parent if isinstance(step, str))
 
     def shared(home: tuple[str, ...]) -> int:
