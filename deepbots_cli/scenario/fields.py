@@ -727,14 +727,14 @@ class Color(FieldType):
 
 # What a training takes
 
-_PERCENT = rf"\s*({_NUMBER})\s*%\s*"
+_PERCENT = rf"\s*({_NUMBER}\s*%)\s*"
 _SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"
 
 
 def read_fraction(value: str | float) -> float:
     """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
     percent = re.fullmatch(_PERCENT, value) if isinstance(value, str) else None
-    return float(percent[1]) / 100 if percent else float(value) if isinstance(value, str) else value
+    return float(percent[1].rstrip("%").rstrip()) / 100 if percent else float(value) if isinstance(value, str) else value
 
 
 def read_schedule(value: object) -> tuple[float, float] | None:
