@@ -33,7 +33,7 @@ from deepbots_cli.lsp.written import defines, written
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
 from deepbots_cli.scenario.docs import about_kind, example_of
 from deepbots_cli.scenario.docs import hover as hover_text
-from deepbots_cli.scenario.fields import COLOURS, Color, FieldType, FilePath, Pattern, Plain, Quantity, Reference, Word
+from deepbots_cli.scenario.fields import COLOURS, Color, FieldType, FilePath, Flag, Pattern, Quantity, Reference, Word
 from deepbots_cli.scenario.fields import Range as RangeLeaf
 from deepbots_cli.scenario.scenario import VERSION
 
@@ -167,7 +167,7 @@ def _of_leaf(view: View, leaf: FieldType, path: Path) -> Iterator[Choice]:
     match leaf:
         case Word(words=words):
             yield from _words(words, "a word of the language")
-        case Plain(base=base) if base is bool:
+        case Flag():
             yield from _words(("true", "false"), "a switch")
         case Color():
             yield from (Choice(word, CompletionItemKind.Color, "a colour") for word in COLOURS)

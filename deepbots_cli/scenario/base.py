@@ -1,42 +1,37 @@
-"""The base of the models: sections, unions of them, sizes; and the shape of what may stand under a key.
+"""The base of the models: sections, unions of them, sizes; and the shape of the value of a key.
 
 A key of a section is one annotated field of its model, with its sentence as a docstring below. `shape_of` reads an annotation:
 
-    FieldType     a single value (fields.py); int, bool, str and Literal are read as `Plain` and `Word`
+    FieldType     a single value (fields.py)
     Section       a mapping with known keys: the model class itself
     MappingOf     a mapping with names that the user chooses
     ListOf        a list
     Forms         a union that is discriminated by the form of the value
     Kinds         a union of sections that is discriminated by the word under one key
 
-The compiler, the language server, the JSON Schema and the reference pages all go by these shapes. A nested section is validated by
-its own validator, which pydantic builds when a scenario first has such a section: a scenario uses a third of the models.
+The compiler, the language server, the JSON Schema and the reference pages go by these shapes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, PrivateAttr, TypeAdapter, ValidationError, ValidationInfo, model_validator
-from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.scenario.fields import FieldType, Plain, Word, article, at, choose_from, count, error, mismatch, word_meant
+from deepbots_cli.scenario.fields import PLAIN, FieldType, Word, article, at, choose_from, count, error, mismatch, word_meant
 
 T = TypeVar("T")
 Many = tuple[T, ...]
 """A list in the file, a tuple in the model."""
 
 LENIENT = "lenient"
-"""The key of the validation context that lets lists and mappings have too few entries, since faulty ones were taken out."""
-
-_is_building: ContextVar[bool] = ContextVar("_is_building", default=False)
+"""Key of the validation context. If it is set, lists and mappings may have too few entries, since faulty ones were removed."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ class Keys:
     max: int = 1
 
     def errors(self, data: Mapping[str, object]) -> Iterator[InitErrorDetails]:
-        """What is wrong with the keys of a section."""
+        """The errors of the keys of a section."""
         given = [name for name in self.names if name in data]
         if len(given) > self.max:
             refused = error("DB101", f"`{given[-1]}` cannot stand beside `{given[0]}`", "keep one of the two")
@@ -59,48 +54,34 @@ class Keys:
 
 
 class Section(BaseModel):
-    """A mapping whose keys the language knows."""
+    """A mapping with known keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     key_rules: ClassVar[tuple[Keys, ...]] = ()
     marks: ClassVar[frozenset[str]] = frozenset()
-    """Among several forms that are mappings, the keys that tell this one."""
+    """Keys that distinguish this form from other forms that are mappings."""
 
     _path: Path = PrivateAttr(())
 
     @property
     def path(self) -> Path:
-        """Where the section stands in the file that it was validated from."""
+        """The place of the section in its file."""
         return self._path
 
     @model_validator(mode="wrap")
     @classmethod
     def _check_keys(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
         own = [found for keys in cls.key_rules for found in keys.errors(data)] if isinstance(data, Mapping) else []
+        if not own:
+            return handler(data)
         try:
-            section = handler(data)
+            handler(data)
         except ValidationError as others:
-            if own:
-                own += [
-                    InitErrorDetails(type=PydanticCustomError(e["type"], e["msg"], e.get("ctx")), loc=e["loc"], input=e["input"])
-                    for e in others.errors(include_url=False)
-                ]
-            else:
-                raise
-        if own:
-            raise ValidationError.from_exception_data(cls.__name__, own)
-        return section
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        if _is_building.get():
-            return core_schema.with_info_plain_validator_function(lambda value, info: cls.model_validate(value, context=info.context))
-        token = _is_building.set(True)
-        try:
-            return handler(source)
-        finally:
-            _is_building.reset(token)
+            for found in others.errors(include_url=False):
+                refused = PydanticCustomError(found["type"], found["msg"], found.get("ctx"))
+                own.append(InitErrorDetails(type=refused, loc=found["loc"], input=found["input"]))
+        raise ValidationError.from_exception_data(cls.__name__, own)
 
 
 @dataclass(frozen=True)
@@ -121,24 +102,19 @@ class Size:
         return value
 
 
-ANY_SIZE = Size(0)
-
-
 @dataclass(frozen=True)
 class ListOf:
     """The shape of a list."""
 
     item: Shape
-    size: Size = ANY_SIZE
 
 
 @dataclass(frozen=True)
 class MappingOf:
-    """The shape of a mapping with keys of the user's own."""
+    """The shape of a mapping with keys that the user chooses."""
 
     key: FieldType
     value: Shape
-    size: Size = ANY_SIZE
 
 
 @dataclass(frozen=True)
@@ -159,12 +135,12 @@ class Forms:
 
     @property
     def help(self) -> str | None:
-        """How the first option that is a single value is written."""
+        """An example of the first option that is a single value."""
         hints = (option.help_for(None) for option in self.options if isinstance(option, FieldType))
         return next((hint for hint in hints if hint), None)
 
     def index(self, value: object) -> int | None:
-        """Which option `value`, raw or validated, has the form of."""
+        """The index of the option whose form `value`, raw or validated, has."""
         return next((i for i, option in enumerate(self.options) if _fits(option, value)), None)
 
     def choose(self, value: object) -> Shape | None:
@@ -229,7 +205,7 @@ class Kinds:
     def find(self, value: object) -> type[Section] | None:
         """The model for `value`, raw or validated; None if its kind is unknown."""
         if isinstance(value, Section):
-            return type(value) if type(value) in (self.models.get(str(getattr(value, self.key, None))), *self.marked.values()) else None
+            return type(value) if type(value) in self.every else None
         if not isinstance(value, Mapping):
             return None
         word = value.get(self.key)
@@ -255,7 +231,7 @@ class Kinds:
 
 
 def kind_of(model: type[Section], key: str = "type") -> str:
-    """The word under the `key` that tells the kind of a model."""
+    """The word under `key` for the kind of a model; empty if there are several."""
     words = get_args(model.model_fields[key].annotation)
     return str(words[0]) if len(words) == 1 else ""
 
@@ -278,7 +254,7 @@ Shape = FieldType | type[Section] | ListOf | MappingOf | Forms | Kinds
 
 
 def noun_of(shape: Shape) -> str:
-    """What a finding calls a value of this shape."""
+    """The noun for a value of this shape, with its article."""
     match shape:
         case FieldType():
             return shape.noun
@@ -297,32 +273,32 @@ def fields(section: type[Section]) -> Mapping[str, Shape]:
 
 
 def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
-    """The shape of an annotation, None apart; one that has no shape is a mistake in a model."""
+    """The shape of an annotation without None.
+
+    Raises:
+        TypeError: The annotation of a model has no shape.
+    """
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return shape_of(arguments[0], (*annotation.__metadata__, *metadata))
-    size = ANY_SIZE
     for item in metadata:
-        match item:
-            case Forms():
-                return _forms_of(annotation)
-            case FieldType() | Kinds():
-                return item
-            case Size():
-                size = item
+        if isinstance(item, Forms):
+            return _forms_of(annotation)
+        if isinstance(item, (FieldType, Kinds)):
+            return item
     if origin is Literal:
         return Word(arguments)
     if origin in (Union, UnionType):
         (only,) = (option for option in arguments if option is not NoneType)
         return shape_of(only, metadata)
     if origin is dict and isinstance(key := shape_of(arguments[0]), FieldType):
-        return MappingOf(key, shape_of(arguments[1]), size)
+        return MappingOf(key, shape_of(arguments[1]))
     if origin is tuple:
-        return ListOf(shape_of(arguments[0]), size)
+        return ListOf(shape_of(arguments[0]))
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
-    if annotation in (int, bool, str):
-        return Plain.of(annotation, [each for item in metadata for each in (item.metadata if isinstance(item, FieldInfo) else [item])])
+    if annotation in PLAIN:
+        return PLAIN[annotation]
     raise TypeError(f"no shape for {annotation!r}")
 
 
@@ -330,7 +306,7 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
 
 
 def locate(value: object, path: Path = ()) -> None:
-    """Give `value`, if it is a section, and all sections below it their paths."""
+    """Set the paths of `value` and of all sections below it."""
     if isinstance(value, Section):
         value._path = path
         below: Iterable[tuple[str | int, object]] = value.__dict__.items()
@@ -345,10 +321,10 @@ def locate(value: object, path: Path = ()) -> None:
 
 
 def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:
-    """Every single value that the user wrote in a validated section: its path, its field type, and the value as it was written.
+    """Yield the path, the field type and the written value of every single value in a validated section.
 
-    A chosen key comes with the path of its entry, the field type of the key and the key itself as value, right before what the
-    entry holds. Values left to their defaults are not visited.
+    A key that the user chose comes before the values of its entry, with the path of the entry, the field type of keys, and the key
+    as value. Defaults are not visited.
     """
     for name, shape in fields(type(section)).items():
         if name in section.model_fields_set:
@@ -379,7 +355,7 @@ def _visit(shape: Shape, value: object, path: Path) -> Iterator[tuple[Path, Fiel
 
 
 def settle(shape: Shape, data: object) -> Shape | None:
-    """The shape with its forms and kinds decided by the data."""
+    """The shape after choosing among forms and kinds by the data; None if there is no choice."""
     match shape:
         case Forms():
             chosen = shape.choose(data)
@@ -391,9 +367,9 @@ def settle(shape: Shape, data: object) -> Shape | None:
 
 
 def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) -> Shape | None:
-    """The shape of the value at `path` in raw data; None where data and language part.
+    """The shape of the value at `path` in raw data; None if the language does not know the path.
 
-    Unless `settled`, the last one still has its forms and kinds.
+    Unless `settled`, the result may be a union of forms or kinds.
     """
     for step in path:
         match settle(shape, data), data:
@@ -408,28 +384,24 @@ def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) ->
     return settle(shape, data) if settled else shape
 
 
-def sections(shape: Shape) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
-    """Every section and every union of kinds below a shape: its path, and the key that tells its kind.
+def sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
+    """Yield every section and every union of kinds below a shape: its path, and the key of its kind.
 
     In the path `*` stands for a name that the user chooses.
     """
-    yield from _sections(shape, (), "")
-
-
-def _sections(shape: Shape, path: tuple[str, ...], mark: str) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
     match shape:
         case ListOf(item=inner):
-            yield from _sections(inner, path, "")
+            yield from sections(inner, path)
         case MappingOf(value=inner):
-            yield from _sections(inner, (*path, "*"), "")
+            yield from sections(inner, (*path, "*"))
         case Forms(options=options):
             for option in options:
-                yield from _sections(option, path, "")
+                yield from sections(option, path)
         case Kinds():
             yield path, shape, ""
             for name, model in (*shape.models.items(), *shape.marked.items()):
-                yield from _sections(model, path, shape.key if name in shape.models else "")
+                yield from sections(model, path, shape.key if name in shape.models else "")
         case type():
             yield path, shape, mark
             for name, below in fields(shape).items():
-                yield from _sections(below, (*path, name), "")
+                yield from sections(below, (*path, name))

@@ -1,7 +1,7 @@
-"""What is said of a key: its sentence, unit, default and example; for hover, completion, `explain`, the reference and the JSON Schema.
+"""Documentation of keys: sentence, unit, default and example, for hover, completion, `explain`, the reference and the JSON Schema.
 
-The sentence is the docstring below the field. Docstrings are read from the source of a module when one is first asked for, since
-linting a sound scenario needs none. Examples stand in `examples.yaml`, by the names of the models.
+The sentence is the docstring below the field. It is read from the source on demand: `use_attribute_docstrings` of pydantic reads all
+sources on import, which takes 0.1 s. Examples stand in `examples.yaml`, by the names of the models.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import inspect
 import sys
 from collections.abc import Mapping
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,28 +26,23 @@ FILE = Path(__file__).with_name("examples.yaml")
 
 def description(section: type[Section], key: str) -> str:
     """The sentence about a key of a section."""
-    told = (_docstrings(model.__module__).get(model.__name__, {}).get(key) for model in section.__mro__)
-    return next(filter(None, told), "")
+    found = (_docstrings(model.__module__).get((model.__name__, key)) for model in section.__mro__ if issubclass(model, Section))
+    return next(filter(None, found), "")
 
 
 @cache
-def _docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
-    """The docstrings below the fields of each class of a module."""
-    if module.partition(".")[0] in ("pydantic", "builtins", "abc"):
-        return {}
+def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
+    """The docstrings below the fields of a module, by class and field."""
+    found = {}
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
     except OSError:  # a plug-in without source
         return {}
-    return {node.name: _below_fields(node) for node in tree.body if isinstance(node, ast.ClassDef)}
-
-
-def _below_fields(section: ast.ClassDef) -> dict[str, str]:
-    found = {}
-    for field, below in zip(section.body, section.body[1:], strict=False):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                found[name] = inspect.cleandoc(text)
+    for section in [node for node in tree.body if isinstance(node, ast.ClassDef)]:
+        for field, below in pairwise(section.body):
+            match field, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    found[section.name, name] = inspect.cleandoc(text)
     return found
 
 
@@ -61,7 +57,7 @@ def about_kind(kinds: Kinds, name: str) -> str:
 
 
 def unit_of(shape: Shape) -> str:
-    """The unit in which a number is kept, `1` for a plain number; empty where there is no number."""
+    """The SI unit of a value, `1` for a plain number; empty for other values."""
     match shape:
         case Quantity(dimension=measure) | Range(dimension=measure) | Column(dimension=measure):
             return MEASURES[measure][2]
@@ -74,7 +70,7 @@ def unit_of(shape: Shape) -> str:
 
 
 def default_of(section: type[Section], key: str) -> str:
-    """The default as it would be written; empty where there is none to write."""
+    """The default as text; empty if there is none."""
     info = section.model_fields[key]
     value = info.default
     if info.is_required() or info.default_factory or value is None or value in ("", (), {}):
@@ -83,7 +79,7 @@ def default_of(section: type[Section], key: str) -> str:
 
 
 def hover(section: type[Section], key: str) -> str:
-    """A key in Markdown: what it takes, its sentence, its unit and default, an example."""
+    """A key in Markdown: its type, sentence, unit, default and example."""
     shape = fields(section)[key]
     unit = unit_of(shape)
     shown = "none, a plain number" if unit == "1" else unit if unit.startswith("of the ") else f"`{unit.replace(' or ', '` or `')}`"
@@ -98,11 +94,16 @@ def hover(section: type[Section], key: str) -> str:
 
 
 class Example(NamedTuple):
-    """A key with its value: as one writes it, as data, and as a node."""
+    """The example of a key: its value as text and as data, and its node."""
 
     text: str
     data: object
     entry: nodes.Entry
+
+    @classmethod
+    def of(cls, entry: nodes.Entry) -> Example:
+        span = entry.value.span
+        return cls(span.source.text[span.start : span.end].strip(), nodes.to_data(entry.value), entry)
 
 
 def example_of(section: type[Section], key: str) -> Example | None:
@@ -111,7 +112,7 @@ def example_of(section: type[Section], key: str) -> Example | None:
 
 
 def example_text(section: type[Section], key: str) -> str:
-    """How the value of a key may be written; of the key that tells the kind, the first kind."""
+    """The example of a key as text; of a word, the first one."""
     if found := example_of(section, key):
         return found.text
     shape = fields(section)[key]
@@ -125,13 +126,8 @@ def examples() -> Mapping[str, Mapping[str, Example]]:
     root = parse(Source(FILE.name, FILE.read_text(encoding="utf-8")), findings)
     if root is None or list(findings):
         raise ValueError(f"{FILE} is broken: {[finding.headline for finding in findings]}")
-    return {section.key.text: {entry.key.text: _example(entry) for entry in _entries(section.value)} for section in _entries(root)}
+    return {section.key.text: {entry.key.text: Example.of(entry) for entry in _entries(section.value)} for section in _entries(root)}
 
 
 def _entries(node: nodes.Node) -> tuple[nodes.Entry, ...]:
     return tuple(node.entries.values()) if isinstance(node, nodes.Mapping) else ()
-
-
-def _example(entry: nodes.Entry) -> Example:
-    span = entry.value.span
-    return Example(span.source.text[span.start : span.end].strip(), nodes.to_data(entry.value), entry)

@@ -1,12 +1,10 @@
-"""Field types: what a single value of a scenario may be, and what the compiler makes of it.
+"""Field types: the type of a single value of a scenario.
 
 A field type stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It checks the form of the value
-(a text, a number, a range), raises errors with the code, headline and help of a finding, says what an editor may offer, and is handed
-to the compiler by `base.visit`. Units, names and expressions inside a text are read by the compiler. Whole numbers, truth values,
-texts and words are pydantic's own types; `validate.py` words their errors.
+(a text, a number, a range) and raises errors with the code, headline and help of a finding. `base.visit` hands it to the compiler,
+which reads units, names and expressions inside a text. A value is kept as it is written.
 
-A value is kept as it is written. The aliases at the end name the field types that several sections use; those that begin with
-`Randomizable` may be drawn anew in every episode.
+Aliases at the end name the field types that several sections use. Values of the aliases `Randomizable...` may be drawn in every episode.
 """
 
 from __future__ import annotations
@@ -18,8 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Le
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, Strict, StringConstraints, ValidationError, ValidationInfo
+from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
@@ -31,13 +28,15 @@ Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
 JsonSchema = dict[str, object]
 
+_JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean", dict: "object", list: "array", tuple: "array"}
+
 LARGEST = 1e30
 """Beyond this a number means nothing physical, and arithmetic on it overflows."""
 _LISTED = 24
 _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
 GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
-"""Digits in groups of three: a number here, and a text to other readers of YAML 1.2, which editors are."""
+"""Digits in groups of three: a number in a scenario, but a text in editors, which read YAML 1.2."""
 
 
 # Errors
@@ -46,13 +45,13 @@ GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 def error(
     code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), meant: Meant | None = None
 ) -> PydanticCustomError:
-    """An error with the parts of a finding; `missing` are keys, `meant` is what to write instead of the whole value."""
+    """An error with the parts of a finding: `missing` keys, and `meant`, a replacement of the whole value."""
     context = {"headline": headline, "help": help, "missing": missing, "meant": meant}
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 
 
 def mismatch(expected: str, help: str | None = None, meant: Meant | None = None, *, value: object) -> PydanticCustomError:
-    """A value of the wrong type; `validate` says how it is written in the file."""
+    """An error about a value of the wrong type; `validate` shows how it is written in the file."""
     refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, meant=meant)
     refused.context["expected"] = expected  # type: ignore[index]
     return refused
@@ -71,7 +70,7 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-# Words that were probably meant
+# Probable words
 
 _OTHER_NAMES = {
     "cartesian": "ik inverse_kinematics end_effector eef ee tcp osc operational_space cartesian_position task_space",
@@ -99,24 +98,24 @@ _OTHER_NAMES = {
     "cylinder": "disc disk puck",
     "any": "random rand uniform arbitrary",
 }
-"""Words of the language with their names elsewhere."""
+"""Words of the language with their names in other tools."""
 
 
 def other_name(word: str, known: Iterable[str]) -> str | None:
-    """The one of the `known` words that other tools call `word`."""
+    """The `known` word for a name in other tools."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
     return next((ours for ours in known if plain in _OTHER_NAMES.get(ours, "").split()), None)
 
 
 def choose_from(word: str, words: Sequence[str]) -> str:
-    """The help of an unknown word: what was probably meant, and what there is."""
+    """The help for an unknown word: the probable word, and all known words."""
     near = other_name(word, words) or nearest(word, words)
     listed = shown((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
 
 
 def word_meant(word: str, words: Sequence[str]) -> Meant | None:
-    """The word of the language that was probably meant, as something to write."""
+    """The probable word of the language, as a replacement."""
     other = other_name(word, words)
     return Meant(other, safe=False) if other else meant(word, words, ours=True)
 
@@ -143,7 +142,9 @@ def count_meant(value: object) -> str | None:
 # Checks of numbers
 
 
-def check_bounds(value: float, minimum: float | None, maximum: float | None, *, exclusive: bool = False) -> None:
+def check_bounds(
+    value: float, minimum: float | None = None, maximum: float | None = None, *, exclusive: bool = False, is_share: bool = False
+) -> None:
     """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
     if not -LARGEST <= value <= LARGEST:
         is_nan = isinstance(value, float) and math.isnan(value)
@@ -152,14 +153,10 @@ def check_bounds(value: float, minimum: float | None, maximum: float | None, *, 
         help = f"give {'more than' if exclusive else 'at least'} {minimum:g}"
         raise error("DB105", f"`{value}` is below the smallest allowed value", help)
     if maximum is not None and value > maximum:
-        raise error("DB105", f"`{value}` is above the largest allowed value", f"give at most {maximum:g}")
-
-
-def _check_fraction(value: float) -> None:
-    """Raise DB105 for a number that is a fraction only if it counts hundredths."""
-    if 1 < value <= 100:
-        help = f"give at most 1; a share in hundredths is written `{value:g} %`"
-        raise error("DB105", f"`{value:g}` is above the largest allowed value", help)
+        help = f"give at most {maximum:g}"
+        if is_share and value <= 100:
+            help += f"; a share in hundredths is written `{value:g} %`"
+        raise error("DB105", f"`{value}` is above the largest allowed value", help)
 
 
 def count_literal(text: str) -> int | None:
@@ -171,10 +168,6 @@ def count_literal(text: str) -> int | None:
     return numbers if numbers and (not rest or is_unit) else None
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
 # Field types
 
 
@@ -183,25 +176,46 @@ class FieldType:
 
     @property
     def noun(self) -> str:
-        """What a finding calls it, with its article."""
+        """The noun in findings, with its article."""
         return "a value"
 
     @property
     def example(self) -> str | None:
-        """How one may be written."""
+        """An example of a value."""
         return None
 
     @property
     def plural(self) -> str:
-        """What a list of them is called."""
-        return f"{self.noun.split(' ', 1)[1]}s"
+        """The noun for the items of a list."""
+        noun, preposition, rest = self.noun.split(" ", 1)[1].partition(" with ")
+        return f"{noun}s{preposition}{rest}"
+
+    @property
+    def takes(self) -> tuple[type, ...]:
+        """The types of a value of the right form."""
+        return (str,)
 
     def holds(self, value: object) -> bool:
-        """Whether `value` has the right form at all; `check` looks at what it says."""
-        return isinstance(value, str)
+        """Whether `value` has the right form at all; `check` looks at its content."""
+        return isinstance(value, self.takes) and (bool in self.takes or not isinstance(value, bool))
 
     def check(self, value: Any) -> None:
         """Raise an `error` if a value of the right form cannot be meant."""
+
+    def check_text(self, text: str) -> None:
+        """Raise an `error` if the content of a text is wrong, whatever the scenario around it."""
+
+    def help_for(self, value: object) -> str | None:
+        """The help for a value of the wrong form."""
+        return f"write it like `{self.example}`" if self.example else None
+
+    def meant_by(self, value: object) -> Meant | None:
+        """The only possible meaning of a value of the wrong form."""
+        return None
+
+    def json_schema(self) -> JsonSchema:
+        types = list(dict.fromkeys(_JSON_TYPES[each] for each in self.takes if each is not int or float not in self.takes))
+        return {"type": types if len(types) > 1 else types[0]}
 
     def validate(self, value: object) -> object:
         if not self.holds(value):
@@ -211,87 +225,115 @@ class FieldType:
         self.check(value)
         return value
 
-    def help_for(self, value: object) -> str | None:
-        """What to write instead of a value of the wrong form."""
-        return f"write it like `{self.example}`" if self.example else None
-
-    def meant_by(self, value: object) -> Meant | None:
-        """What can only have been meant by a value of the wrong form."""
-        return None
-
-    def json_schema(self) -> JsonSchema:
-        return {"type": "string"}
-
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validate)
 
     def _validate(self, value: object, info: ValidationInfo) -> object:
-        """Of a file, whose validation has a context, the compiler says what is wrong inside of a text, at the exact place."""
+        """Validation of a file has a context. There the compiler checks the content of texts, and marks the exact place."""
         checked = self.validate(value)
         if info.context is None and isinstance(value, str):
             self.check_text(value)
         return checked
 
-    def check_text(self, text: str) -> None:
-        """Raise an `error` for what is wrong inside of a text, whatever the scenario around it."""
-        if isinstance(self, (Quantity, Range, Expression)):
-            _parsed(text)
-
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
         return self.json_schema()
 
-    def _matching(self, pattern: str, *types: str, **more: object) -> JsonSchema:
-        """The schema of texts that match, and of values of other `types`; numbers in groups of digits are texts to editors."""
+    def _matching(self, pattern: str) -> JsonSchema:
+        """The schema of a text that matches `pattern`."""
         message = f"expected {self.noun}" + (f", such as `{self.example}`" if self.example else "")
-        return {"type": [*types, "string"] if types else "string", **more, "pattern": pattern, "patternErrorMessage": message}
+        return {"type": "string", "pattern": pattern, "patternErrorMessage": message}
+
+
+class Flag(FieldType):
+    """A truth value."""
+
+    noun = "`true` or `false`"
+    takes = (bool,)
+
+    def help_for(self, value: object) -> str | None:
+        if value in ("true", "false"):
+            return f"write `{value}` without quotes"
+        near = self.meant_by(value)
+        return f"write `{near.text}`" if near else None
+
+    def meant_by(self, value: object) -> Meant | None:
+        near = {"on": "true", "yes": "true", "off": "false", "no": "false"}.get(value.lower()) if isinstance(value, str) else None
+        return Meant(near, safe=True) if near else None
 
 
 @dataclass(frozen=True)
-class Plain(FieldType):
-    """How an `int`, a `bool` or a `str`, which pydantic validates itself, is called, and its bounds."""
+class Number(FieldType):
+    """A plain number within bounds, or a text that matches `text`, whose groups are such numbers or percentages.
 
-    base: type
-    minimum: int | None = None
-    maximum: int | None = None
+    With `exclusive` the minimum itself is refused.
+    """
 
-    @classmethod
-    def of(cls, base: type, metadata: Iterable[object]) -> Plain:
-        bounds = {"minimum" if isinstance(item, Ge) else "maximum": item for item in metadata if isinstance(item, (Ge, Le))}
-        return cls(base, **{name: item.ge if isinstance(item, Ge) else item.le for name, item in bounds.items()})  # type: ignore[arg-type]
+    minimum: float | None = None
+    maximum: float | None = None
+    exclusive: bool = False
+    text: str = ""
+    noun: str = "a number"
+    example: str | None = None
 
     @property
-    def noun(self) -> str:
-        return {int: "a whole number", bool: "`true` or `false`"}.get(self.base, "a text")
+    def takes(self) -> tuple[type, ...]:
+        return (int, float)
 
     def holds(self, value: object) -> bool:
-        return isinstance(value, self.base) and not (self.base is int and isinstance(value, bool))
-
-    def help_for(self, value: object) -> str | None:
-        if self.base is bool and value in ("true", "false"):
-            return f"write `{value}` without quotes"
-        near = self.meant_by(value) or (count_meant(value) and Meant(count_meant(value) or "", safe=False) if self.base is int else None)
-        return (near and f"write `{near.text}`{'; digits are grouped as in `100_000`' if self.base is int else ''}") or None
-
-    def meant_by(self, value: object) -> Meant | None:
-        if not isinstance(value, str) or self.base is str:
-            return None
-        words = {"on": "true", "yes": "true", "off": "false", "no": "false"}
-        near = count_meant(value) if self.base is int else words.get(value.lower())
-        return Meant(near, safe=True) if near else None
+        return re.fullmatch(self.text, value) is not None if isinstance(value, str) else super().holds(value)
 
     def check(self, value: Any) -> None:
-        if self.base is int:
-            check_bounds(value, self.minimum, self.maximum)
+        found = re.fullmatch(self.text, value) if isinstance(value, str) else None
+        for number in map(read_fraction, found.groups()) if found else [value]:
+            check_bounds(number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
 
     def json_schema(self) -> JsonSchema:
-        if self.base is int:
-            return self._matching(f"^{GROUPED}$", "integer", minimum=self.minimum, maximum=self.maximum)
-        return {"type": "boolean" if self.base is bool else "string"}
+        bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
+        schema = self._matching(f"^({self.text}|{GROUPED})$" if self.text else f"^{GROUPED}$")
+        schema["type"] = [super().json_schema()["type"], "string"]
+        return schema | {word: bound for word, bound in bounds.items() if bound is not None}
+
+
+@dataclass(frozen=True)
+class Whole(Number):
+    """A whole number within bounds."""
+
+    noun: str = "a whole number"
+
+    @property
+    def takes(self) -> tuple[type, ...]:
+        return (int,)
+
+    def help_for(self, value: object) -> str | None:
+        near = count_meant(value)
+        return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
+
+    def meant_by(self, value: object) -> Meant | None:
+        near = count_meant(value) if isinstance(value, str) else None
+        return Meant(near, safe=True) if near else None
+
+
+@dataclass(frozen=True)
+class Text(FieldType):
+    """A text, which matches `pattern` if there is one. The headline of another text is `refused`."""
+
+    noun: str = "a text"
+    pattern: str = ""
+    example: str | None = None
+    refused: str = ""
+    help: str = ""
+
+    def check(self, value: Any) -> None:
+        if self.pattern and not re.fullmatch(self.pattern, value, re.ASCII):
+            raise error("DB105", self.refused, self.help) if self.refused else mismatch(self.noun, self.help_for(value), value=value)
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(f"^{self.pattern}$") if self.pattern else super().json_schema()
 
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """How a `Literal`, which pydantic validates itself, is called; or one of the names of a table that plug-ins may add to."""
+    """One of several words: a `Literal`, which pydantic validates itself, or a name of a table with plug-ins."""
 
     known: Collection[str]
 
@@ -308,9 +350,11 @@ class Word(FieldType):
             raise error("DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), meant=word_meant(value, self.words))
 
     def json_schema(self) -> JsonSchema:
-        told = [getattr(entry, "summary", "") for entry in self.known.values()] if isinstance(self.known, Mapping) else []
-        return {"enum": list(self.words), **({"enumDescriptions": told} if any(told) else {})}
+        summaries = [getattr(entry, "summary", "") for entry in self.known.values()] if isinstance(self.known, Mapping) else []
+        return {"enum": list(self.words), **({"enumDescriptions": summaries} if any(summaries) else {})}
 
+
+# Quantities and expressions
 
 MEASURES: Mapping[str, tuple[str, str, str]] = {
     "length": ("a length", "0.5 m", "m"),
@@ -333,10 +377,10 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
     "reading": ("a figure in the unit of the sensor", "0.01 rad", "of the sensor"),
     "any": ("a quantity", "0.5 m", "of the value"),
 }
-"""What each measure is called in a sentence, how one is written, and the unit in which it is kept."""
+"""Noun, example and SI unit of each measure."""
 
 _BARE = frozenset({"length", "mass", "number"})
-"""The measures of which a bare number is in SI units; for the others the compiler asks for a unit."""
+"""Measures of which a bare number is in SI units; other measures need a unit."""
 
 
 @cache
@@ -344,15 +388,6 @@ def si(measure: str) -> Dimension | None:
     """The dimension of a measure; None where it is one of several."""
     unit = MEASURES[measure][2]
     return None if " " in unit else _dimension(unit)
-
-
-def _parsed(text: str) -> syntax.Node | None:
-    """The tree of an expression; raises its first syntax error."""
-
-    def report(code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None:
-        raise error(code, headline, help)
-
-    return parser.parse(text, report)
 
 
 def dimension_of(measure: str, own: Dimension, *, second: bool = False) -> Dimension | None:
@@ -368,14 +403,37 @@ def _dimension(unit: str) -> Dimension:
     return tree.unit.dimension if isinstance(tree, syntax.Number) and tree.unit else NUMBER
 
 
+class Parsed(FieldType):
+    """A text of the expression language."""
+
+    def check_text(self, text: str) -> None:
+        self.tree(text)
+
+    @staticmethod
+    def tree(text: str) -> syntax.Node | None:
+        """The tree of an expression; raises its first syntax error."""
+
+        def report(code: str, start: int, end: int, headline: str, help: str | None = None, *_: object, **__: object) -> None:
+            raise error(code, headline, help)
+
+        return parser.parse(text, report)
+
+
 @dataclass(frozen=True)
-class Quantity(FieldType):
+class Quantity(Parsed):
     """A number with a unit, a parameter, or an expression up to `stage`.
 
-    `dimension` is a key of `MEASURES`; `components` is the length of a vector. Bounds are in SI units; with `exclusive` the
-    minimum itself is refused. `urdf` may stand for the value of the robot file, `words` are accepted as they are, `relative` also
-    takes a percentage of the value, `whole` numbers have no fraction; `like` is an example. A number of at least 1 that lacks
-    its unit is probably in the `usual` one, if it is not in that of SI.
+    Args:
+        dimension: A key of `MEASURES`.
+        components: The length of a vector.
+        stage: When the value may change.
+        minimum, maximum: Bounds in SI units; with `exclusive` the minimum itself is refused.
+        urdf: Whether `urdf` may stand for the value of the robot file.
+        words: Texts that are accepted as they are.
+        relative: Whether a percentage of the value is accepted.
+        whole: Whether the number has no fraction.
+        like: An example.
+        usual: The probable unit of a number of at least 1 without a unit, if it is not that of SI.
     """
 
     dimension: str
@@ -390,6 +448,8 @@ class Quantity(FieldType):
     whole: bool = False
     like: str = ""
     usual: str | None = None
+
+    takes = (str, int, float)
 
     @property
     def si(self) -> Dimension | None:
@@ -407,42 +467,23 @@ class Quantity(FieldType):
         return f"{noun} with {self.components} components" if self.components else noun
 
     @property
-    def plural(self) -> str:
-        noun = f"{MEASURES[self.dimension][0].split(' ', 1)[1]}s"
-        return f"{noun} with {self.components} components" if self.components else noun
-
-    @property
     def example(self) -> str:
         number, _, unit = ("3", "", "") if self.whole else MEASURES[self.dimension][1].partition(" ")
         return self.like or " ".join([number] * (self.components or 1) + [unit]).strip()
 
-    def holds(self, value: object) -> bool:
-        return isinstance(value, str) or _is_number(value)
-
     def check(self, value: Any) -> None:
-        if isinstance(value, str):
-            found = count_literal(value)
-            if found is not None:
-                self._check_length(found)
-            return
-        self._check_length(1)
-        if self.dimension == "number" and self.maximum == 1:
-            _check_fraction(value)
-        check_bounds(value, None if self.dimension not in _BARE else self.minimum, self.maximum, exclusive=self.exclusive)
-        if self.whole and value != int(value):
-            raise mismatch(self.noun, value=value)
-
-    def _check_length(self, found: int) -> None:
-        if found != (self.components or 1):
-            raise error("DB106", f"expected {count(self.components or 1, 'number')}, found {found}", self.help_for(None))
-
-    def help_for(self, value: object) -> str | None:
-        if isinstance(value, list) and self.components:
-            return f"write the numbers in one text, like `{self.example}`"
-        return super().help_for(value)
+        found, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
+        if found not in (None, wanted):
+            raise error("DB106", f"expected {count(wanted, 'number')}, found {found}", self.help_for(None))
+        if not isinstance(value, str):
+            minimum = self.minimum if self.dimension in _BARE else None
+            is_share = self.dimension == "number" and self.maximum == 1
+            check_bounds(value, minimum, self.maximum, exclusive=self.exclusive, is_share=is_share)
+            if self.whole and value != int(value):
+                raise mismatch(self.noun, value=value)
 
     def check_text(self, text: str) -> None:
-        tree = _parsed(text)
+        tree = self.tree(text)
         unit, known = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
         if unit is not None and not known[0].startswith("of ") and unit.text != "%" and unit.dimension not in map(_dimension, known):
             raise error("DB503", f"`{text[:60]}` is no {self.noun.split(' ', 1)[1]}", self.help_for(None))
@@ -450,8 +491,13 @@ class Quantity(FieldType):
             case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
                 raise error("DB501", f"unknown unit `{word}`", choose_from(word, tuple(UNITS)))
 
+    def help_for(self, value: object) -> str | None:
+        if isinstance(value, list) and self.components:
+            return f"write the numbers in one text, like `{self.example}`"
+        return super().help_for(value)
+
     def json_schema(self) -> JsonSchema:
-        return {"type": ["number", "string"] if self.components is None else "string"}
+        return {"type": "string"} if self.components else super().json_schema()
 
 
 @dataclass(frozen=True)
@@ -462,21 +508,16 @@ class Column(FieldType):
 
     noun = "a column of figures"
     example = "0 5 10"
-
-    def holds(self, value: object) -> bool:
-        return isinstance(value, str) or _is_number(value)
+    takes = (str, int, float)
 
     def check(self, value: Any) -> None:
         if not isinstance(value, str):
-            check_bounds(value, None, None)
-
-    def json_schema(self) -> JsonSchema:
-        return {"type": ["number", "string"]}
+            check_bounds(value)
 
 
 @dataclass(frozen=True)
-class Range(FieldType):
-    """Two bounds, `lo .. hi unit`; with `auto` that word takes the interval that is known."""
+class Range(Parsed):
+    """Two bounds, `lo .. hi unit`; with `auto` the word `auto` stands for the known interval."""
 
     dimension: str
     auto: bool = False
@@ -504,7 +545,7 @@ class Range(FieldType):
 
 
 @dataclass(frozen=True)
-class Expression(FieldType):
+class Expression(Parsed):
     """A text of the expression language, evaluated in `context`.
 
     `boolean` says whether it must be a condition (True), must be a number (False), or may be either (None).
@@ -526,18 +567,13 @@ class Expression(FieldType):
             return "for a value each, give every joint an actuator of its own, or the action `each: robot.actuator`"
         return super().help_for(value)
 
-    def holds(self, value: object) -> bool:
-        if isinstance(value, bool):
-            return self.boolean is not False
-        return isinstance(value, str if self.boolean else Scalar)
+    @property
+    def takes(self) -> tuple[type, ...]:
+        return (str, *(() if self.boolean else (int, float)), *(() if self.boolean is False else (bool,)))
 
     def check(self, value: Any) -> None:
-        if isinstance(value, (int, float)):
-            check_bounds(value, None, None)
-
-    def json_schema(self) -> JsonSchema:
-        others = {True: ["boolean"], False: ["number"], None: ["number", "boolean"]}[self.boolean]
-        return {"type": ["string", *others]}
+        if not isinstance(value, str):
+            check_bounds(value)
 
 
 _SEVERAL = {"joints": "joint", "links": "link", "bodies or links": "body or link"}
@@ -564,8 +600,9 @@ class Reference(FieldType):
     def plural(self) -> str:
         return f"{self.kind} names"
 
-    def holds(self, value: object) -> bool:
-        return isinstance(value, str) or (self.several and isinstance(value, (list, tuple)))
+    @property
+    def takes(self) -> tuple[type, ...]:
+        return (str, list, tuple) if self.several else (str,)
 
     def validate(self, value: object) -> object:
         if not (self.several and isinstance(value, (list, tuple))):
@@ -578,8 +615,7 @@ class Reference(FieldType):
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:
-        one: JsonSchema = {"type": "string"}
-        return {"type": ["string", "array"], "items": one, "minItems": 1} if self.several else one
+        return super().json_schema() | ({"items": {"type": "string"}, "minItems": 1} if self.several else {})
 
 
 @dataclass(frozen=True)
@@ -614,14 +650,14 @@ BUILT_IN = frozenset(
 )
 """Values that every scenario has."""
 GRAMMAR = frozenset(["and", "or", "not", "when", "every", "each", "auto", "any", "urdf"])
-"""Words that expressions read as their grammar, and fields as values of their own."""
+"""Keywords of expressions, and special values of fields."""
 NAME = r"[a-z_][a-z0-9_]*"
 LONGEST = 64
 
 
 @dataclass(frozen=True)
 class Name(FieldType):
-    """A name in lower case; a `shared` one lies in the flat namespace of the scenario, where some are taken."""
+    """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in names."""
 
     shared: bool = False
 
@@ -646,87 +682,6 @@ class Name(FieldType):
         return {"pattern": f"^{NAME}$", "title": "name", "description": about, "patternErrorMessage": about}
 
 
-@dataclass(frozen=True)
-class Real(FieldType):
-    """A plain number; a text that matches `text` is accepted as well."""
-
-    minimum: float | None = None
-    exclusive: bool = False
-    text: str | None = None
-
-    noun = "a number"
-
-    def holds(self, value: object) -> bool:
-        if isinstance(value, str):
-            return self.text is not None and re.fullmatch(self.text, value) is not None
-        return _is_number(value)
-
-    def check(self, value: Any) -> None:
-        if not isinstance(value, str):
-            check_bounds(value, self.minimum, None, exclusive=self.exclusive)
-
-    def json_schema(self) -> JsonSchema:
-        bounds = {} if self.minimum is None else {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum}
-        return self._matching(f"^({self.text}|{GROUPED})$" if self.text else f"^{GROUPED}$", "number", **bounds)
-
-
-_PERCENT = rf"\s*({_NUMBER})\s*%\s*"
-
-
-def read_fraction(text: str) -> float:
-    """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
-    percent = re.fullmatch(_PERCENT, text)
-    return float(percent[1]) / 100 if percent else float(text)
-
-
-class Fraction(FieldType):
-    """A number from 0 to 1, or a percentage, which becomes one."""
-
-    noun = "a number from 0 to 1"
-    example = "0.9"
-
-    def holds(self, value: object) -> bool:
-        return re.fullmatch(_PERCENT, value) is not None if isinstance(value, str) else _is_number(value)
-
-    def validate(self, value: object) -> object:
-        super().validate(value)
-        return read_fraction(value) if isinstance(value, str) else value
-
-    def check(self, value: Any) -> None:
-        if not isinstance(value, str):
-            _check_fraction(value)
-        check_bounds(read_fraction(value) if isinstance(value, str) else value, 0, 1)
-
-    def json_schema(self) -> JsonSchema:
-        return self._matching(rf"^({_PERCENT}|{GROUPED})$", "number", minimum=0, maximum=1)
-
-
-@dataclass(frozen=True)
-class Text(FieldType):
-    """A text that matches `pattern`; another one is refused with `refused` as its headline, or is no such thing at all."""
-
-    name: str
-    pattern: str
-    like: str
-    refused: str = ""
-    help: str = ""
-
-    @property
-    def noun(self) -> str:
-        return self.name
-
-    @property
-    def example(self) -> str:
-        return self.like
-
-    def check(self, value: Any) -> None:
-        if not re.fullmatch(self.pattern, value, re.ASCII):
-            raise error("DB105", self.refused, self.help) if self.refused else mismatch(self.noun, self.help_for(value), value=value)
-
-    def json_schema(self) -> JsonSchema:
-        return self._matching(f"^{self.pattern}$")
-
-
 COLOURS = {
     "black": (0.1, 0.1, 0.1),
     "white": (0.95, 0.95, 0.95),
@@ -747,7 +702,7 @@ COLOURS = {
 
 
 def colour_options(text: str) -> list[str]:
-    """The colours that one may be drawn from, or the single one."""
+    """The colours of a choice, or the single colour."""
     drawn = re.fullmatch(r"choice\(([^()]*)\)", text.strip())
     return [part.strip() for part in drawn[1].split("|")] if drawn else [text.strip()]
 
@@ -770,29 +725,24 @@ class Color(FieldType):
         return schema | {"patternErrorMessage": "expected a colour: a word such as `red`, `'#ffa500'`, or `choice(red | green)`"}
 
 
+# What a training takes
+
+_PERCENT = rf"\s*({_NUMBER}\s*%)\s*"
+_SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"
+
+
+def read_fraction(value: str | float) -> float:
+    """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
+    percent = re.fullmatch(_PERCENT, value) if isinstance(value, str) else None
+    return float(percent[1].rstrip("%").rstrip()) / 100 if percent else float(value) if isinstance(value, str) else value
+
+
 def read_schedule(value: object) -> tuple[float, float] | None:
     """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is neither."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return (float(value), float(value)) if abs(value) < LARGEST else None
-    match = re.fullmatch(rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*", value) if isinstance(value, str) else None
+    match = re.fullmatch(_SCHEDULE, value) if isinstance(value, str) else None
     return (float(match[1]), float(match[2])) if match else None
-
-
-class Schedule(FieldType):
-    """A number, or `start -> end` over the training; neither below zero."""
-
-    noun = "a number or a schedule"
-    example = "3e-4 -> 0"
-
-    def holds(self, value: object) -> bool:
-        return read_schedule(value) is not None
-
-    def check(self, value: Any) -> None:
-        for bound in read_schedule(value) or ():
-            check_bounds(bound, 0, None)
-
-    def json_schema(self) -> JsonSchema:
-        return self._matching(f"->|^{GROUPED}$", "number", minimum=0)
 
 
 _UNTIL = rf"\s*(?:(success_rate)\s*>=\s*({_NUMBER}(?:\s*%)?)|(mean_return)\s*>=\s*({_NUMBER}))\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
@@ -814,76 +764,53 @@ class Until(FieldType):
     noun = "a goal over episodes, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
 
+    def holds(self, value: object) -> bool:
+        return read_until(value) is not None
+
     def check(self, value: Any) -> None:
-        found = read_until(value)
-        if found is None:
-            raise mismatch(self.noun, self.help_for(value), value=value)
-        metric, threshold, episodes = found
-        check_bounds(episodes, 1, None)
+        metric, threshold, episodes = read_until(value) or ("", 0, 0)
+        check_bounds(episodes, 1)
         if metric == "success_rate":
-            _check_fraction(threshold)
-        if metric != "mean_return":
-            check_bounds(threshold, *((0, 1) if metric == "success_rate" else (1, None)))
+            check_bounds(threshold, 0, 1, is_share=True)
+        elif metric == "steps":
+            check_bounds(threshold, 1)
 
     def json_schema(self) -> JsonSchema:
         return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* over .* episodes?|[0-9_]+\s+steps?)\s*$")
 
 
-class Frequency(FieldType):
-    """A whole number of steps, or `n step`, `n episode`."""
-
-    noun = "a number of steps or episodes"
-    example = "1 episode"
-
-    def holds(self, value: object) -> bool:
-        if isinstance(value, str):
-            return re.fullmatch(r"[1-9]\d{0,8} (step|episode)s?", value) is not None
-        return isinstance(value, int) and not isinstance(value, bool)
-
-    def check(self, value: Any) -> None:
-        if isinstance(value, int):
-            check_bounds(value, 1, 1e9)
-
-    def json_schema(self) -> JsonSchema:
-        return self._matching(f"^([1-9][0-9]* (step|episode)s?|{GROUPED})$", "integer", minimum=1)
-
-
 class Setting(FieldType):
-    """The new value of whatever the key names: a number, a quantity, a draw, a word, or all that stands below the key.
+    """The new value of a parameter or path: a number, a quantity, a draw, a word, or a whole section.
 
-    What may be in it is known only where it is put, and checked there.
+    The compiler checks it at its place.
     """
 
-    def holds(self, value: object) -> bool:
-        return isinstance(value, (str, int, float, dict, list))
-
-    def json_schema(self) -> JsonSchema:
-        return {"type": ["string", "number", "boolean", "object", "array"]}
+    takes = (str, int, float, bool, dict, list)
 
 
 # Field types that several sections use
 
 
-PositiveInt = Annotated[int, Strict(), Ge(1), Le(1_000_000_000)]
-SmallInt = Annotated[int, Strict(), Ge(1), Le(1000)]
-Bool = Annotated[bool, Strict()]
-Prose = Annotated[str, StringConstraints(pattern=r"\S")]
+PLAIN: Mapping[object, FieldType] = {int: Whole(), float: Number(), bool: Flag(), str: Text()}
+"""Field types of plain Python types, which pydantic validates itself."""
+
+PositiveInt = Annotated[int, Whole(1, 1_000_000_000)]
+SmallInt = Annotated[int, Whole(1, 1000)]
+Bool = Annotated[bool, Flag()]
+Prose = Annotated[str, Text()]
+Fraction = Annotated[Scalar, Number(0, 1, text=_PERCENT, noun="a number from 0 to 1", example="0.9"), AfterValidator(read_fraction)]
+Schedule = Annotated[Scalar, Number(0, text=_SCHEDULE, noun="a number or a schedule", example="3e-4 -> 0")]
 
 Length = Annotated[Scalar, Quantity("length", minimum=0)]
 Thickness = Annotated[Scalar, Quantity("length", minimum=1e-4)]
-Duration = Annotated[Scalar, Quantity("time", minimum=0)]
-Period = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)]
 Timestep = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True, usual="ms")]
 Share = Annotated[Scalar, Quantity("number", minimum=0, maximum=1)]
-Extent = Annotated[Scalar, Quantity("length", components=3, minimum=1e-4)]
 Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
 Point = Annotated[Scalar, Quantity("length", components=2)]
 Scale = Annotated[Scalar, Quantity("number", components=3)]
 
 RandomizableFactor = Annotated[Scalar, Quantity("number", stage="episode", minimum=0)]
 RandomizableShare = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, maximum=1)]
-RandomizableMass = Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)]
-RandomizableDuration = Annotated[Scalar, Quantity("time", stage="episode", minimum=0)]
 RandomizableDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60, usual="ms")]
 RandomizableCoordinate = Annotated[Scalar, Quantity("length", stage="episode")]
 RandomizableAngle = Annotated[Scalar, Quantity("angle", stage="episode", words=("any",))]
@@ -892,7 +819,6 @@ RandomizableCount = Annotated[Scalar, Quantity("number", stage="episode", minimu
 Colour = Annotated[str, Color()]
 SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
-LinkPattern = Annotated[str, Pattern("link")]
 JointPattern = Annotated[str, Pattern("joint")]
 BodyName = Annotated[str, Reference("body")]
 JointNames = Annotated[str | tuple[str, ...], Reference("joints")]

@@ -2,8 +2,8 @@
 
     python -m deepbots_cli.scenario.json_schema      writes it to schemas/
 
-It says what a file may look like before `extends` and `include` are resolved, and refuses nothing that the compiler takes. Keys are
-therefore demanded at the top level alone, and of a file that extends none; `lint` knows of the others after the merge.
+It describes a file before `extends` and `include` are resolved, and accepts everything that the compiler accepts. Only keys of the
+top level are required, and only if a file extends no other; `lint` checks the other keys after the merge.
 
 Every section is one definition. Of `anyOf` or `oneOf` over several forms an editor shows what is wrong with each of them, and offers
 the keys of all. Unions are therefore `if` and `then`: a form is chosen as the compiler chooses it, by the word under one key, by a key
@@ -11,8 +11,8 @@ that tells the form, or by the shape of the data. Beside the standard, the schem
 `enumDescriptions`, `errorMessage`, `patternErrorMessage`, and `defaultSnippets`, which it offers as values. It offers `examples` too,
 but shows them once more below the text of a hover.
 
-For one scenario the schema also lists names. Those that another file defines (joints and links of a robot file) are listed and
-checked. Those that the scenario itself defines are only offered: the schema is older than the next name in the file.
+For one scenario the schema also lists names. Names from another file (joints and links of a robot file) are listed and checked.
+Names that the scenario itself defines are only offered, since the schema is older than the next name in the file.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ INCLUDE: Json = {"$ref": "#/$defs/include"}
 
 @dataclass(frozen=True)
 class Offer:
-    """Names for one kind of value, each with what is said of it; with `only`, others are mistakes unless they are patterns."""
+    """Names for one kind of value, each with a description; with `only`, other names are errors unless they are patterns."""
 
     names: Mapping[str, str]
     only: bool = False
@@ -77,14 +77,14 @@ _LANGUAGE: Names = {
 
 @dataclass(frozen=True)
 class Known:
-    """The names of one scenario: those that are the same everywhere, and those that differ from robot to robot."""
+    """The names of one scenario: names that are valid everywhere, and names of each robot."""
 
     everywhere: Names = field(default_factory=dict)
     robots: Mapping[str, Names] = field(default_factory=dict)
 
 
 def topic_of(shape: Shape) -> str:
-    """The word under which names for a value of this shape are looked up; empty where there are none."""
+    """The key of the names for a value of this shape; empty if there are none."""
     match shape:
         case Reference(kind=kind) | FilePath(kind=kind):
             return kind
@@ -104,7 +104,7 @@ def topic_of(shape: Shape) -> str:
 
 
 def json_schema(known: Known | None = None) -> Json:
-    """The schema (draft 2020-12), in stable order; without names of a scenario it is the one that is committed."""
+    """The schema (draft 2020-12), in stable order; without names of a scenario it is the committed schema."""
     sentence = "A file with the value of this mapping; what stands beside it is merged over it.\n\nExample: include: parts/arena.yaml"
     definitions: Json = {"include": {"type": "string", "description": sentence}}
     _Writer(definitions, known or Known(), {**_LANGUAGE, **(known.everywhere if known else {})}).reference(Scenario)
@@ -121,7 +121,7 @@ def json_schema(known: Known | None = None) -> Json:
 
 
 def to_text(known: Known | None = None) -> str:
-    """The schema as it is written to a file: what is said of a key stands on one line."""
+    """The text of the schema; the keywords of a key are on one line."""
     return re.sub(r"\n {5,}", " ", json.dumps(json_schema(known), indent=1)) + "\n"
 
 
@@ -194,7 +194,7 @@ class _Writer:
         return {"type": "object", "properties": properties, "propertyNames": key, "additionalProperties": self.schema(shape.value)}
 
     def _forms(self, shape: Forms) -> Json:
-        """Names are listed beside the forms, where the YAML language server looks for what it may offer; there all forms hold."""
+        """A union as `if` and `then`. The YAML language server offers names that are listed beside the forms."""
         plain = [option.json_schema() if isinstance(option, FieldType) else self.schema(option) for option in shape.options]
         schema = plain.pop()
         for option, form in zip(reversed(shape.options[:-1]), reversed(plain), strict=True):
@@ -203,7 +203,7 @@ class _Writer:
         return schema | (offer.added_to({}, noun_of(shape)) if offer else {})
 
     def _with_marks(self, form: Shape, other: Json) -> Json:
-        """The other forms, and the keys that would make it this one: they do not stand there, and are offered."""
+        """The schema of the other forms, with the marks of this form as completions."""
         if not isinstance(form, type) or not form.marks:
             return other
         marks = {key: self._property(form, key) for key in fields(form) if key in form.marks}
@@ -256,7 +256,7 @@ class _Writer:
 
 
 def definition_of(section: type[Section]) -> type[Section]:
-    """The section whose definition serves for this one: the nearest base from which it differs by the word of its `type` alone."""
+    """The section whose definition also describes this one: the nearest base that differs only in the word of `type`."""
     base = section.__base__
     while base is not None and "type" in getattr(base, "model_fields", ()) and vars(section).get("__annotations__", {}).keys() == {"type"}:
         section, base = base, base.__base__
@@ -264,7 +264,7 @@ def definition_of(section: type[Section]) -> type[Section]:
 
 
 def _text(section: type[Section], key: str, example: str = "") -> str:
-    """The sentence about a key, then its unit, default and example; an `example` goes before that of the key."""
+    """The sentence about a key, its unit, default and example; `example` overrides the example of the key."""
     unit, default = unit_of(fields(section)[key]), default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
     facts += ["Required."] if section.model_fields[key].is_required() else [f"Default: {default}."] if default else []
@@ -281,7 +281,7 @@ def _excluding(pair: tuple[str, str]) -> Json:
 
 
 def _form_of(shape: Shape) -> Json:
-    """What data of this shape looks like from outside, told apart from the other forms."""
+    """A schema that only distinguishes the form of this shape from the others."""
     match shape:
         case ListOf():
             return {"type": "array"}

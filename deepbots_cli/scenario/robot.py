@@ -1,4 +1,4 @@
-"""A robot: its body, what it senses, what it drives, what it sends and does; and the channels of its messages."""
+"""A robot: robot file, overrides, sensors, actuators and controller; and the channels of its messages."""
 
 from typing import Annotated, Literal
 
@@ -12,7 +12,6 @@ from deepbots_cli.scenario.fields import (
     Expression,
     FilePath,
     JointPattern,
-    LinkPattern,
     LocalName,
     Pattern,
     Quantity,
@@ -29,7 +28,7 @@ from deepbots_cli.scenario.world import Pose
 
 
 class LinkOverride(Section):
-    """Figures of a link that differ from the robot file; `urdf` stands for the figure there."""
+    """Overrides of a link; `urdf` stands for the value in the robot file."""
 
     mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, urdf=True)] | None = None
     """Mass, kg; the inertia goes with it. `urdf * 1.2` scales that of the robot file."""
@@ -50,7 +49,7 @@ class LinkOverride(Section):
 
 
 class JointOverride(Section):
-    """Figures of a joint that differ from the robot file; `urdf` stands for the figure there."""
+    """Overrides of a joint; `urdf` stands for the value in the robot file."""
 
     damping: Annotated[Scalar, Quantity("damping", stage="episode", minimum=0, urdf=True)] | None = None
     """Viscous damping, N*m*s/rad or N*s/m."""
@@ -80,7 +79,7 @@ class Robot(Section):
     """How many copies there are; the name then names a group."""
     spacing: Annotated[Scalar, Quantity("length", components=3)] | None = None
     """The way from each copy to the next, x y z; the copies stand in a row around the place of the robot."""
-    links: dict[LinkPattern, LinkOverride] = {}
+    links: dict[Annotated[str, Pattern("link")], LinkOverride] = {}
     """Changes of links, by name or pattern such as `wheel_*`."""
     joints: dict[JointPattern, JointOverride] = {}
     """Changes of joints, by name or pattern."""
@@ -89,19 +88,19 @@ class Robot(Section):
     poses: dict[LocalName, Annotated[dict[JointPattern, JointPosition], Size(1, "joint")]] = {}
     """Names for positions of the joints."""
     sensors: dict[LocalName, AnySensor] = {}
-    """What it can sense, by names of your choice."""
+    """Sensors, by names of your choice."""
     actuators: dict[LocalName, AnyActuator] = {}
-    """What it can drive, by names of your choice."""
+    """Actuators, by names of your choice."""
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
-    """What the supervisor sends it besides the action: a name and an expression each."""
+    """Values that the supervisor sends besides the action: a name and an expression each."""
     emit: Emitted = ()
-    """What it sends in every tick: a list of sensors, or names with expressions over its sensors."""
+    """Values that it sends in every timestep: a list of sensors, or names with expressions over its sensors."""
     apply: dict[Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]] = {}
-    """The command of each actuator, from what was received and sensed."""
+    """The command of each actuator, from received values and sensors."""
 
 
 class Route(Section):
-    """What happens to messages on their way."""
+    """Transmission of messages in one direction."""
 
     latency: Annotated[Scalar, Quantity("time", stage="step", minimum=0, maximum=60, usual="ms")] = "0 ms"
     """Time from sending to arrival."""
@@ -114,11 +113,11 @@ class Route(Section):
     order: Literal["sent", "arrival", "newest"] = "sent"
     """Which message counts when several are on their way: in the order sent, as they arrive, or only the newest."""
     on_loss: Literal["hold", "zero", "skip"] = "hold"
-    """What the receiver makes of a lost message: holds the last, takes zeros, or does nothing."""
+    """How the receiver replaces a lost message: it holds the last one, takes zeros, or does nothing."""
 
 
 class Messages(Section):
-    """How supervisor and robots talk."""
+    """Messages between supervisor and robots."""
 
     format: Annotated[str, Word(FORMATS)] = "struct"
     """How a message is written; `none` lets the supervisor act on the robot without messages."""

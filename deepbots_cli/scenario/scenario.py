@@ -45,7 +45,7 @@ class Scenario(Section):
     """One task: world, robots, messages, observation, reward, endings, resets, training.
 
     It may be built in Python of nested models, mappings and plain values. A value of a wrong type or form and an unknown key raise
-    `pydantic.ValidationError`; what only the whole scenario can tell is said by `deepbots_cli.lint` and `compile`.
+    `pydantic.ValidationError`. Checks of the whole scenario follow in `deepbots_cli.lint` and `compile`.
     """
 
     deepbots: PositiveInt
@@ -53,9 +53,9 @@ class Scenario(Section):
     name: Annotated[str, TITLE]
     """Name of the scenario; runs are named after it."""
     summary: Prose = ""
-    """One sentence that says what it is about."""
+    """One sentence about the task."""
     parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = {}
-    """Figures by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
+    """Values by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
     world: World
     """Time and place: timestep, gravity, ground, arena."""
     objects: dict[SharedName, AnyObject] = {}
@@ -63,23 +63,23 @@ class Scenario(Section):
     robots: Annotated[dict[SharedName, Robot], Size(1, "robot")]
     """The robots, by names of your choice."""
     messages: Messages = Field(default_factory=Messages)
-    """How supervisor and robots talk."""
+    """Messages between supervisor and robots."""
     action: Annotated[dict[SharedName, Action], Size(1, "action")]
-    """What the agent decides, by names of your choice: a range, or choices."""
+    """Actions of the agent, by names of your choice: a range, or choices."""
     agent: Agent = Field(default_factory=Agent)
     """How the policy is joined to the scenario."""
     augment: Augmentation = {}
-    """What the supervisor adds to what the robots send, and the policy may see."""
+    """Values that the supervisor adds to those of the robots; the policy may see them."""
     signals: dict[SharedName, Signal] = {}
     """Helpers for reward and endings; the policy never sees them."""
     goal: Goal | None = None
-    """Where to get, for a task with goals."""
+    """Goal specification."""
     observation: Annotated[Observation, Size(1, "entry")]
-    """What the policy sees, in this order: the name of a value, and the range that is mapped to [-1, 1]."""
+    """Observation of the policy, in this order: the name of a value, and the range that is mapped to [-1, 1]."""
     reward: Annotated[Reward, Size(1, "term")]
     """The summands of the reward, by names of your choice; plain numbers."""
     termination: Termination = Field(default_factory=Termination)
-    """What ends the task: success and failure."""
+    """Endings of the task: success and failure."""
     truncation: Truncation | None = None
     """Limits that cut an episode short."""
     reset: Reset = Field(default_factory=Reset)
@@ -87,13 +87,13 @@ class Scenario(Section):
     disturbances: dict[SharedName, Disturbance] = {}
     """Pushes and gusts, by names of your choice."""
     scripts: dict[LocalName, Script] = {}
-    """Hand-written policies by names of your choice: what each makes of every part of the action."""
+    """Hand-written policies by names of your choice: an expression for every part of the action."""
     curriculum: Annotated[Many[Stage], Size(1, "stage")] = ()
     """Stages of rising difficulty."""
     evaluation: Evaluation = Field(default_factory=Evaluation)
-    """How a trained policy is examined."""
+    """Evaluation of a trained policy."""
     solved: Solved | None = None
-    """What counts as solved."""
+    """Criterion for a solved task."""
     train: AnyTraining | None = None
     """How the policy is trained."""
 
@@ -101,7 +101,7 @@ class Scenario(Section):
 
     @property
     def pruned(self) -> frozenset[Path]:
-        """The paths that `validate` took out because they had findings; names there are known, what they mean is not."""
+        """The paths that `validate` removed because they had findings; their names are known, their values are not."""
         return self._pruned
 
     @classmethod

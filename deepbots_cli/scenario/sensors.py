@@ -1,9 +1,8 @@
 """What a robot can sense: one class per kind.
 
-A class says everything about its kind: its parameters (fields with a docstring each), what it measures (its docstring), the dimension,
-components and interval of its readings, and the `reader` that takes them in a running world. Validation, JSON Schema, completion,
-hover, reference and runtime come from it. The bases say what a sensor sits on: `JointSensor`, `LinkSensor`, `ContactSensor`,
-`RayScan`, `RaySensor`, `Camera`.
+A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the dimension, components and
+interval of readings, and the `reader` that takes readings in a running world. Validation, JSON Schema, completion, hover, reference
+and runtime use it. The bases are `JointSensor`, `LinkSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
 
 Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its `type`. Its own fields reach
 its reader as SI numbers and words.
@@ -12,8 +11,7 @@ its reader as SI numbers and words.
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
-from annotated_types import Ge, Le
-from pydantic import Field, Strict
+from pydantic import Field
 
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import (
@@ -47,6 +45,7 @@ from deepbots_cli.scenario.fields import (
     Reference,
     Scalar,
     Timestep,
+    Whole,
 )
 from deepbots_cli.scenario.world import SensorFrame
 
@@ -54,7 +53,7 @@ _RUNTIME = "deepbots_cli.runtime.sensing"
 
 
 class Sensor(Section):
-    """What all sensors have: the faults of real ones."""
+    """Parameters of all sensors: timing, noise and range."""
 
     dimension: ClassVar[Dimension] = NUMBER
     """Of a reading, which is in the SI unit of it."""
@@ -65,7 +64,7 @@ class Sensor(Section):
     boolean: ClassVar[bool] = False
     """Whether a reading is true or false."""
     reader: ClassVar[str] = ""
-    """`module:attribute` of what makes the reader of a sensor in a world: from a `runtime.sensing.Site` to an `Instrument`."""
+    """`module:attribute` of a function that takes a `runtime.sensing.Site` and returns an `Instrument`."""
     fact: ClassVar[str | None] = None
     """The world function that says the same; a sensor without faults, in the origin of its link, is read as that."""
     perceives: ClassVar[bool] = False
@@ -86,7 +85,7 @@ class Sensor(Section):
     quantise: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Step between two readings that can be told apart."""
     range: Annotated[str, Range("reading")] | None = None
-    """What it can measure at all; readings are clipped to it."""
+    """Measurable range; readings are clipped to it."""
 
 
 class JointSensor(Sensor):
@@ -103,7 +102,7 @@ class JointSensor(Sensor):
 
     @classmethod
     def dimension_of(cls, joint: Joint) -> Dimension:
-        """What is measured at this joint."""
+        """The dimension of a reading at this joint."""
         return cls.sliding if joint.type == "prismatic" else cls.dimension
 
     @classmethod
@@ -139,7 +138,7 @@ class JointVelocity(JointSensor):
 
 
 class JointTorque(JointSensor):
-    """What the motor of a joint exerted in the last physics step."""
+    """Torque or force of the motor of a joint in the last physics step."""
 
     dimension = TORQUE
     sliding = FORCE
@@ -159,7 +158,7 @@ class LinkSensor(Sensor):
 
 
 class Gyro(LinkSensor):
-    """How it turns, about its own axes, x y z."""
+    """Angular velocity about its own axes, x y z."""
 
     dimension = ANGULAR_VELOCITY
     components = SPACE
@@ -199,7 +198,7 @@ class Compass(LinkSensor):
 
 
 class Position(LinkSensor):
-    """Where it is in the world, x y z."""
+    """Position in the world, x y z."""
 
     dimension = LENGTH
     components = SPACE
@@ -210,7 +209,7 @@ class Position(LinkSensor):
 
 
 class Velocity(LinkSensor):
-    """How it moves in the world, x y z."""
+    """Velocity in the world, x y z."""
 
     dimension = SPEED
     components = SPACE
@@ -232,7 +231,7 @@ class Orientation(LinkSensor):
 
 
 class AngularVelocity(LinkSensor):
-    """How it turns, about the axes of the world, x y z."""
+    """Angular velocity about the axes of the world, x y z."""
 
     dimension = ANGULAR_VELOCITY
     components = SPACE
@@ -276,7 +275,7 @@ class Force(ContactSensor):
 
 
 class CalibrationTable(Section):
-    """What the sensor reports at which distance; columns of equal length, straight in between."""
+    """Readings by distance, as columns of equal length, with linear interpolation."""
 
     distance: Annotated[Scalar, Column("length")]
     """Distances in rising order, such as `0 5 10 mm`."""
@@ -292,51 +291,51 @@ NamedRays = Annotated[dict[LocalName, SensorFrame], Size(1, "ray")]
 class RayScan(LinkSensor):
     """Looks along rays: given by name, or as a fan of a number of them."""
 
-    rays: Annotated[NamedRays | Annotated[int, Strict(), Ge(1), Le(4096)], FORMS] | None = None
+    rays: Annotated[NamedRays | Annotated[int, Whole(1, 4096)], FORMS] | None = None
     """Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one."""
     fan: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
 
 
 class RaySensor(RayScan):
-    """Measures how far each ray is free; rays look along x of their frames."""
+    """Measures the free distance along rays, which point along x of their frames."""
 
     dimension = LENGTH
     reader = f"{_RUNTIME}.ranging:ranging"
     perceives = True
 
     measure: Literal["each", "nearest", "mean"] = "each"
-    """Each ray by its name, or one figure of all: that of the nearest thing, or the mean."""
+    """Each ray by its name, or one value of all: the nearest distance, or the mean."""
     lookup: CalibrationTable | None = None
-    """What is reported at which distance; without it, the distance itself."""
+    """Readings by distance; without it, the distance itself."""
 
 
 class Infrared(RaySensor):
-    """How far its rays are free, or what a lookup table makes of that."""
+    """Free distance along its rays, or the value of a lookup table for it."""
 
     type: Literal["infrared"]
 
 
 class Sonar(RaySensor):
-    """How far its rays are free; a cone is a narrow fan with `measure: nearest`."""
+    """Free distance along its rays; a cone is a narrow fan with `measure: nearest`."""
 
     type: Literal["sonar"]
 
 
 class Laser(RaySensor):
-    """How far its rays are free; one ray along x unless there are more."""
+    """Free distance along its rays; by default one ray along x."""
 
     type: Literal["laser"]
 
 
 class Lidar(RaySensor):
-    """How far its rays are free, in a fan of many."""
+    """Free distance along its rays, in a fan of many."""
 
     type: Literal["lidar"]
 
 
 class Reflectance(RayScan):
-    """How much light the ground throws back below it: 1 where nothing is painted."""
+    """Ground reflectance below the sensor: 1 without paint."""
 
     interval = Interval(0.0, 1.0)
     reader = f"{_RUNTIME}.brightness:reflectance"
@@ -358,7 +357,7 @@ class Camera(LinkSensor):
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
     """Angle of view from top to bottom."""
     channels: Literal["rgb", "grey", "depth", "mask"] = "rgb"
-    """What a pixel holds."""
+    """Content of a pixel."""
 
 
 _BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
@@ -366,7 +365,7 @@ _BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySen
 
 
 def parameters(kind: type[Sensor]) -> Iterator[tuple[str, FieldType]]:
-    """The parameters that a kind has beyond those of its base, with their field types: the compiler hands them on to the reader."""
+    """The parameters of a kind beyond those of its base, with their field types. The compiler passes them to the reader."""
     known = {name for base in kind.__mro__ if base in _BASES for name in getattr(base, "model_fields", ())}
     for name, shape in fields(kind).items():
         if name not in known:

@@ -1,25 +1,19 @@
-"""The task: what the agent does and sees, what it is rewarded for, how an episode begins and ends, how a policy is evaluated."""
+"""The task: action, observation, reward, endings, resets, disturbances, curriculum and evaluation."""
 
 from typing import Annotated, ClassVar
-
-from annotated_types import Ge, Le
-from pydantic import Strict
 
 from deepbots_cli.scenario.base import FORMS, Keys, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
-    Duration,
     Expression,
     Length,
     LocalName,
-    Period,
+    Number,
     PositiveInt,
     Prose,
     Quantity,
-    RandomizableDuration,
     Range,
-    Real,
     Reference,
     Scalar,
     Setting,
@@ -30,11 +24,12 @@ from deepbots_cli.scenario.fields import (
     Text,
     Thickness,
     Until,
+    Whole,
 )
 from deepbots_cli.scenario.world import Pose
 
 PYTHON_PATH = Text("the place of a function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
-Number = Annotated[Scalar, Quantity("any")]
+Choice = Annotated[Scalar, Quantity("any")]
 Noise = Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)]
 
 
@@ -46,10 +41,10 @@ class PythonTerm(Section):
 
 
 class ContinuousAction(Section):
-    """Numbers that the agent chooses; it acts in [-1, 1], and the range says what that means."""
+    """Numbers that the agent chooses in [-1, 1], which are mapped to the range."""
 
     range: Annotated[str, Range("any")]
-    """What -1 and 1 of the agent stand for, such as `0.25 .. 1`."""
+    """The range that [-1, 1] is mapped to, such as `0.25 .. 1`."""
     each: Annotated[str, Reference("group")] | None = None
     """One number for each member of this group or actuator."""
 
@@ -59,7 +54,7 @@ class DiscreteAction(Section):
 
     marks: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
-    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Number] | Number, FORMS]], Size(2, "choice")]
+    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
     """The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."""
     forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
     """When an option may not be chosen."""
@@ -83,22 +78,22 @@ class Observed(Section):
     """One entry of the observation, with more than its range."""
 
     range: Annotated[str, Range("any", auto=True)]
-    """What is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes what is known."""
+    """The range that is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes the known interval."""
     history: SmallInt = 1
     """How many values in a row the policy sees, newest last."""
     noise: Noise = 0
-    """Standard deviation of what is added to it, such as `0.01 rad`, or `2 %` of the value."""
+    """Standard deviation of added noise, such as `0.01 rad`, or `2 %` of the value."""
     clip: Bool = True
     """Whether values outside the range are clipped to it."""
 
 
 class Goal(Section):
-    """A task that is told by where to get: for hindsight replay."""
+    """Goal specification, for hindsight replay."""
 
     achieved: Annotated[Scalar, Expression("goal", boolean=False)]
-    """What the agent has reached."""
+    """The value that the agent has reached."""
     desired: Annotated[Scalar, Expression("goal", boolean=False)]
-    """What it shall reach."""
+    """The value to reach."""
     within: Annotated[Scalar, Quantity("any", minimum=0)]
     """Distance between the two at which the goal counts as reached."""
     range: Annotated[str, Range("any")]
@@ -111,7 +106,7 @@ Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=T
 
 
 class Termination(Section):
-    """Conditions that end the task; they are part of what the agent has to learn."""
+    """Conditions that end the task; the agent learns about them."""
 
     success: dict[SharedName, Condition] = {}
     """Conditions under which the agent has succeeded, by names of your choice."""
@@ -126,7 +121,7 @@ class Truncation(Section):
 
     max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = None
     """Steps of the agent."""
-    max_time: Period | None = None
+    max_time: Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)] | None = None
     """Simulated time, such as `60 s`."""
 
 
@@ -147,7 +142,7 @@ class Stage(Section):
     name: LocalName
     """Name of the stage."""
     set: Settings = {}
-    """What is different: parameters by name, or other values by path, such as `reset.layout: paper`."""
+    """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
     until: Annotated[str, Until()] | None = None
     """When the next stage begins: `success_rate >= 0.7 over 40 episodes`, or after `50_000 steps`."""
 
@@ -156,13 +151,13 @@ class Case(Section):
     """One case of the evaluation."""
 
     set: Settings = {}
-    """What is different: parameters by name, or other values by path."""
+    """Changes: parameters by name, or other values by path."""
     episodes: PositiveInt | None = None
     """Episodes of this case."""
 
 
 class Evaluation(Section):
-    """How a trained policy is examined."""
+    """Evaluation of a trained policy."""
 
     episodes: PositiveInt = 100
     """Episodes, or episodes per case."""
@@ -171,11 +166,11 @@ class Evaluation(Section):
 
 
 class Solved(Section):
-    """What counts as solved."""
+    """Criterion for a solved task."""
 
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), min=1, max=2),)
 
-    mean_return: Annotated[float, Real()] | None = None
+    mean_return: Annotated[float, Number()] | None = None
     """Least mean return over the episodes."""
     success_rate: Share | None = None
     """Least share of successful episodes, 0 to 1."""
@@ -264,7 +259,7 @@ class MapLayout(Section):
     cell: Thickness
     """Size of a cell, m."""
     legend: Annotated[dict[Annotated[str, Reference("letter")], BodyName], Size(1, "letter")]
-    """What each letter stands for: a robot, an object, or `wall`."""
+    """The meaning of each letter: a robot, an object, or `wall`."""
     map: Prose
     """The rows of the map, cells apart by blanks; the first row is the farthest along y."""
 
@@ -287,10 +282,10 @@ class Reset(Section):
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
     """Arrangements by names of your choice: a place for each body, or a map in letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
-    """What must hold at the start; otherwise everything is drawn again."""
-    attempts: Annotated[int, Strict(), Ge(1), Le(100_000)] = 100
+    """A condition at the start; while it is false, everything is drawn again."""
+    attempts: Annotated[int, Whole(1, 100_000)] = 100
     """How often to draw before giving up."""
-    settle: Duration = "0 s"
+    settle: Annotated[Scalar, Quantity("time", minimum=0)] = "0 s"
     """Simulated time for things to come to rest before the episode begins."""
 
 
@@ -307,7 +302,7 @@ class Disturbance(Section):
     """Torque in the world frame, drawn anew for each push."""
     every: Annotated[Scalar, Quantity("time", stage="step", minimum=0, exclusive=True)] | None = None
     """Time from the beginning of one push to that of the next, and before the first, unless `at` says when that is."""
-    at: RandomizableDuration | None = None
+    at: Annotated[Scalar, Quantity("time", stage="episode", minimum=0)] | None = None
     """Time of the first push, which is the only one without `every`."""
     lasts: Annotated[Scalar, Quantity("time", stage="step", minimum=0)]
     """How long a push acts."""

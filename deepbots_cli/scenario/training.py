@@ -7,18 +7,18 @@ they are set instead.
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from annotated_types import Ge, Le
-from pydantic import Field, Strict
+from pydantic import Field
 
 from deepbots_cli.plugins import Table
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, require_kind
-from deepbots_cli.scenario.fields import Bool, Fraction, Frequency, PositiveInt, Prose, Real, Scalar, Schedule
+from deepbots_cli.scenario.fields import Bool, Fraction, Number, PositiveInt, Prose, Scalar, Schedule, Whole
 
-Ramp = Annotated[Scalar, Schedule()]
-Weight = Annotated[float, Real(0)]
-Share = Annotated[Scalar, Fraction()]
-Positive = Annotated[float, Real(0, exclusive=True)]
-StepsOrAll = Annotated[int, Strict(), Ge(-1), Le(1_000_000_000)]
+Weight = Annotated[float, Number(0)]
+Positive = Annotated[float, Number(0, exclusive=True)]
+StepsOrAll = Annotated[int, Whole(-1, 1_000_000_000)]
+StepsOrEpisodes = Whole(
+    1, 1_000_000_000, text="[1-9][0-9]{0,8} (?:step|episode)s?", noun="a number of steps or episodes", example="1 episode"
+)
 
 
 class ActionNoise(Section):
@@ -26,7 +26,7 @@ class ActionNoise(Section):
 
     type: Literal["normal", "ornstein_uhlenbeck"]
     """Independent (`normal`) or drifting (`ornstein_uhlenbeck`)."""
-    sigma: Ramp
+    sigma: Schedule
     """Standard deviation in the agent's [-1, 1], or a schedule such as `0.5 -> 0.1`."""
     theta: Positive = 0.15
     """How fast drifting noise returns to zero: by the factor `exp(-theta)` in a step."""
@@ -46,14 +46,14 @@ class Hindsight(Section):
 class Policy(Section):
     """The network of the policy."""
 
-    hidden: Many[Annotated[int, Strict(), Ge(1), Le(8192)]] = (64, 64)
+    hidden: Many[Annotated[int, Whole(1, 8192)]] = (64, 64)
     """Units of each hidden layer, such as `[64, 64]`."""
     activation: Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"] = "tanh"
     """Activation between the layers."""
 
 
 class Training(Section):
-    """What all algorithms have in common; each adds its hyperparameters."""
+    """Keys of all algorithms; each adds its hyperparameters."""
 
     place: ClassVar[str] = ""
     """`module:attribute` of its class, imported when it is used."""
@@ -61,9 +61,9 @@ class Training(Section):
 
     algorithm: Prose
     """The learning algorithm."""
-    total_timesteps: Annotated[int, Strict(), Ge(1), Le(10**12)]
+    total_timesteps: Annotated[int, Whole(1, 10**12)]
     """Steps of the agent to train for, summed over all environments."""
-    environments: Annotated[int, Strict(), Ge(1), Le(1024)] = 1
+    environments: Annotated[int, Whole(1, 1024)] = 1
     """Copies of the environment that are trained in at once."""
     policy: Policy = Field(default_factory=Policy)
     """The network of the policy."""
@@ -88,13 +88,13 @@ class Training(Section):
 class _OnPolicy(Training):
     on_policy = True
 
-    learning_rate: Ramp | None = None
+    learning_rate: Schedule | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
     n_steps: PositiveInt | None = None
     """Steps of each environment between two updates."""
-    gamma: Share | None = None
+    gamma: Fraction | None = None
     """Discount of later rewards per step, 0 to 1."""
-    gae_lambda: Share | None = None
+    gae_lambda: Fraction | None = None
     """Trade-off of bias and variance of the advantage, 0 to 1."""
     normalize_advantage: Bool | None = None
     """Whether advantages are normalised."""
@@ -109,13 +109,13 @@ class _OnPolicy(Training):
 
 
 class _Proximal(_OnPolicy):
-    batch_size: Annotated[int, Strict(), Ge(2), Le(1_000_000_000)] | None = None
+    batch_size: Annotated[int, Whole(2, 1_000_000_000)] | None = None
     """Samples in one gradient step."""
     n_epochs: PositiveInt | None = None
     """Passes over the samples of a roll-out."""
-    clip_range: Ramp | None = None
+    clip_range: Schedule | None = None
     """How far the policy may change in one update; a number or a schedule."""
-    clip_range_vf: Ramp | None = None
+    clip_range_vf: Schedule | None = None
     """How far the value function may change in one update; a number or a schedule."""
     target_kl: Positive | None = None
     """Stops an update when the policy has changed this much."""
@@ -129,19 +129,19 @@ class _StateDependentExploration(Section):
 
 
 class _OffPolicy(Training):
-    learning_rate: Ramp | None = None
+    learning_rate: Schedule | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
     buffer_size: PositiveInt | None = None
     """Steps that are remembered."""
-    learning_starts: Annotated[int, Strict(), Ge(0), Le(1_000_000_000)] | None = None
+    learning_starts: Annotated[int, Whole(0, 1_000_000_000)] | None = None
     """Steps before the first update."""
     batch_size: PositiveInt | None = None
     """Samples in one gradient step."""
-    tau: Share | None = None
-    """Share by which the target network follows, 0 to 1."""
-    gamma: Share | None = None
+    tau: Fraction | None = None
+    """Fraction by which the target network follows, 0 to 1."""
+    gamma: Fraction | None = None
     """Discount of later rewards per step, 0 to 1."""
-    train_freq: Annotated[str | int, Frequency()] | None = None
+    train_freq: Annotated[str | int, StepsOrEpisodes] | None = None
     """Steps between two updates, or `1 episode`."""
     gradient_steps: StepsOrAll | None = None
     """Gradient steps in an update; -1 makes as many as steps were taken."""
@@ -161,11 +161,11 @@ class _Deterministic(_OffPolicy):
 class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
     """Use that noise already before learning starts."""
-    ent_coef: Annotated[Scalar, Real(0, text=r"auto(_\d+(\.\d+)?)?")] | None = None
-    """Weight of the entropy; `auto` learns it, `auto_0.1` from that on."""
+    ent_coef: Annotated[Scalar, Number(0, text=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
+    """Weight of the entropy; `auto` learns it, `auto_0.1` begins at 0.1."""
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
-    target_entropy: Annotated[Scalar, Real(text="auto")] | None = None
+    target_entropy: Annotated[Scalar, Number(text="auto")] | None = None
     """The entropy that `ent_coef: auto` aims at."""
     stats_window_size: PositiveInt | None = None
     """Episodes over which progress is averaged."""
@@ -199,12 +199,12 @@ class DQN(_OffPolicy):
     algorithm: Literal["DQN"]
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
-    exploration_fraction: Share | None = None
-    """Share of the training over which exploration goes down."""
-    exploration_initial_eps: Share | None = None
-    """Share of random actions at the start."""
-    exploration_final_eps: Share | None = None
-    """Share of random actions in the end."""
+    exploration_fraction: Fraction | None = None
+    """Fraction of the training over which exploration goes down."""
+    exploration_initial_eps: Fraction | None = None
+    """Fraction of random actions at the start."""
+    exploration_final_eps: Fraction | None = None
+    """Fraction of random actions in the end."""
     max_grad_norm: Positive | None = None
     """Largest norm of a gradient; larger ones are scaled down."""
     stats_window_size: PositiveInt | None = None
@@ -257,7 +257,7 @@ class RecurrentPPO(_StateDependentExploration, _Proximal):
     place = "sb3_contrib:RecurrentPPO"
 
     algorithm: Literal["RecurrentPPO"]
-    lstm: Annotated[int, Strict(), Ge(1), Le(2048)] | None = None
+    lstm: Annotated[int, Whole(1, 2048)] | None = None
     """Units of the memory: an LSTM before the layers of actor and of critic."""
 
 
@@ -267,7 +267,7 @@ class TQC(_SoftActorCritic):
     place = "sb3_contrib:TQC"
 
     algorithm: Literal["TQC"]
-    top_quantiles_to_drop_per_net: Annotated[int, Strict(), Ge(0), Le(1_000_000_000)] | None = None
+    top_quantiles_to_drop_per_net: Annotated[int, Whole(0, 1_000_000_000)] | None = None
     """Highest quantiles to drop, per critic."""
 
 
@@ -299,4 +299,4 @@ ELSEWHERE: Mapping[str, str] = {
     "lstm_hidden_size": "write `lstm: 64`",
     "n_envs": "write `environments`",
 }
-"""What other tools set among the hyperparameters, and where it is set here."""
+"""Hyperparameters of other tools, and where they are set here."""

@@ -1,13 +1,13 @@
 """Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
 
-The first round reports. Whatever has a finding is then taken out and the rest is validated again, until it passes: later
-passes see all that is sound, and nothing is reported twice.
+The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later stages see
+everything that is sound, and nothing is reported twice.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -21,19 +21,17 @@ from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Node, Path, Scalar, descend, to_data, walk
 from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, locate, noun_of, sections, shape_at
-from deepbots_cli.scenario.fields import FieldType, mismatch
+from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 from deepbots_cli.scenario.training import ELSEWHERE, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _ROUNDS = 16
-# Characters before a value in which its key stands.
-_LOOKED_BACK = 400
 _SHOWN = 40
 _EXEMPLARY = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
-_OWN_SECTION = "it is a section of its own, which begins at the left edge: take away the blanks in front of it and of its lines"
 
+_OWN_SECTION = "it is a section of its own, which begins at the left edge: take away the blanks in front of it and of its lines"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,
@@ -48,22 +46,18 @@ _STAND_INS: dict[str, object] = {
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is wrong at `path`: `missing` keys, or an unknown key or value with what was probably `meant`."""
+    """A finding about `path`, with `missing` keys, or with the key that was probably `meant` by an unknown one."""
 
-    code: str
     path: Path
-    headline: str
-    help: str | None = None
+    finding: Finding
     missing: tuple[str, ...] = ()
-    at_key: bool = False
     meant: Meant | None = None
-    notes: tuple[str, ...] = ()
 
 
 def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
-    """The scenario in `root`; what is wrong with it goes to `findings`.
+    """Validate `root`; errors go to `findings`.
 
-    With findings, the scenario lacks what they are about (`Scenario.pruned` has the paths) and stand-ins
+    Returns the scenario. If there are findings, faulty entries are removed from it (`Scenario.pruned` has the paths), and stand-ins
     fill required sections. None if the file is written for another version of the language.
 
     Raises:
@@ -73,14 +67,8 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
         return None
     data: Any = to_data(root)
     pruned: set[Path] = set()
-    for path, node in walk(root):
-        if path and isinstance(node, Scalar) and node.value is None:
-            span = _key_span(root, path)
-            findings.add("DB107", span, f"`{_name_of(path)}` has no value", help="give it one, or take the key out")
-            _prune(data, path, pruned)
     _advise(root, data, findings)
 
-    earlier = findings.errors  # a warning leaves its value in place, so nothing is missing because of it
     for round_number in range(_ROUNDS):
         try:
             scenario = Scenario.model_validate(data, context={LENIENT: round_number > 0})
@@ -92,8 +80,8 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
             return scenario
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
-            new = [problem for problem in problems if not (_is_follow_up(root, problem, earlier) or _is_misspelt(problem, problems))]
-            found = [_finding(root, data, problem) for problem in _together(_in_place(root, data, new, findings))]
+            new = [problem for problem in problems if not (_is_follow_up(root, problem) or _is_misspelt(problem, problems))]
+            found = [problem.finding for problem in _together(root, _in_place(root, data, new))]
             for one in found:
                 findings.append(one)
             if findings.limit is not None and len(problems) >= findings.limit:  # the rest would be in the way of later passes
@@ -114,7 +102,7 @@ def _is_readable(root: nodes.Mapping, findings: Findings) -> bool:
 
 
 def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = ()) -> None:
-    """Take out the entry at `path`; from a list the whole list, since its other items keep their numbers."""
+    """Remove the entry at `path`; of a list the whole list, since its items keep their numbers."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
     if not path:
@@ -138,19 +126,22 @@ def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = 
 
 
 def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
-    """An error of pydantic, or one of a field type or section, in the words of the language."""
+    """An error of pydantic, of a field type or of a section, in the words of the language."""
     path, kind = error["loc"], error["type"]
     if kind == "missing":
         *_, key = path
         path = path[:-1]
-        return _Problem("DB102", path, f"missing key `{key}` {_place(path)}", about_key(data, (*path, key)), (str(key),), at_key=True)
+        finding = Finding("DB102", _key_span(root, path), f"missing key `{key}` {_place(path)}", about_key(data, (*path, key)))
+        return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-        return _Problem("DB101", path, headline, _help_for_unknown(data, path), at_key=True, meant=meant_by(data, path))
-    node = descend(root, path)[0]
+        help, near = _help_for_unknown(data, path) or about_key(data, path), meant_by(data, path)
+        key_node = descend(root, path)[1]
+        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), meant=near)
+    node, key_node, _ = descend(root, path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.Mapping) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
-    context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node))
+    context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
     kind = context.get("code", kind)
     headline, help, near = context["headline"], context["help"], context["meant"]
     if expected := context.get("expected"):
@@ -163,22 +154,39 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
     elif kind == "DB107":
         headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
     at_key = at_key or kind in ("DB101", "DB102", "DB107")
-    return _Problem(kind, path, headline, help, context["missing"], at_key=at_key, meant=near)
+    span = _key_span(root, path) if at_key or node.span.begin.line != node.span.finish.line else node.span
+    fix = _fix(key_node if at_key else node, near)
+    return _Problem(path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"])
 
 
-def _reworded(shape: Shape | None, value: object) -> dict[str, Any]:
-    """What the field type says of a value that pydantic's own type refused; it knows units of thousands, `on` and `off`, near words."""
+def _key_span(root: nodes.Mapping, path: Path) -> Span:
+    """The key at `path`, the head of the item of a list, or the first line of the file."""
+    node, key, _ = descend(root, path)
+    if key is not None and path:
+        return key.span
+    span = node.span
+    end = span.source.text.find("\n", span.start, span.end)
+    return Span(span.source, span.start, span.end if end < 0 else end)
+
+
+def _fix(word: Node | None, near: Meant | None) -> Fix | None:
+    return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe) if near and isinstance(word, Scalar) else None
+
+
+def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any]:
+    """The words of the field type for a value that pydantic's own type refused with `message`."""
     refused = mismatch("another type" if shape is None else noun_of(shape), value=value)
     if isinstance(shape, FieldType):
         try:
             shape.validate(value)
-        except PydanticCustomError as error:
-            refused = error
+            refused = error("DB105", message)  # a bound of pydantic, in the model of a plug-in
+        except PydanticCustomError as own:
+            refused = own
     return {**(refused.context or {}), "code": refused.type}
 
 
 def _describe(node: Node) -> str:
-    """What stands there, for `expected ..., found ...`."""
+    """The noun for a node, for `expected ..., found ...`."""
     match node:
         case nodes.Sequence():
             return "a list"
@@ -193,7 +201,7 @@ def _describe(node: Node) -> str:
 
 
 def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | None] | None:
-    """What the form of a wrong value shows, whatever was wanted in its place: what to do, and what to write where that is sure."""
+    """Help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case Scalar(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
             return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`", None
@@ -204,116 +212,63 @@ def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | Non
     return None
 
 
-def _is_follow_up(root: nodes.Mapping, problem: _Problem, earlier: Sequence[Finding]) -> bool:
-    """Whether something is missing or empty only because the value there was found faulty before, and left out."""
-    if problem.code not in ("DB102", "DB107"):
+def _is_follow_up(root: nodes.Mapping, problem: _Problem) -> bool:
+    """Whether a key is missing, or a mapping empty, only because its text had a finding and was left out."""
+    node = descend(root, problem.path)[0]
+    if not isinstance(node, nodes.Mapping) or not node.partial:
         return False
-    span = descend(root, problem.path)[0].span
-    inside = [found.span for found in earlier if found.span.source is span.source and span.start <= found.span.start <= span.end]
-    if problem.code == "DB107":
-        return bool(inside)
-    return any(_is_about(found, key) for found in inside for key in problem.missing)
-
-
-def _is_about(span: Span, key: str) -> bool:
-    """Whether a finding at `span` marks this key, its value or an item of it, or a file that was to be included and may have held it."""
-    # Not all of the text before it: with tens of thousands of findings the copies took minutes.
-    before = span.source.text[max(0, span.start - _LOOKED_BACK) : span.start].rstrip()
-    list_so_far = r"\s*(\[[^][{}:]*|-[^:]*)?$"
-    return span.text.strip("'\"") == key or re.search(rf"\b({re.escape(key)}|include)['\"]?:{list_so_far}", before) is not None
+    empty = {key.text for key in node.hollow}
+    is_missing = problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
+    return is_missing or problem.finding.code == "DB107"
 
 
 def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
-    """Whether the missing key stands there in a spelling that is reported anyway."""
-    if not problem.missing:
-        return False
-    misspelt = (other.meant for other in problems if other.at_key and other.path[:-1] == problem.path)
+    """Whether a key that is reported as unknown is the missing one, misspelt."""
+    misspelt = (other.meant for other in problems if problem.missing and other.path[:-1] == problem.path)
     return any(near is not None and near.text in problem.missing for near in misspelt)
 
 
-def _together(problems: list[_Problem]) -> list[_Problem]:
-    """All sections that a file lacks as one problem: they are many while it is being written. Its notes explain all but the first."""
-    lacking = [problem for problem in problems if problem.code == "DB102" and not problem.path]
-    if len(lacking) < 2:
-        return problems
-    missing = tuple(key for problem in lacking for key in problem.missing)
-    headline = f"missing keys {', '.join(f'`{key}`' for key in missing)} {_place(())}"
-    notes = tuple(problem.help for problem in lacking[1:] if problem.help)
-    together = _Problem("DB102", (), headline, lacking[0].help, missing, at_key=True, notes=notes)
-    return [together, *(problem for problem in problems if problem not in lacking)]
-
-
-# Sections with blanks in front of them
-
-
-def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem], findings: Findings) -> list[_Problem]:
-    """The same, with a section that stands inside of another, by blanks in front of it, as one problem."""
-    displaced = {path for problem in problems if (path := _displaced(root, data, problem.path))}
-    inside = displaced | (_hollow_sections(root, findings) if problems else set())
-    if not inside:
-        return problems
-    names = {str(path[-1]) for path in displaced}
-    left = [
-        problem
-        for problem in problems
-        if not any(problem.path[:depth] in inside for depth in range(1, len(problem.path) + 1))
-        and not (problem.code == "DB102" and not problem.path and names.issuperset(problem.missing))
-    ]
-    moved = [_Problem("DB101", at, f"`{at[-1]}` stands {_place(at[:-1])}", _OWN_SECTION, at_key=True) for at in sorted(displaced, key=str)]
-    return [*moved, *left]
+def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem]) -> list[_Problem]:
+    """Replace all problems of a section that is indented into another section by a single one."""
+    moved: dict[Path, _Problem] = {}
+    kept = []
+    for problem in problems:
+        if path := _displaced(root, data, problem.path):
+            moved[path] = _Problem(path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` stands {_place(path[:-1])}", _OWN_SECTION))
+        else:
+            kept.append(problem)
+    lacking = {(str(path[-1]),) for path in moved}
+    return [*moved.values(), *(problem for problem in kept if problem.path or problem.missing not in lacking)]
 
 
 def _displaced(root: nodes.Mapping, data: object, path: Path) -> Path | None:
-    """The first key on the path that is a section which the file lacks at its top, where nothing of the kind belongs."""
+    """The first key on the path that is a section which the file lacks, where its name is no key."""
     for depth in range(1, len(path)):
-        key = path[depth]
-        if key in Scenario.model_fields and key not in root.entries:
-            holder, node = shape_at(Scenario, data, path[:depth]), descend(root, path[: depth + 1])[0]
-            if isinstance(node, nodes.Mapping) and not (isinstance(holder, type) and key in holder.model_fields):
-                return path[: depth + 1]
+        key, here = path[depth], path[: depth + 1]
+        if key in Scenario.model_fields and key not in root.entries and isinstance(descend(root, here)[0], nodes.Mapping):
+            holder = shape_at(Scenario, data, path[:depth])
+            if not isinstance(holder, type) or key not in holder.model_fields:
+                return here
     return None
 
 
-def _hollow_sections(root: nodes.Mapping, findings: Findings) -> set[Path]:
-    """The entries below a section that has lost its lines to the one around it; says so where the section has no value."""
-    empty = {found.span.start: found for found in findings if found.code == "DB107"}
-    inside: set[Path] = set()
-    for path, node in walk(root) if empty else ():
-        if not path or not isinstance(node, nodes.Mapping):
-            continue
-        for key in node.hollow:
-            if key.text in Scenario.model_fields and key.text not in root.entries and key.span.start in empty:
-                findings.advise(empty[key.span.start], _OWN_SECTION)
-                inside |= {(*path, name) for name, entry in node.entries.items() if entry.key.span.start > key.span.start}
-    return inside
+def _together(root: nodes.Mapping, problems: list[_Problem]) -> list[_Problem]:
+    """Replace the problems of missing sections by a single one: a new file lacks many. Its notes explain all but the first."""
+    lacking = [problem for problem in problems if problem.finding.code == "DB102" and not problem.path]
+    if len(lacking) < 2:
+        return problems
+    missing = tuple(key for problem in lacking for key in problem.missing)
+    headline = f"missing keys {_listed(missing)} {_place(())}"
+    help, *notes = (problem.finding.help or "" for problem in lacking)
+    together = _Problem((), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing)
+    return [together, *(problem for problem in problems if problem not in lacking)]
 
 
-# Problems to findings
-
-
-def _finding(root: nodes.Mapping, data: Any, problem: _Problem) -> Finding:
-    node, key, _ = descend(root, problem.path)
-    span, word, fix = node.span, key if problem.at_key else node, None
-    if problem.at_key or span.begin.line != span.finish.line:
-        span = _key_span(root, problem.path)
-    if problem.meant is not None and isinstance(word, Scalar):
-        fix = Fix.replacing(word.part(0, len(word.text)), word.text, problem.meant.text, safe=problem.meant.safe)
-    help = problem.help or about_key(data, problem.path)
-    return Finding(problem.code, span, problem.headline, help, notes=problem.notes, fix=fix)
-
-
-def _key_span(root: nodes.Mapping, path: Path) -> Span:
-    """The key at `path`, the head of the item of a list, or the first line of the file."""
-    node, key, _ = descend(root, path)
-    if key is not None and path:
-        return key.span
-    span = node.span
-    end = span.source.text.find("\n", span.start, span.end)
-    return Span(span.source, span.start, span.end if end < 0 else end)
+# Keys without a value
 
 
 def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
-    """Say of keys without a value what they take: the text alone, which was read first, does not know."""
+    """Add help to the findings about keys without a value; the parser does not know the language."""
     vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
     for path, node in walk(root) if vague else ():
         for key in node.hollow if isinstance(node, nodes.Mapping) else ():
@@ -322,7 +277,7 @@ def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
 
 
 def _wanted(data: object, path: Path) -> str:
-    """What to write behind a key that has no value."""
+    """The help for a key without a value."""
     told = about_key(data, path)
     if told is not None and told.startswith(f"`{path[-1]}`"):
         return told
@@ -348,7 +303,7 @@ def _wanted(data: object, path: Path) -> str:
 
 
 def _place(path: Path) -> str:
-    """Where a key stands, for a headline."""
+    """The place of a key, for a headline."""
     if not path:
         return "at the top level"
     last = path[-1]
@@ -375,7 +330,7 @@ def _keys_of(shape: Shape | None) -> str | None:
 
 
 def about_key(data: object, path: Path) -> str | None:
-    """What the innermost known key of a path is for."""
+    """The sentence about the innermost known key of a path."""
     from deepbots_cli.scenario.docs import description, example_of  # only on the way to a finding
 
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
@@ -390,7 +345,7 @@ def about_key(data: object, path: Path) -> str | None:
 
 
 def _help_for_unknown(data: object, path: Path) -> str | None:
-    """Where an unknown key belongs, what was probably meant, or at least what there is."""
+    """The help for an unknown key: where it belongs, the probable key, or the known keys."""
     *_, key = map(str, path)
     parent = path[:-1]
     section = shape_at(Scenario, data, parent)
@@ -417,7 +372,7 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
 
 
 def meant_by(data: object, path: Path) -> Meant | None:
-    """The key that was probably meant by an unknown one; not certain where the language knows that one elsewhere."""
+    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
         return None
@@ -427,7 +382,7 @@ def meant_by(data: object, path: Path) -> Meant | None:
 
 @cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
 def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
-    """Where each key of the language is known: the paths of the sections that have it, `*` for a name of the user's own."""
+    """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
     found: dict[str, set[tuple[str, ...]]] = {}
     for home, section, _ in sections(Scenario):
         for key in section.model_fields if isinstance(section, type) else ():
@@ -436,7 +391,7 @@ def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
 
 
 def _nearest_home(parent: Path, key: str) -> str | None:
-    """The place of the language that knows this key and is nearest to where it stands, unless there are many."""
+    """The nearest place where this key exists, unless there are many."""
     here = tuple(step for step in parent if isinstance(step, str))
 
     def shared(home: tuple[str, ...]) -> int:

@@ -2,8 +2,7 @@
 
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Le
-from pydantic import Field, Strict
+from pydantic import Field
 
 from deepbots_cli.scenario.base import Keys, Kinds, Many, Section, Size
 from deepbots_cli.scenario.fields import (
@@ -11,7 +10,6 @@ from deepbots_cli.scenario.fields import (
     Bool,
     Colour,
     Expression,
-    Extent,
     FilePath,
     LocalName,
     MeshFile,
@@ -22,7 +20,6 @@ from deepbots_cli.scenario.fields import (
     RandomizableCoordinate,
     RandomizableCount,
     RandomizableFactor,
-    RandomizableMass,
     RandomizableShare,
     Scalar,
     Scale,
@@ -30,6 +27,7 @@ from deepbots_cli.scenario.fields import (
     SharedName,
     Thickness,
     Timestep,
+    Whole,
 )
 
 
@@ -77,7 +75,7 @@ class Wall(Section):
 
 
 class Line(Section):
-    """A line painted on the ground: no body, nothing to bump into."""
+    """A line painted on the ground, without collisions."""
 
     through: Annotated[Many[Point], Size(2, "point")]
     """The points of the line in the ground plane."""
@@ -86,7 +84,7 @@ class Line(Section):
     width: Thickness
     """Width of the stroke, m."""
     reflectance: Share = 0
-    """Light that the paint throws back, 0 (black) to 1 (white)."""
+    """Reflectance of the paint, 0 (black) to 1 (white)."""
     colour: Colour = "black"
     """Colour in pictures."""
 
@@ -95,7 +93,7 @@ class Terrain(Section):
     """Ground that is not flat; heights count from z = 0."""
 
     type: Prose
-    """What gives the ground its shape."""
+    """Kind of terrain."""
     friction: RandomizableFactor = 1.0
     """Friction of the ground."""
     colour: Colour | None = None
@@ -111,7 +109,7 @@ class Pit(Terrain):
     radius: Thickness | None = None
     """Radius of the rim, m; 3.18 m unless given."""
     noise: Share = 0
-    """Share of the height that lumps in the ground take away; they are the same in every world."""
+    """Share of the height that random bumps take away; they are the same in every world."""
 
 
 class Heightfield(Terrain):
@@ -156,7 +154,7 @@ class World(Section):
 
     timestep: Timestep
     """One control tick: robots sense and act this often, such as `32 ms`."""
-    substeps: Annotated[int, Strict(), Ge(1), Le(10_000)] = 1
+    substeps: Annotated[int, Whole(1, 10_000)] = 1
     """Physics steps in one control tick."""
     gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
     """Gravity in the world frame, m/s^2."""
@@ -232,9 +230,9 @@ class Pose(Section):
 
 
 class Material(Section):
-    """What a body is made of; in `one_of`, a variant overrides it."""
+    """Material of a body; a variant of `one_of` overrides it."""
 
-    mass: RandomizableMass | None = None
+    mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)] | None = None
     """Mass, kg; by default as much as water has in this shape. A mesh that can move needs one."""
     colour: Colour | None = None
     """Colour: a word, `'#rrggbb'`, or `choice(red | green)`."""
@@ -249,7 +247,7 @@ class Material(Section):
     fixed: Bool | None = None
     """Whether it never moves; by default false."""
     solid: Bool | None = None
-    """Whether things bump into it; `false` makes a mark that is only seen."""
+    """Whether it collides; `false` makes a mark that is only visible."""
 
 
 class Shaped(Material):
@@ -263,7 +261,7 @@ class Box(Shaped):
     """A box."""
 
     shape: Literal["box"]
-    size: Extent
+    size: Annotated[Scalar, Quantity("length", components=3, minimum=1e-4)]
     """Lengths along x, y and z, such as `10 10 10 cm`."""
 
 
@@ -309,7 +307,7 @@ SHAPES: dict[str, type[Shaped]] = {"box": Box, "sphere": Sphere, "cylinder": Cyl
 
 
 class Placed(Section):
-    """What an object has besides its shape."""
+    """Pose and number of an object."""
 
     pose: Pose = Field(default_factory=Pose)
     """Where it stands unless `reset` places it."""

@@ -58,6 +58,9 @@ def test_what_is_said_elsewhere_is_no_hyperparameter() -> None:
         ("SAC", "replay: {type: her, n_sampled_goal: 8}", True),
         ("SAC", "replay: hers", False),
         ("PPO", "clip_range: 0.2 -> 0.1", True),
+        ("PPO", "gamma: 98 %", True),
+        ("PPO", "gamma: 101 %", False),
+        ("PPO", "gamma: 98", False),
         ("PPO", "learning_rate: -1e-3", False),
         ("PPO", "learning_rate: 1e-3 -> -1", False),
     ],
@@ -66,3 +69,10 @@ def test_hyperparameters_are_checked_by_their_kind(check: Check, cartpole: str, 
     _, findings = check(cartpole.replace("algorithm: PPO,", f"algorithm: {algorithm}, {entry},"))
     assert (not findings) == sound
     assert len(findings) <= 1
+
+
+def test_a_percentage_becomes_a_number(check: Check, cartpole: str) -> None:
+    scenario, _ = check(cartpole.replace("algorithm: PPO,", "algorithm: PPO, gamma: 57 %,"))
+    assert scenario is not None
+    assert scenario.train is not None
+    assert scenario.train.hyperparameters["gamma"] == 0.57
