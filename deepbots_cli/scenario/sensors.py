@@ -31,10 +31,9 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
 from deepbots_cli.plugins import Table
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size, fields, kind_of, require_kind
+from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size, kind_of, parameters, require_kind
 from deepbots_cli.scenario.fields import (
     Column,
-    FieldType,
     JointName,
     JointNames,
     LinkName,
@@ -361,18 +360,8 @@ class Camera(LinkSensor):
     """What a pixel holds."""
 
 
-_BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
-"""Classes whose parameters the compiler knows."""
-
-
-def parameters(kind: type[Sensor]) -> Iterator[tuple[str, FieldType]]:
-    """The parameters that a kind has beyond those of its base, with their field types: the compiler hands them on to the reader."""
-    known = {name for base in kind.__mro__ if base in _BASES for name in getattr(base, "model_fields", ())}
-    for name, shape in fields(kind).items():
-        if name not in known:
-            if not isinstance(shape, FieldType):
-                raise ValueError(f"{kind.__name__}.{name} is no single value")
-            yield name, shape
+BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
+"""Classes whose parameters the compiler knows; it hands others on to the reader."""
 
 
 def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
@@ -384,7 +373,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
     if not (isinstance(kind, type) and issubclass(kind, (JointSensor, LinkSensor, ContactSensor))):
         raise ValueError(f"{kind!r} is no subclass of JointSensor, LinkSensor or ContactSensor")
     require_kind(name, kind, kind.reader)
-    list(parameters(kind))
+    list(parameters(kind, *BASES))
     yield name, kind
 
 
