@@ -1,6 +1,7 @@
 """Plug-ins: what other installed packages add to the tables of deepbots, by entry points.
 
     deepbots.sensors      a class of `scenario.sensors`, under the word of its `type`
+    deepbots.actuators    a class of `scenario.actuators`, under the word of its `type`
     deepbots.functions    one or several `expressions.functions.Function`
     deepbots.formats      a `message_formats.MessageFormat`, under its name
     deepbots.rules        one or several `rules.LintRule`

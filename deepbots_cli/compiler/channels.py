@@ -1,12 +1,15 @@
-"""Channels and disturbances: latency, loss and range of messages, repeated draws, and pushes while an episode runs."""
+"""Draws within an episode: parameters, latency, loss and range of messages, and pushes."""
 
 from __future__ import annotations
+
+from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.diagnostics import Span
+from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.types import Context, Invocation, Kind, Redraw, Stage, Typed, children
+from deepbots_cli.expressions.types import Context, Invocation, Kind, Redraw, Stage, Symbol, Typed, walk
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program.resets import Disturbance
 from deepbots_cli.program.robots import Direction, Route
@@ -17,6 +20,34 @@ from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
 
 
+class Parameters:
+    """The parameters: those that are fixed are folded into expressions, the others are drawn."""
+
+    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+        self._spec = spec
+        self._namespace = namespace
+        self._drawn: dict[str, Expression] = {}
+        for name in spec.parameters:
+            namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name))
+
+    def drawn(self) -> tuple[Expression, ...]:
+        """Each after those that it is made of."""
+        return tuple(self._drawn[name] for name in self._namespace.order if name in self._drawn)
+
+    def _parameter(self, name: str) -> Symbol:
+        values, text = self._namespace.values, self._namespace.values.field(self._spec, "parameters", name)
+        checked = values.drawn(text, self._namespace.scope(Context.PARAMETER))
+        if checked is None or not is_repeated_as_a_whole(checked.value, checked.redraw, text, values):
+            return Symbol(name, None)
+        typed = checked.value
+        unification.warn_of_degrees(typed, values.report(text))
+        if typed.type.stage is Stage.FIXED:
+            fixed = values.fixed(typed, text, f"`{name}`")
+            return Symbol(name, typed.type if fixed is not None else None, fixed)
+        self._drawn[name] = text.expression(typed, redraw=checked.redraw)
+        return Symbol(name, typed.type)
+
+
 def route(spec: Scenario, direction: Direction, namespace: Namespace) -> Route:
     """What `messages.to_robot` or `messages.from_robot` says."""
     given: RouteSpec = getattr(spec.messages, direction)
@@ -25,15 +56,15 @@ def route(spec: Scenario, direction: Direction, namespace: Namespace) -> Route:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot at once"
         values.findings.add("DB407", values.key_span(given.path), f"`{direction}` without messages", help=help)
         return Route()
-    latency, loss, range_ = (_figure(given, name, namespace) for name in ("latency", "loss", "range"))
+    latency, loss, range_ = (_setting(given, name, namespace) for name in ("latency", "loss", "range"))
     burst = namespace.fixed(given, "burst", scope=namespace.scope(Context.FIELD))
     if burst is not None and loss is not None:
         _check_burst(burst, loss, values.field(given, "burst").span, values)
     return Route(latency, loss, burst, range_, given.order, given.on_loss)
 
 
-def _figure(given: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
-    """A figure of a route, where the file gives it. One that may be new in every step may say how often its draws are repeated."""
+def _setting(given: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
+    """A setting of a route, where the file gives it. One that may be new in every step may say how often its draws are repeated."""
     if name not in given.model_fields_set or getattr(given, name) is None:
         return None
     values, text, what = namespace.values, namespace.values.field(given, name), f"`{name}`"
@@ -81,9 +112,7 @@ def _has_period(redraw: Redraw | None, text: Text, values: Values) -> bool:
 
 
 def _draws(value: Typed) -> bool:
-    if isinstance(value, Invocation) and FUNCTIONS[value.function].family is Family.DRAW:
-        return True
-    return any(_draws(part) for part in children(value))
+    return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(value))
 
 
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
-from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compiler.namespace import Default, Known, Namespace, Origin, RobotScope, SupervisorScope
 from deepbots_cli.compiler.robots import (
     RobotScene,
     carries,
@@ -18,171 +17,24 @@ from deepbots_cli.compiler.robots import (
     joint_dimension,
     joint_interval,
     joint_missing,
-    joints_of,
-    links_of,
     unmatched,
+    warn_beyond,
 )
 from deepbots_cli.compiler.sensing import Sensing
-from deepbots_cli.compiler.values import Text, Values, figure, figures
-from deepbots_cli.diagnostics import Edit, Fix
+from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, UNITS, Dimension, Unit
+from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, exact
-from deepbots_cli.expressions.types import SPACE, Components, Context, Reference, Stage, Symbol, Type, walk
-from deepbots_cli.program.robots import Actuator, Cartesian, Command, MessageField, Motor, MotorKind, Response, Robot, Route, Thrust
+from deepbots_cli.expressions.types import Components, Context, Reference, Stage, Symbol, Type, walk
+from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionPart, ActionRange
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.actuators import Actuator as ActuatorSpec
-from deepbots_cli.scenario.actuators import Cartesian as CartesianSpec
-from deepbots_cli.scenario.actuators import Gripper, PositionMotor, VelocityMotor
-from deepbots_cli.scenario.actuators import Motor as MotorSpec
-from deepbots_cli.scenario.actuators import Thrust as ThrustSpec
-
-_NUMBER = re.compile(r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?")
-_DIGITS = 4
-
-
-class Confines:
-    """What the robot file allows a figure that is written in `text`."""
-
-    def __init__(self, values: Values, text: Text, dimension: Dimension, allowed: Interval) -> None:
-        self._values = values
-        self._text = text
-        self._allowed = allowed
-        tree = values.parsed(text)
-        self._figures = list(_figures(tree)) if tree else []
-        units = [figure.unit for figure in self._figures if figure.unit is not None and figure.unit.dimension == dimension]
-        self._unit = units[0] if units else UNITS["deg"] if dimension == ANGLE else Unit(str(dimension), dimension)
-
-    def report(self, what: str, found: Interval, help: str) -> None:
-        """A warning that `what` is `found`, which is not all within what is allowed."""
-        limits = self._allowed if self._allowed.low > -math.inf else Interval(self._allowed.high, self._allowed.high)
-        headline = f"{what} {self._shown(found)} {self._unit.text}, where the robot file allows {self._shown(limits)}"
-        self._values.findings.add("DB304", self._text.span, headline, help=help, fix=self._within())
-
-    def _shown(self, known: Interval) -> str:
-        low, high = (f"{end / self._unit.to_si(1.0):.{_DIGITS}g}" for end in known)
-        return low if low == high else f"{low} .. {high}"
-
-    def _within(self) -> Fix | None:
-        """Each figure at the limit that it is beyond; None where they stand for something else, or none would be left to draw from."""
-        kept = [self._held(limit) for limit in self._figures]
-        if not kept or (len(kept) > 1 and kept[0] >= kept[1]):
-            return None
-        edits = []
-        for limit, value in zip(self._figures, kept, strict=True):
-            written = _NUMBER.match(self._text.text, limit.start)
-            if written is None:
-                return None
-            span = self._text.part(*written.span())
-            if span.text != written.group():
-                return None
-            if value != limit.value:
-                edits.append(Edit(span, f"{value:.{_DIGITS}g}"))
-        return Fix(tuple(edits), safe=False) if edits else None
-
-    def _held(self, figure: syntax.Number) -> float:
-        one = figure.unit.to_si(1.0) if figure.unit else 1.0
-        low, high = (end / one for end in self._allowed)
-        return _rounded(low, math.ceil) if figure.value < low else _rounded(high, math.floor) if figure.value > high else figure.value
-
-
-def _figures(tree: syntax.Node) -> Iterator[syntax.Number]:
-    """The numbers of a text that holds a single figure, or the two ends that one is drawn from; otherwise none."""
-    match tree:
-        case syntax.Number():
-            yield tree
-        case syntax.Call(function="uniform", args=(syntax.Range(low=syntax.Number() as low, high=syntax.Number() as high),)):
-            yield from (low, high)
-
-
-def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
-    """A limit to a few digits, and not beyond itself."""
-    near = float(f"{limit:.{_DIGITS}g}")
-    if math.isclose(near, limit, rel_tol=1e-9) or limit == 0.0:
-        return near
-    digits = _DIGITS - 1 - math.floor(math.log10(abs(limit)))
-    scale = 10.0**digits
-    return inwards(limit * scale) / scale
-
+from deepbots_cli.scenario import actuators as specs
+from deepbots_cli.scenario.base import parameters
 
 Limits = tuple[float | None, ...]
-
-
-class ActuatorLimits:
-    """Reads figures of the actuator called `name`; what an episode draws anew becomes a variation `actuator_...` of it."""
-
-    def __init__(self, robot: str, name: str, namespace: Namespace) -> None:
-        self.place: Path = ("robots", robot, "actuators", name)
-        self._of = (robot, name)
-        self._namespace = namespace
-        self._values = namespace.values
-        self.scope = ParameterScope(namespace, Context.FIELD)
-
-    def response(self, spec: ActuatorSpec, parts: tuple[str, ...]) -> Response:
-        """Strength is drawn for each of the parts, delay and lag for all of them together."""
-        strength = self.each("strength", spec.strength, NUMBER, parts)
-        delay, lag = (self._single(key, getattr(spec, key), TIME) for key in ("delay", "lag"))
-        return Response(1.0 if strength is None else strength, delay or 0.0, lag or 0.0)
-
-    def max_torque(self, given: object, joints: tuple[Joint, ...]) -> Limits:
-        """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
-        own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_of(joints[0])
-        found = self.each("max_torque", given, effort, tuple(joint.name for joint in joints))
-        if found is None:
-            return own
-        drawn = self._namespace.variations[known:]
-        self._compare("max_torque", drawn[0].value.typed.type.interval.high if drawn else found, effort, own)
-        self._namespace.variations[known:] = [replace(varied, max=own) for varied in drawn]
-        return _tighter(own, found)
-
-    def max_velocity(self, given: object, joints: tuple[Joint, ...]) -> Limits:
-        """The same for velocities, which are not drawn."""
-        own = tuple(joint.limit.velocity for joint in joints)
-        if given is None:
-            return own
-        rate = joint_dimension(joints[0]) / TIME
-        found = self._values.number((*self.place, "max_velocity"), given, rate, self.scope)
-        if found is None:
-            return own
-        self._compare("max_velocity", found, rate, own)
-        return _tighter(own, found)
-
-    def number(self, key: str, given: object, dimension: Dimension) -> float | None:
-        """A fixed figure; None where none is given, and after a finding."""
-        return None if given is None else self._values.number((*self.place, key), given, dimension, self.scope)
-
-    def each(self, key: str, given: object, dimension: Dimension, parts: tuple[str, ...]) -> float | None:
-        """A figure of all parts alike, or one that every episode draws anew for each of them."""
-        place = (*self.place, key)
-        found = figures(self._namespace, place, given, dimension, self.scope, f"actuator_{key}", self._of, None, parts)
-        return found[0] if found else None
-
-    def _single(self, key: str, given: object, dimension: Dimension) -> float | None:
-        return figure(self._namespace, (*self.place, key), given, dimension, self.scope, f"actuator_{key}", self._of)
-
-    def _compare(self, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
-        """DB304 for a limit that the robot file undercuts for every joint."""
-        known = [most for most in own if most is not None]
-        if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
-            place = (*self.place, key)
-            confines = Confines(self._values, self._values.text(place), dimension, Interval(-math.inf, max(known)))
-            help = f"that of the robot file holds: lower this one, or raise `{key}` under `joints` if the motor can do more"
-            confines.report("a limit of", exact(limit), help)
-
-
-def _tighter(own: Limits, found: float) -> Limits:
-    return tuple(found if most is None else min(found, most) for most in own)
-
-
-_KINDS: dict[str, MotorKind] = {
-    "velocity_motor": "velocity_motor",
-    "position_motor": "position_motor",
-    "torque_motor": "torque_motor",
-}
 
 
 class ResolvedActuator(NamedTuple):
@@ -195,15 +47,12 @@ class ResolvedActuator(NamedTuple):
     """Of a gripper: the position of its joints at a command of 0, and at 1."""
 
 
-def driven_parts(scene: RobotScene, spec: ActuatorSpec) -> Components | None:
+def driven_parts(scene: RobotScene, spec: specs.Actuator) -> Components | None:
     """The components of a command to the actuator, without findings; None where there are none."""
-    if isinstance(spec, CartesianSpec):
-        return SPACE
-    if isinstance(spec, ThrustSpec):
-        found, _ = expand(scene.link_names, spec.links or spec.link or (), scene.groups)
-    else:
-        patterns = getattr(spec, "joints", None) or getattr(spec, "joint", None) or ()
-        found, _ = expand([joint.name for joint in scene.model.moving_joints], patterns, scene.groups)
+    if spec.components:
+        return spec.components
+    key, known = ("link", scene.link_names) if isinstance(spec, specs.Thrust) else ("joint", [j.name for j in scene.model.moving_joints])
+    found, _ = expand(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), scene.groups)
     return found or None
 
 
@@ -218,123 +67,177 @@ class Actuators:
     def read(self, name: str) -> ResolvedActuator | None:
         """The actuator called `name`; None after a finding. One without a command varies nothing."""
         spec = self._scene.spec.actuators[name]
-        figures = ActuatorLimits(self._scene.name, name, self._namespace)
         varied = len(self._namespace.variations)
         match spec:
-            case MotorSpec():
-                driven = self._motor(name, spec, figures)
-            case ThrustSpec():
-                driven = self._thrust(name, spec, figures)
-            case CartesianSpec():
-                driven = self._cartesian(name, spec, figures)
-            case Gripper():
-                driven = self._gripper(name, spec, figures)
+            case specs.JointActuator():
+                driven = self._motor(name, spec)
+            case specs.Thrust():
+                driven = self._thrust(name, spec)
+            case specs.Cartesian():
+                driven = self._cartesian(name, spec)
+            case specs.Gripper():
+                driven = self._gripper(name, spec)
             case _:
                 raise TypeError(f"{type(spec).__name__} is in no table")
         if name not in self._scene.spec.apply:
             del self._namespace.variations[varied:]
         return driven
 
-    def _motor(self, name: str, spec: MotorSpec, figures: ActuatorLimits) -> ResolvedActuator | None:
-        joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
+    def _motor(self, name: str, spec: specs.JointActuator) -> ResolvedActuator | None:
+        joints = self._scene.joints_of(spec, self._values)
         if not joints:
             return None
-        names, effort, position = tuple(joint.name for joint in joints), effort_of(joints[0]), joint_dimension(joints[0])
-        max_torque, rate = figures.max_torque(spec.max_torque, joints), position / TIME
-        max_velocity = figures.max_velocity(spec.max_velocity if isinstance(spec, (VelocityMotor, PositionMotor)) else None, joints)
-        if isinstance(spec, PositionMotor) and spec.stiffness is not None and spec.max_velocity is None:
-            max_velocity = (None,) * len(joints)  # a spring pulls as it is said to, and its torque is what bounds it
-        max_acceleration = stiffness = damping = None
-        if isinstance(spec, VelocityMotor):
-            max_acceleration = figures.number("max_acceleration", spec.max_acceleration, rate / TIME)
-        if isinstance(spec, PositionMotor):
-            stiffness = figures.each("stiffness", spec.stiffness, effort / position, names)
-            damping = figures.each("damping", spec.damping, effort / rate, names)
-            if spec.damping is not None and spec.stiffness is None:
-                headline, help = "a damping without a stiffness", "give `stiffness` too, or leave both to the servo of the engine"
-                self._values.findings.add("DB102", self._values.key_span((*figures.place, "damping")), headline, help=help)
-        kind, response = _KINDS[spec.type], figures.response(spec, names)
-        motor = Motor(name, kind, names, max_torque, max_velocity, stiffness, damping, max_acceleration, response)
-        dimension = {"velocity_motor": rate, "position_motor": position, "torque_motor": effort}[kind]
+        names, dimension = tuple(joint.name for joint in joints), spec.dimension_of(joints[0])
+        max_torque, max_velocity = self._max_torque(spec, joints), self._max_velocity(spec, joints)
+        motor: Actuator
+        match spec:
+            case specs.VelocityMotor():
+                acceleration = self._namespace.fixed(spec, "max_acceleration", dimension=dimension / TIME)
+                motor = Motor(
+                    name, spec.type, names, max_torque, max_velocity, max_acceleration=acceleration, response=self._response(spec, names)
+                )
+            case specs.PositionMotor():
+                effort = effort_of(joints[0])
+                stiffness = self._varied(spec, "stiffness", None, dimension=effort / dimension, spread=names)
+                damping = self._varied(spec, "damping", None, dimension=effort * TIME / dimension, spread=names)
+                if spec.damping is not None and spec.stiffness is None:
+                    span, help = (
+                        self._values.key_span((*spec.path, "damping")),
+                        "give `stiffness` too, or leave both to the servo of the engine",
+                    )
+                    self._values.findings.add("DB102", span, "a damping without a stiffness", help=help)
+                motor = Motor(name, spec.type, names, max_torque, max_velocity, stiffness, damping, response=self._response(spec, names))
+            case specs.TorqueMotor():
+                motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
+            case _:
+                slides = joint_dimension(joints[0]) == LENGTH
+                own = self._namespace.parameters(spec, parameters(type(spec), specs.JointActuator), dimension, slides=slides)
+                if own is None:
+                    return None
+                low, high = (end if math.isfinite(end) else None for end in spec.interval)
+                response = self._response(spec, names)
+                motor = CustomActuator(name, spec.type, names, max_torque, max_velocity, spec.drive, own, low, high, response)
         return ResolvedActuator(motor, dimension, names if len(names) > 1 or spec.joints is not None else None)
 
-    def _cartesian(self, name: str, spec: CartesianSpec, figures: ActuatorLimits) -> ResolvedActuator | None:
-        joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
-        if spec.link not in self._scene.link_names:
-            self._values.unknown(self._values.span((*figures.place, "link")), "link", spec.link, self._scene.link_names)
+    def _cartesian(self, name: str, spec: specs.Cartesian) -> ResolvedActuator | None:
+        joints = self._scene.joints_of(spec, self._values)
+        links = self._scene.links_of(spec, self._values)
+        rpy = self._namespace.triple(spec, "rpy")
+        if not links or not joints or (spec.rpy is not None and rpy is None):
             return None
-        rpy = None if spec.rpy is None else self._values.numbers((*figures.place, "rpy"), spec.rpy, ANGLE, SPACE, figures.scope)
-        if not joints or (spec.rpy is not None and rpy is None):
-            return None
-        moving = {joint.name for joint in self._scene.model.moving_joints if carries(self._scene.model, joint, spec.link)}
-        idle = [joint.name for joint in joints if joint.name not in moving]
+        model = self._scene.model
+        idle = [joint.name for joint in joints if not carries(model, joint, spec.link)]
         if idle:
             headline, help = f"the joint `{idle[0]}` does not move `{spec.link}`", "name the joints between the base and the link"
-            self._values.findings.add("DB203", self._values.span((*figures.place, "joints")), headline, help=help)
+            self._values.findings.add("DB203", self._values.span((*spec.path, "joints")), headline, help=help)
             return None
         names = tuple(joint.name for joint in joints)
-        limits = figures.max_torque(spec.max_torque, joints), figures.max_velocity(spec.max_velocity, joints)
-        attitude = None if rpy is None else (rpy[0], rpy[1], rpy[2])
-        return ResolvedActuator(Cartesian(name, spec.link, names, attitude, *limits, figures.response(spec, names)), LENGTH, SPACE)
+        limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
+        return ResolvedActuator(
+            Cartesian(name, spec.link, names, rpy, *limits, self._response(spec, names)), spec.dimension, spec.components
+        )
 
-    def _gripper(self, name: str, spec: Gripper, figures: ActuatorLimits) -> ResolvedActuator | None:
+    def _gripper(self, name: str, spec: specs.Gripper) -> ResolvedActuator | None:
         """A servo whose command is how far it is open."""
-        joints = joints_of(self._values, self._scene.model, self._scene.groups, spec, figures.place)
+        joints = self._scene.joints_of(spec, self._values)
         if not joints:
             return None
         position = joint_dimension(joints[0])
-        closed, open_ = (figures.number(key, getattr(spec, key), position) for key in ("closed", "open"))
+        closed, open_ = (self._namespace.fixed(spec, key, dimension=position) for key in ("closed", "open"))
         names = tuple(joint.name for joint in joints)
-        limits = figures.max_torque(spec.max_torque, joints), figures.max_velocity(None, joints)
-        motor = Motor(name, "position_motor", names, *limits, response=figures.response(spec, names))
+        limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
+        motor = Motor(name, "position_motor", names, *limits, response=self._response(spec, names))
         if closed is None or open_ is None:
             return None
         for key, end in (("closed", closed), ("open", open_)):
-            self._check_reach((*figures.place, key), end, joints)
-        return ResolvedActuator(motor, NUMBER, None, (closed, open_))
+            self._check_reach(spec, key, end, joints)
+        return ResolvedActuator(motor, spec.dimension, None, (closed, open_))
 
-    def _check_reach(self, place: Path, position: float, joints: tuple[Joint, ...]) -> None:
+    def _check_reach(self, spec: specs.Gripper, key: str, position: float, joints: tuple[Joint, ...]) -> None:
         """DB304 for a position that a joint cannot take."""
         for joint in joints:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
-                confines = Confines(self._values, self._values.text(place), joint_dimension(joint), reach)
-                confines.report("a position of", exact(position), f"keep to the limits of `{joint.name}`")
+                text, help = self._values.field(spec, key), f"keep to the limits of `{joint.name}`"
+                warn_beyond(self._values, text, joint_dimension(joint), reach, "a position of", exact(position), help)
                 return
 
-    def _thrust(self, name: str, spec: ThrustSpec, figures: ActuatorLimits) -> ResolvedActuator | None:
-        links = links_of(self._values, self._scene.link_names, self._scene.groups, spec, figures.place)
-        text = self._values.text((*figures.place, "range"), spec.range)
-        ends = self._values.ends(text, "the range of a thrust", figures.scope, dimension=FORCE)
-        drag = figures.number("drag", spec.drag, LENGTH)
-        response = figures.response(spec, links)
-        spin = self._spin(spec, links, figures)
+    def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
+        links = self._scene.links_of(spec, self._values)
+        ends = self._namespace.ends(spec, "range", what="the range of a thrust")
+        drag = self._namespace.fixed(spec, "drag") or 0.0
+        response = self._response(spec, links)
+        spin = self._spin(spec, links)
         if not links or ends is None or spin is None:
             return None
-        thrust = Thrust(name, links, ends.low[0], ends.high[0], drag or 0.0, spin, response)
-        return ResolvedActuator(thrust, FORCE, links if len(links) > 1 or spec.links is not None else None)
+        thrust = Thrust(name, links, ends.low[0], ends.high[0], drag, spin, response)
+        return ResolvedActuator(thrust, spec.dimension, links if len(links) > 1 or spec.links is not None else None)
 
-    def _spin(self, spec: ThrustSpec, links: tuple[str, ...], figures: ActuatorLimits) -> tuple[float, ...] | None:
-        """The sense of each link, from one figure for all or from patterns; None after a finding."""
+    def _spin(self, spec: specs.Thrust, links: tuple[str, ...]) -> tuple[float, ...] | None:
+        """The sense of each link, from one number for all or from patterns; None after a finding."""
         if not isinstance(spec.spin, dict):
-            found = figures.number("spin", spec.spin, NUMBER)
+            found = self._namespace.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
             return None if found is None else (found,) * len(links)
         senses: dict[str, float | None] = {}
         unknown = False
-        place = (*figures.place, "spin")
-        for pattern, given in spec.spin.items():
+        for pattern in spec.spin:
             members, missing = expand(links, pattern, self._scene.groups)
             unknown = unknown or bool(missing)
             if missing and links:
-                unmatched(self._values, self._values.key_span((*place, pattern)), pattern, "link", links)
-            sense = self._values.number((*place, pattern), given, NUMBER, figures.scope)
-            senses |= dict.fromkeys(members, sense)
+                unmatched(self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links)
+            senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
-            headline, help = f"no spin for `{open_[0]}`", "give 1 or -1 for each link"
-            self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
+            span, headline = self._values.key_span((*spec.path, "spin")), f"no spin for `{open_[0]}`"
+            self._values.findings.add("DB102", span, headline, help="give 1 or -1 for each link")
         found_all = [sense for link in links if (sense := senses.get(link)) is not None]
         return tuple(found_all) if len(found_all) == len(links) else None
+
+    # Limits and response
+
+    def _response(self, spec: specs.Actuator, parts: tuple[str, ...]) -> Response:
+        """Strength is drawn for each of the parts, delay and lag for all of them together."""
+        return Response(self._varied(spec, "strength", 1.0, spread=parts), self._varied(spec, "delay", 0.0), self._varied(spec, "lag", 0.0))
+
+    def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
+        """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
+        own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_of(joints[0])
+        found = self._varied(spec, "max_torque", None, dimension=effort, spread=tuple(joint.name for joint in joints))
+        if found is None:
+            return own
+        drawn = self._namespace.variations[known:]
+        self._compare(spec, "max_torque", drawn[0].value.typed.type.interval.high if drawn else found, effort, own)
+        self._namespace.variations[known:] = [replace(varied, max=own) for varied in drawn]
+        return _tighter(own, found)
+
+    def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
+        """The same for velocities, which are not drawn."""
+        own = tuple(joint.limit.velocity for joint in joints)
+        if getattr(spec, "max_velocity", None) is None:
+            # A spring pulls as it is said to, and its torque is what bounds it.
+            return (None,) * len(joints) if isinstance(spec, specs.PositionMotor) and spec.stiffness is not None else own
+        rate = joint_dimension(joints[0]) / TIME
+        found = self._namespace.fixed(spec, "max_velocity", dimension=rate)
+        if found is None:
+            return own
+        self._compare(spec, "max_velocity", found, rate, own)
+        return _tighter(own, found)
+
+    def _varied(self, spec: specs.Actuator, key: str, default: Default, **known: Unpack[Known]) -> float | Default:
+        """A value that an episode may draw."""
+        return self._namespace.varied(spec, key, f"actuator_{key}", (self._scene.name, str(spec.path[-1])), default, **known)
+
+    def _compare(self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
+        """DB304 for a limit that the robot file undercuts for every joint."""
+        known = [most for most in own if most is not None]
+        if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
+            text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
+            help = f"that of the robot file holds: lower this one, or raise `{key}` under `joints` if the motor can do more"
+            warn_beyond(self._values, text, dimension, allowed, "a limit of", exact(limit), help)
+
+
+def _tighter(own: Limits, found: float) -> Limits:
+    return tuple(found if most is None else min(found, most) for most in own)
 
 
 def poses(scene: RobotScene, namespace: Namespace) -> dict[str, Symbol]:
@@ -343,26 +246,25 @@ def poses(scene: RobotScene, namespace: Namespace) -> dict[str, Symbol]:
 
 
 def _pose(name: str, scene: RobotScene, namespace: Namespace) -> Symbol:
-    values, scope = namespace.values, ParameterScope(namespace, Context.FIXED)
-    moving = [joint.name for joint in scene.model.moving_joints]
+    values, moving = namespace.values, [joint.name for joint in scene.model.moving_joints]
     positions: dict[str, float] = {}
     sound = True
-    for pattern, given in scene.spec.poses[name].items():
-        place: Path = ("robots", scene.name, "poses", name, pattern)
+    for pattern in scene.spec.poses[name]:
         joints, missing = expand(moving, pattern, scene.groups)
         if missing:
-            joint_missing(values, values.key_span(place), pattern, scene.model)
-        position = values.number(place, given, joint_dimension(scene.model.joint(joints[0])), scope) if joints else None
+            joint_missing(values, values.key_span((*scene.spec.path, "poses", name, pattern)), pattern, scene.model)
+        dimension = joint_dimension(scene.model.joint(joints[0])) if joints else None
+        position = namespace.fixed(scene.spec, "poses", name, pattern, dimension=dimension) if joints else None
         sound = sound and position is not None
         positions |= dict.fromkeys(joints, position or 0.0)
     dimensions = {joint_dimension(scene.model.joint(joint)) for joint in positions}
     if len(dimensions) > 1:
-        place = ("robots", scene.name, "poses", name)
-        values.findings.add("DB404", values.key_span(place), "turning and sliding joints in one pose", help="make a pose of each")
+        span = values.key_span((*scene.spec.path, "poses", name))
+        values.findings.add("DB404", span, "turning and sliding joints in one pose", help="make a pose of each")
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
-    figures = tuple(positions.values())
-    return Symbol(name, Type(dimensions.pop(), tuple(positions), interval=Interval(min(figures), max(figures))), figures)
+    known = tuple(positions.values())
+    return Symbol(name, Type(dimensions.pop(), tuple(positions), interval=Interval(min(known), max(known))), known)
 
 
 @dataclass(eq=False)

@@ -10,24 +10,41 @@ section, and dimension, components and stage from the annotation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path as FilePath
-from types import MappingProxyType
-from typing import NamedTuple, TypedDict, TypeVar, Unpack
+from typing import TypedDict, TypeVar, Unpack
 
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.values import ANY, Ends, Text, Values, varied
+from deepbots_cli.compiler.values import ANY, Ends, Text, Values
 from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
-from deepbots_cli.expressions.types import Components, Context, Kind, Scope, Stage, Subject, Symbol, Type, Typed
+from deepbots_cli.expressions.types import (
+    Components,
+    Constant,
+    Context,
+    Invocation,
+    Kind,
+    Scope,
+    Stage,
+    Subject,
+    Symbol,
+    Type,
+    Typed,
+    Vector,
+    zero,
+)
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect
 from deepbots_cli.program.resets import Group, RandomizedParameter
-from deepbots_cli.program.values import Expression
+from deepbots_cli.program.robots import Parameter
+from deepbots_cli.program.values import Expression, Noise
+from deepbots_cli.program.world import Colour
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import Quantity, Range, si
+from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, si
 
 _SHOWN = 12
 Default = TypeVar("Default")
@@ -40,6 +57,7 @@ class Known(TypedDict, total=False):
     components: Components | None
     scope: Scope
     stage: Stage
+    spread: Components | None
 
 
 class Origin(Enum):
@@ -91,7 +109,7 @@ class Namespace:
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[RandomizedParameter] = []
-        """Figures that are drawn anew in every episode, in the order in which they were found."""
+        """Values that are drawn anew in every episode, in the order in which they were found."""
         self.colours: list[RandomizedParameter] = []
         """The same for colours."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}
@@ -106,8 +124,8 @@ class Namespace:
 
     # Fields of the scenario: their annotations tell dimension, components and the stage by which they are settled
 
-    def scope(self, context: Context) -> ParameterScope:
-        return ParameterScope(self, context)
+    def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
+        return ParameterScope(self, context, own or {})
 
     def typed(self, text: Text, what: str | None = None, **known: Unpack[Known]) -> Typed | None:
         """The tree of a quantity; None after a finding, which calls the field `what`."""
@@ -119,27 +137,40 @@ class Namespace:
         typed = self.typed(text, **known) if text else None
         return text.expression(typed) if text and typed else None
 
-    def figures(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, ...] | None:
+    def numbers(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, ...] | None:
         """The SI values of a fixed field; None where none is given, and after a finding.
 
         With a later `stage` the language lets the field vary, and a finding says that this does not run yet.
         """
         text = self._given(section, steps)
-        return self.values.settled(text, *self._asked(text, {"stage": Stage.FIXED, **known})) if text else None
+        if text is None:
+            return None
+        scope, dimension, components, stage = self._asked(text, {"stage": Stage.FIXED, **known})
+        called = f"`{text.path[-1]}`"
+        typed = self.values.quantity(text, called, scope, dimension, components, stage)
+        if typed is not None and typed.type.stage is not Stage.FIXED:
+            self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed figure")
+            return None
+        return self._folded(typed, text, len(components or ("",))) if typed else None
+
+    def _folded(self, typed: Typed, text: Text, count: int) -> tuple[float, ...] | None:
+        """The values of a fixed tree; a single one stands for all of `count`."""
+        fixed = self.values.fixed(typed, text, f"`{text.path[-1]}`")
+        return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
 
     def fixed(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> float | None:
         """The same for a single value."""
-        found = self.figures(section, *steps, **known)
+        found = self.numbers(section, *steps, **known)
         return found[0] if found else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
         """The same in the plane."""
-        found = self.figures(section, *steps)
+        found = self.numbers(section, *steps)
         return (found[0], found[1]) if found else None
 
     def triple(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, float, float] | None:
         """The same in space."""
-        found = self.figures(section, *steps, **known)
+        found = self.numbers(section, *steps, **known)
         return (found[0], found[1], found[2]) if found else None
 
     def varied(
@@ -147,8 +178,8 @@ class Namespace:
     ) -> float | Default:
         """The SI value of a field that an episode may draw; `default` where none is given, and after a finding.
 
-        `what` is its entry in the table of variations, `of` whose it is. A drawn one is noted there, and the middle of its
-        interval returned.
+        `what` is its entry in the table of variations, `of` whose it is. A drawn value becomes a randomized parameter, and the middle
+        of its interval is returned. With `spread` it is drawn anew for each of these components.
         """
         found = self.all_varied(section, key, what, of, **known)
         return found[0] if found else default
@@ -158,28 +189,130 @@ class Namespace:
         text = self._given(section, (key,))
         if text is None:
             return None
-        scope, dimension, components, _ = self._asked(text, known)
-        return varied(self, text, dimension, scope, what, of, components)
+        called, spread = f"`{key}`", known.get("spread")
+        scope, dimension, components, _ = self._asked(text, {"stage": Stage.EPISODE, **known})
+        components = components or spread
+        typed = self.values.quantity(text, called, scope, dimension, components, Stage.EPISODE)
+        if typed is None or not self._is_bounded(typed, text):
+            return None
+        count = len(components or ("",))
+        # A value that is given again, as for a link that two patterns mean, replaces what was to be drawn.
+        self.variations[:] = [each for each in self.variations if (each.what, each.of) != (what, of)]
+        if typed.type.stage is Stage.FIXED:
+            return self._folded(typed, text, count)
+        value = replace(text.expression(typed, spread=spread), owner=_owner(text, of))
+        self.variations.append(RandomizedParameter(what, of, value, count))
+        ends = [end for end in typed.type.interval if math.isfinite(end)]
+        return (sum(ends) / len(ends) if ends else 0.0,) * count
 
-    def ends(self, section: Section, *steps: str | int, what: str | None = None, **known: Unpack[Known]) -> Ends | None:
-        """The ends of a fixed range; None after a finding."""
+    def _is_bounded(self, typed: Typed, text: Text) -> bool:
+        """Whether a drawn value keeps the bounds of its field: a normal distribution has none."""
+        reach, kind = typed.type.interval, text.kind
+        if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
+            return True
+        end = "least" if kind.minimum is not None and reach.low == -math.inf else "greatest"
+        if end == "greatest" and (kind.maximum is None or reach.high < math.inf):
+            return True
+        help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
+        self.values.findings.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end} value", help=help)
+        return False
+
+    def ends(
+        self, section: Section, *steps: str | int, what: str | None = None, falling: bool = False, **known: Unpack[Known]
+    ) -> Ends | None:
+        """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self.values.field(section, *steps)
         dimension = known.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
-        scope = known.get("scope") or self.scope(Context.FIXED)
-        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=known.get("components"))
+        scope, components = known.get("scope") or self.scope(Context.FIXED), known.get("components")
+        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=components, falling=falling)
+
+    def parameters(
+        self, spec: Section, wanted: Iterable[tuple[str, FieldType]], own: Dimension, *, slides: bool = False
+    ) -> tuple[tuple[str, Parameter], ...] | None:
+        """The `wanted` fields of a sensor or actuator in SI units; None after a finding.
+
+        `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints that slide have the second.
+        """
+        read: dict[str, Parameter] = {}
+        for key, kind in wanted:
+            found = len(self.values.findings)
+            read[key] = None if getattr(spec, key) is None else self._parameter(spec, key, kind, own, slides=slides)
+            if read[key] is None and len(self.values.findings) > found:
+                return None
+        return tuple(read.items())
+
+    def _parameter(self, spec: Section, key: str, kind: FieldType, own: Dimension, *, slides: bool) -> Parameter:
+        given = getattr(spec, key)
+        if not isinstance(kind, (Quantity, Range, Column)) or (isinstance(kind, Quantity) and given in kind.words):
+            return given if isinstance(given, (bool, int, float)) else str(given)
+        dimension = dimension_of(kind.dimension, own, second=slides)
+        if isinstance(kind, Range):
+            ends = self.ends(spec, key, dimension=dimension)
+            return (*ends.low, *ends.high) if ends else None
+        text = self.values.field(spec, key)
+        typed = self.typed(text, dimension=dimension, stage=Stage.FIXED)
+        numbers = self.values.fixed(typed, text, f"`{key}`") if typed else None
+        is_vector = isinstance(kind, Column) or kind.components
+        return None if numbers is None else tuple(map(float, numbers)) if is_vector else float(numbers[0])
+
+    def noise(self, section: Section, of: Typed) -> Noise | None:
+        """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or relative to it with `%`.
+
+        None where none is given, for a deviation of 0, and after a finding.
+        """
+        if "noise" not in section.model_fields_set:
+            return None
+        text = self.values.field(section, "noise")
+        if of.type.boolean or of.type.picture:
+            help = "take it out, or give it to the number behind it"
+            self.values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
+            return None
+        components = of.type.components
+        std = self.typed(text, "the noise", components=components)
+        if std is None or zero(std):
+            return None
+        relative = std.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
+        if not relative:
+            std = expect(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
+        return Noise(text.expression(std, spread=components), relative) if std else None
+
+    def colour(self, section: Section, of: tuple[str, str] | None = None) -> Colour | None:
+        """The `colour` of a section, None where none is given.
+
+        Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and link, `of`; without
+        them, a draw is a finding.
+        """
+        given = getattr(section, "colour", None)
+        if given is None:
+            return None
+        text, options = self.values.field(section, "colour"), [_rgba(word) for word in colour_options(given)]
+        if of is not None:
+            self.colours[:] = [each for each in self.colours if each.of != of]  # as for a link that two patterns mean
+        if len(options) > 1 and of is None:
+            help = "it is the same in every episode; give one colour"
+            self.values.findings.add("DB407", text.span, "a draw of a colour that is fixed", help=help)
+        elif len(options) > 1 and of is not None:
+            single = Type(stage=Stage.EPISODE)
+            ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
+            which = Invocation(single, 0, 0, "integer", (), ends, 0)
+            shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
+            drawn = text.expression(Vector(single, 0, len(text.text), (which, *shades)))
+            self.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
+        return options[0]
 
     def _given(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
         return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
 
     def _asked(self, text: Text, known: Known) -> tuple[Scope, Dimension | None, Components | None, Stage]:
         kind = text.kind
-        assert isinstance(kind, Quantity)  # of nothing else figures are asked for
-        stage = known.get("stage", Stage[kind.stage.upper()])
+        assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
+        axes, own = (kind.axes, kind.stage) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
+        stage = known.get("stage", Stage[own.upper()])
         scope = known.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
-        return scope, known.get("dimension") or kind.si, known.get("components") or kind.axes, stage
+        return scope, known.get("dimension") or si(kind.dimension), known.get("components") or axes, stage
 
     def varies(self, what: str, of: tuple[str, ...]) -> bool:
-        """Whether an episode draws this figure."""
+        """Whether an episode draws this value."""
         return any((known.what, known.of) == (what, of) for known in self.variations)
 
     def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:
@@ -282,44 +415,58 @@ class Namespace:
         return self.values.is_lost(name) or self.values.is_lost(ANY) or (head in self.robots and self.robots[head] is None)
 
 
+def _owner(text: Text, of: tuple[str, ...]) -> str:
+    return ":".join((text.owner, *filter(None, of)))
+
+
+def _rgba(word: str) -> Colour:
+    if word.startswith("#"):
+        return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
+    return (*COLOURS[word], 1.0)
+
+
 _ENDLESS = Interval(0.0, float("inf"))
-_NO_POSES: Mapping[str, Symbol] = MappingProxyType({})
 _FLAGS = ("terminated", "truncated", "ended")
 _ACCOUNTS = ("previous_reward", "episode_return")
 GOAL_IS_LATE = "the goal is settled after the signals, and seen by endings and rewards only"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_ACCOUNTS, *_FLAGS)
 
 
-class ParameterScope(NamedTuple):
-    """Parameters only: for figures of the world, resets, ranges. `poses` are those of the robot whose joints are set."""
+@dataclass(frozen=True)
+class _Scope:
+    """What all scopes share: the parts of the world."""
 
     namespace: Namespace
     context: Context
-    poses: Mapping[str, Symbol] = _NO_POSES
-
-    def lookup(self, name: str) -> Symbol | None:
-        if name in self.poses:
-            return self.poses[name]
-        origin = self.namespace.origin(name)
-        if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
-            return self.namespace.symbol(name)
-        return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
         return self.namespace.subject(name, kinds)
-
-    def names(self) -> Iterable[str]:
-        return [*self.poses, *self.namespace.named(Origin.PARAMETER)]
 
     def subjects(self) -> Iterable[str]:
         return self.namespace.subjects()
 
 
-class SupervisorScope(NamedTuple):
-    """Everything that has a value in a step; endings only where they are known already."""
+@dataclass(frozen=True)
+class ParameterScope(_Scope):
+    """Parameters only: for values of the world, resets, ranges. `own` are names of the place itself, such as poses."""
 
-    namespace: Namespace
-    context: Context
+    own: Mapping[str, Symbol] = field(default_factory=dict)
+
+    def lookup(self, name: str) -> Symbol | None:
+        if name in self.own:
+            return self.own[name]
+        origin = self.namespace.origin(name)
+        if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
+            return self.namespace.symbol(name)
+        return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
+
+    def names(self) -> Iterable[str]:
+        return [*self.own, *self.namespace.named(Origin.PARAMETER)]
+
+
+@dataclass(frozen=True)
+class SupervisorScope(_Scope):
+    """Everything that has a value in a step; endings only where they are known already."""
 
     def lookup(self, name: str) -> Symbol | None:
         if (built_in := self._built_in(name)) is not None:
@@ -351,23 +498,16 @@ class SupervisorScope(NamedTuple):
             return Symbol(name, None, refused=None if self.namespace.is_broken("goal") else "this scenario has no `goal`")
         return None
 
-    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        return self.namespace.subject(name, kinds)
-
     def names(self) -> Iterable[str]:
         known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
         endings = [Origin.ENDING] if self.context in (Context.REWARD, Context.ENDING) else []
         return [*self.namespace.named(*known, *endings), "time", "step", *_ACCOUNTS, *self.namespace.built_in]
 
-    def subjects(self) -> Iterable[str]:
-        return self.namespace.subjects()
 
-
-class RobotScope(NamedTuple):
+@dataclass(frozen=True)
+class RobotScope(_Scope):
     """What one robot knows on board. `own` holds its sensors, received fields and poses by name."""
 
-    namespace: Namespace
-    context: Context
     robot: str
     own: dict[str, Symbol]
 
@@ -390,11 +530,5 @@ class RobotScope(NamedTuple):
             return Symbol(name, None, refused=f"robot `{self.robot}` sees only its own sensors; send it under `receive` if it must know")
         return self.namespace.symbol(name)
 
-    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        return self.namespace.subject(name, kinds)
-
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.named(Origin.PARAMETER)]
-
-    def subjects(self) -> Iterable[str]:
-        return self.namespace.subjects()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import atan2, hypot, pi
 
@@ -94,7 +94,7 @@ def _check_top(place: Placement, spot: Top, standing: Mapping[str, Placement], w
         notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
         add("DB207", span, f"`{place.body}` stands on itself", help="let one of them stand on the ground", notes=notes)
         return
-    if any(_figure(support, turn) != 0.0 for turn in ("roll", "pitch")):
+    if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
         add("DB203", span, f"the top of `{spot.of}` is not level", help="let it stand upright, without `roll` and `pitch`")
         return
     kinds = _footprints_of(place, world, namespace)
@@ -156,7 +156,7 @@ def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
     if place is None:  # a piece of a wall
         (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
         return footprint.of_shape(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
-    height = -low[2] if place.rests else _figure(place, "z")
+    height = -low[2] if place.rests else _coordinate(place, "z")
     if _is_tilted(place) or height is None or height + high[2] < 1e-6:
         return None
     return _patch(place, footprint.of_shape(thing.shape))
@@ -164,12 +164,12 @@ def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
 
 def _patch(place: Placement, covered: Footprint) -> Patch | None:
     """What a body covers that stands upright at fixed coordinates; None where they are drawn."""
-    x, y, yaw = (_figure(place, key) for key in ("x", "y", "yaw"))
+    x, y, yaw = (_coordinate(place, key) for key in ("x", "y", "yaw"))
     yaw = 0.0 if covered.half is None else yaw
     return None if place.spot is not None or x is None or y is None or yaw is None else covered.at(x, y, yaw + place.heading)
 
 
-def _figure(place: Placement, key: str) -> float | None:
+def _coordinate(place: Placement, key: str) -> float | None:
     """A coordinate in m or rad; None where it is drawn."""
     coordinate = place.coordinates.get(key)
     if coordinate is None:
@@ -179,12 +179,12 @@ def _figure(place: Placement, key: str) -> float | None:
 
 
 def _is_tilted(place: Placement) -> bool:
-    return any(_figure(place, turn) != 0.0 for turn in ("roll", "pitch"))
+    return any(_coordinate(place, turn) != 0.0 for turn in ("roll", "pitch"))
 
 
 def _turn_between(place: Placement, support: Placement) -> float | None:
     """By how much a body is turned against what it stands on, rad; None where that is drawn."""
-    yaw, below = _figure(place, "yaw"), _figure(support, "yaw")
+    yaw, below = _coordinate(place, "yaw"), _coordinate(support, "yaw")
     return None if yaw is None or below is None else yaw + place.heading - below - support.heading
 
 
@@ -247,7 +247,7 @@ _ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "u
 
 
 class Places:
-    """Reads placements in the scope of a reset, where figures may be drawn."""
+    """Reads placements in the scope of a reset, where values may be drawn."""
 
     def __init__(self, spec: Scenario, namespace: Namespace, world: WorldModel) -> None:
         self._spec = spec
@@ -408,8 +408,8 @@ def owner_of(path: Path) -> str:
     return ".".join(map(str, path))
 
 
-def _length(figure: float) -> Constant:
-    return Constant(Type(LENGTH, interval=exact(figure)), 0, 0, (figure,))
+def _length(value: float) -> Constant:
+    return Constant(Type(LENGTH, interval=exact(value)), 0, 0, (value,))
 
 
 _NOTHING = "."
@@ -543,10 +543,6 @@ class Layouts:
 
 def _rows(text: Text) -> list[list[tuple[str, Span]]]:
     """The cells of each row that is not empty, with their places in the file."""
-    return [row for row in _lines(text) if row]
-
-
-def _lines(text: Text) -> Iterator[list[tuple[str, Span]]]:
-    for line in re.finditer(r"[^\n]+", text.text):
-        cells = re.finditer(r"\S+", line[0])
-        yield [(cell[0], text.part(line.start() + cell.start(), line.start() + cell.end())) for cell in cells]
+    rows = (re.compile(r"\S+").finditer(text.text, *line.span()) for line in re.finditer(r"[^\n]+", text.text))
+    found = ([(cell[0], text.part(*cell.span())) for cell in row] for row in rows)
+    return [row for row in found if row]

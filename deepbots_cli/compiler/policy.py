@@ -10,7 +10,7 @@ from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
 from deepbots_cli.compiler.namespace import GOAL_IS_LATE, Namespace, Origin, SupervisorScope
-from deepbots_cli.compiler.values import Text, noise
+from deepbots_cli.compiler.values import Text
 from deepbots_cli.document.nodes import Mapping as MappingNode
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions import syntax
@@ -166,14 +166,14 @@ class Actions:
         """Each option sets the variable called like the action, or the variables that it lists."""
         named = [variable for given in part.choices.values() if isinstance(given, dict) for variable in given]
         variables = tuple(dict.fromkeys(named)) or (name,)
-        figures = {option: self._figures(part, option, variables, named=bool(named)) for option in part.choices}
+        rows = {option: self._numbers(part, option, variables, named=bool(named)) for option in part.choices}
         for index, variable in enumerate(variables):
-            column = [row[index] for row in figures.values()]
+            column = [row[index] for row in rows.values()]
             symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP))
             self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
-        self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in figures.items()))
+        self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
 
-    def _figures(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
+    def _numbers(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
         """What one option makes of each of the variables; 0 after a finding."""
         given, place = part.choices[option], (*part.path, "choices", option)
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
@@ -256,7 +256,7 @@ class Observations:
                 self._values.range(range_text, self._namespace.scope(Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)
-        added = noise(self._namespace, given, typed) if isinstance(given, Observed) else None
+        added = self._namespace.noise(given, typed) if isinstance(given, Observed) else None
         if bounds is None:
             return None
         kind = ImageObservation if typed.type.picture else Observation
@@ -393,7 +393,7 @@ class Goals:
             return Symbol(name, None)
         if wanted:
             typed = typed._replace(type=typed.type._replace(components=wanted.components))
-        self._valued[name] = text.expression(typed, noise=noise(self._namespace, spec, typed) if name == "achieved" else None)
+        self._valued[name] = text.expression(typed, noise=self._namespace.noise(spec, typed) if name == "achieved" else None)
         return Symbol(name, typed.type._replace(stage=Stage.STEP))
 
     def _reached(self, context: Context) -> Symbol:
@@ -422,7 +422,7 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
 
 
 def _beyond(value: Typed) -> Iterator[Typed]:
-    """The parts of a value that are not made of the goal and of fixed figures."""
+    """The parts of a value that are not made of the goal and of fixed values."""
     match value:
         case Reference(symbol=symbol) if symbol.value is None and symbol.name not in _RECOMPUTED:
             yield value

@@ -1,46 +1,24 @@
-"""How an episode begins: arrangements, groups of copies, joints, and the requirement on the start."""
+"""How an episode begins: arrangements, joints, the requirement on the start, and the time to settle."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
 from deepbots_cli.compiler.places import Layouts, Places, check_surroundings
-from deepbots_cli.compiler.robots import joint_dimension, joint_missing
+from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_beyond
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.expressions.dimensions import TIME, Dimension
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import Components, Context, Invocation, Kind, Subject, Symbol, Typed, children
-from deepbots_cli.program.resets import Group, JointStart, Layout, Placement, Reset
+from deepbots_cli.expressions.types import Components, Context, Invocation, Kind, Subject, Symbol, walk
+from deepbots_cli.program.resets import JointStart, Layout, Placement, Reset
 from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import MAX_BODIES, ObjectBody, WorldModel
+from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
 from deepbots_cli.scenario.fields import choose_from
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import JointState
 from deepbots_cli.scenario.task import Reset as ResetSpec
-from deepbots_cli.scenario.world import Placed
-
-
-def group(name: str, thing: Placed, namespace: Namespace) -> Group | None:
-    """The group that an object with a `count` is; None after a finding.
-
-    There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
-    """
-    findings, count = namespace.values.findings, namespace.expression(thing, "count")
-    if count is None:
-        return None
-    most = count.typed.type.interval.high
-    if not math.isfinite(most):
-        findings.add("DB105", count.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
-        return None
-    if most > MAX_BODIES:
-        help = "an engine would take minutes to build it"
-        findings.add("DB005", count.span, f"{most:_.0f} copies, more than {MAX_BODIES}", help=help)
-        return None
-    return Group(name, max(1, int(most)), count)
-
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
@@ -70,7 +48,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
         joint_missing(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    scope, given = ParameterScope(namespace, Context.RESET, poses.get(robot_name, {})), spec.set[key]
+    scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
     angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
     if not isinstance(given, JointState):
         position = _start_value(read(spec, "set", key), key, angle, subject, scope, joints)
@@ -90,10 +68,8 @@ def _start_value(
         return None
     reach, limits = typed.type.interval, subject.interval
     if dimension == subject.dimension and reach.finite and not reach.inside(limits):
-        from deepbots_cli.compiler.controllers import Confines  # only on the way to a finding
-
         help = "an engine pushes the joint back at once; keep to its limits"
-        Confines(values, text, dimension, limits).report("a start at", reach, help)
+        warn_beyond(values, text, dimension, limits, "a start at", reach, help)
     return text.expression(typed, key, spread=joints if len(joints) > 1 else None)
 
 
@@ -153,8 +129,8 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
     typed = values.expression(text, namespace.scope(Context.REQUIRE), boolean=True)
     if typed is None:
         return None
-    for call in _calls(typed):
-        if call.function in _UNMOVED:
+    for call in walk(typed):
+        if isinstance(call, Invocation) and call.function in _UNMOVED:
             span = text.part(call.start, call.start + len(call.function))
             headline = f"`{call.function}` in a requirement on the start"
             values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
@@ -163,5 +139,14 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
     return text.expression(typed)
 
 
-def _calls(value: Typed) -> list[Invocation]:
-    return [*([value] if isinstance(value, Invocation) else []), *(call for child in children(value) for call in _calls(child))]
+def settling_time(spec: Scenario, namespace: Namespace, tick: float) -> float:
+    """Seconds, in whole timesteps of `tick` s."""
+    values, settle = namespace.values, namespace.fixed(spec.reset, "settle") or 0.0
+    span = values.field(spec.reset, "settle").span
+    if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_lost("world.timestep"):
+        headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
+        values.findings.add("DB308", span, headline, help="the world moves on in whole timesteps")
+    if settle / tick * spec.world.substeps > MAX_SETTLING_STEPS:
+        headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
+        values.findings.add("DB105", span, headline, help="a few seconds are usual")
+    return settle

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
-from deepbots_cli.compiler.values import Values, colour
-from deepbots_cli.diagnostics import Findings, Fix, Span
+from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.document import Document, files, shipped
-from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions import intervals
-from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, Dimension
+from deepbots_cli.document.nodes import Mapping as MappingNode
+from deepbots_cli.document.nodes import descend
+from deepbots_cli.expressions import intervals, syntax
+from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
 from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
 from deepbots_cli.frames import HERE, Frame, inside
@@ -21,6 +24,7 @@ from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.robots import edits, meshes
 from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
+from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import choose_from
 from deepbots_cli.scenario.robot import JointOverride, LinkOverride
 from deepbots_cli.scenario.robot import Robot as RobotSpec
@@ -113,45 +117,78 @@ def joint_missing(values: Values, span: Span, pattern: str, model: RobotModel) -
         unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
 
 
-def links_of(values: Values, links: Sequence[str], groups: Mapping[str, Group], spec: object, place: Path) -> tuple[str, ...]:
-    """The links that `link` or `links` of the sensor or actuator at `place` names; none after a finding."""
-    one = getattr(spec, "link", None)
-    if one is not None:
-        if one not in links:
-            values.unknown(values.span((*place, "link")), "link", one, links)
-        return (one,) if one in links else ()
-    patterns = getattr(spec, "links", None) or ()  # neither is left where the schema had a finding about it
-    names, missing = expand(links, patterns, groups)
-    for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
-        if pattern in missing:
-            span = values.span((*place, "links") if isinstance(patterns, str) else (*place, "links", index))
-            unmatched(values, span, pattern, "link", links)
-    return () if missing else names
-
-
 def motionless(values: Values, span: Span, joint: Joint, model: RobotModel) -> None:
     names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"
     values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)
 
 
-def joints_of(values: Values, model: RobotModel, groups: Mapping[str, Group], spec: object, place: Path) -> tuple[Joint, ...]:
-    """The joints that `joint` or `joints` of the sensor or actuator at `place` names; none after a finding."""
-    key = "joint" if getattr(spec, "joint", None) is not None else "joints"
-    patterns = getattr(spec, key) or ()  # neither is left where the schema had a finding about it
-    names, missing = expand([joint.name for joint in model.moving_joints], patterns, groups)
-    for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
-        if pattern in missing:
-            span = values.span((*place, key) if isinstance(patterns, str) else (*place, key, index))
-            joint_missing(values, span, pattern, model)
-    if missing or not names:
-        return ()
-    joints = tuple(model.joint(name) for name in names)
-    if len({joint_dimension(joint) for joint in joints}) > 1:
-        values.findings.add("DB404", values.span((*place, key)), "turning and sliding joints together", help="name them apart")
-        return ()
-    return joints
+# Limits of the robot file
 
+_NUMBER = re.compile(r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?")
+_DIGITS = 4
+
+
+def warn_beyond(values: Values, text: Text, dimension: Dimension, allowed: Interval, what: str, found: Interval, help: str) -> None:
+    """DB304: `what` is `found`, which is not all within what the robot file allows for the value that is written in `text`."""
+    tree = values.parsed(text)
+    numbers = list(_numbers(tree)) if tree else []
+    units = [number.unit for number in numbers if number.unit is not None and number.unit.dimension == dimension]
+    unit = units[0] if units else UNITS["deg"] if dimension == ANGLE else Unit(str(dimension), dimension)
+
+    def in_unit(known: Interval) -> str:
+        low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in known)
+        return low if low == high else f"{low} .. {high}"
+
+    limits = allowed if allowed.low > -math.inf else exact(allowed.high)
+    headline = f"{what} {in_unit(found)} {unit.text}, where the robot file allows {in_unit(limits)}"
+    values.findings.add("DB304", text.span, headline, help=help, fix=_within(text, numbers, allowed))
+
+
+def _within(text: Text, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
+    """Each number at the limit that it is beyond; None where they stand for something else, or none would be left to draw from."""
+    kept = [_clamped(number, allowed) for number in numbers]
+    if not kept or (len(kept) > 1 and kept[0] >= kept[1]):
+        return None
+    edits = []
+    for number, value in zip(numbers, kept, strict=True):
+        written = _NUMBER.match(text.text, number.start)
+        if written is None:
+            return None
+        span = text.part(*written.span())
+        if span.text != written.group():
+            return None
+        if value != number.value:
+            edits.append(Edit(span, f"{value:.{_DIGITS}g}"))
+    return Fix(tuple(edits), safe=False) if edits else None
+
+
+def _clamped(number: syntax.Number, allowed: Interval) -> float:
+    one = number.unit.to_si(1.0) if number.unit else 1.0
+    low, high = (end / one for end in allowed)
+    return _rounded(low, math.ceil) if number.value < low else _rounded(high, math.floor) if number.value > high else number.value
+
+
+def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:
+    """The number of a text that holds a single one, or the two ends that it is drawn from; otherwise none."""
+    match tree:
+        case syntax.Number():
+            yield tree
+        case syntax.Call(function="uniform", args=(syntax.Range(low=syntax.Number() as low, high=syntax.Number() as high),)):
+            yield from (low, high)
+
+
+def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
+    """A limit to a few digits, and not beyond itself."""
+    near = float(f"{limit:.{_DIGITS}g}")
+    if math.isclose(near, limit, rel_tol=1e-9) or limit == 0.0:
+        return near
+    digits = _DIGITS - 1 - math.floor(math.log10(abs(limit)))
+    scale = 10.0**digits
+    return inwards(limit * scale) / scale
+
+
+# Overrides
 
 # Keys of an override: what `edits.with_friction` and the table of variations call them.
 _CONTACT = {
@@ -166,32 +203,8 @@ _UNKNOWN = Symbol("urdf", None, refused="the robot file does not say")
 
 
 @dataclass(frozen=True)
-class _WithUrdf:
-    """The scope of an override: the scenario's, and `urdf`, the figure of the robot file."""
-
-    outer: Scope
-    figure: Symbol
-
-    @property
-    def context(self) -> Context:
-        return self.outer.context
-
-    def lookup(self, name: str) -> Symbol | None:
-        return self.figure if name == "urdf" else self.outer.lookup(name)
-
-    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        return self.outer.subject(name, kinds)
-
-    def names(self) -> Iterable[str]:
-        return ["urdf", *self.outer.names()]
-
-    def subjects(self) -> Iterable[str]:
-        return self.outer.subjects()
-
-
-@dataclass(frozen=True)
 class Overrides:
-    """The changes that the scenario makes to a robot. A figure that is drawn is drawn for each link or joint that a pattern means."""
+    """The changes that the scenario makes to a robot. A drawn value is drawn for each link or joint that a pattern means."""
 
     robot: str
     groups: Mapping[str, Group]
@@ -223,9 +236,9 @@ class Overrides:
         return members
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
-        """The scope of a change of a figure that is `urdf` in the robot file."""
+        """The scope of a change of a value that is called `urdf` and stands in the robot file."""
         known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,))
-        return _WithUrdf(self.namespace.scope(Context.FIELD), known)
+        return self.namespace.scope(Context.FIELD, {"urdf": known})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         of = (self.robot, link.name)
@@ -239,7 +252,7 @@ class Overrides:
         contact = {
             field: self.namespace.varied(change, key, what, of, None, scope=self._scope()) for key, (field, what) in _CONTACT.items()
         }
-        model, paint = edits.with_friction(model, link.name, **contact), colour(self.namespace, change, of)
+        model, paint = edits.with_friction(model, link.name, **contact), self.namespace.colour(change, of)
         return edits.with_colour(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
@@ -332,6 +345,38 @@ class RobotScene:
                     return Subject(full, Kind.JOINT, dimension=joint_dimension(joint), interval=joint_interval(joint))
         return Subject(full, Kind.LINK, link=full) if is_link else None
 
+    def joints_of(self, spec: Section, values: Values) -> tuple[Joint, ...]:
+        """The joints that `joint` or `joints` of a sensor or actuator names; none after a finding."""
+        key = "joint" if getattr(spec, "joint", None) is not None else "joints"
+        names = self._named(spec, key, [joint.name for joint in self.model.moving_joints], values)
+        joints = tuple(self.model.joint(name) for name in names)
+        if len({joint_dimension(joint) for joint in joints}) > 1:
+            values.findings.add("DB404", values.span((*spec.path, key)), "turning and sliding joints together", help="name them apart")
+            return ()
+        return joints
+
+    def links_of(self, spec: Section, values: Values) -> tuple[str, ...]:
+        """The links that `link` or `links` of a sensor or actuator names; none after a finding."""
+        one = getattr(spec, "link", None)
+        if one is None:
+            return self._named(spec, "links", self.link_names, values)
+        if one not in self.link_names:
+            values.unknown(values.span((*spec.path, "link")), "link", one, self.link_names)
+        return (one,) if one in self.link_names else ()
+
+    def _named(self, spec: Section, key: str, known: list[str], values: Values) -> tuple[str, ...]:
+        """The names that the patterns under a key stand for; none after a finding."""
+        patterns = getattr(spec, key) or ()  # neither key is left where validation had a finding about it
+        names, missing = expand(known, patterns, self.groups)
+        for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
+            if pattern in missing:
+                span = values.span((*spec.path, *((key,) if isinstance(patterns, str) else (key, index))))
+                if key == "links":
+                    unmatched(values, span, pattern, "link", known)
+                else:
+                    joint_missing(values, span, pattern, self.model)
+        return () if missing else names
+
     @property
     def parts(self) -> list[str]:
         return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names, *self.spec.sensors]
@@ -340,6 +385,9 @@ class RobotScene:
 def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> RobotScene | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
     document, values = namespace.document, namespace.values
+    node = descend(values.root, spec.path)[0]
+    if isinstance(node, MappingNode) and node.partial:
+        return None  # a finding took keys away that the rest of the scenario may name
     file_at = located(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
     if file_at is None:
         return None

@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
-from deepbots_cli.compiler.values import Text, noise
+from deepbots_cli.compiler.values import Text
 from deepbots_cli.diagnostics.nearest import Meant
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
-from deepbots_cli.expressions.types import Constant, Context, Invocation, NoNames, Stage, Symbol, Type, Typed, walk
+from deepbots_cli.expressions.types import Constant, Context, Invocation, Stage, Symbol, Type, Typed, walk
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
@@ -96,7 +96,7 @@ class Signals:
             typed = expect(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
-        added = noise(self._namespace, given, typed) if isinstance(given, Measured) else None
+        added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
         self.valued[name] = text.expression(typed, name, noise=added)
         return Symbol(name, typed.type._replace(interval=EVERYTHING, stage=Stage.STEP) if added else typed.type)
 
@@ -158,7 +158,7 @@ def solved(spec: Scenario, namespace: Namespace) -> Solved | None:
     values = namespace.values
     if spec.solved is None:
         return None
-    rate = namespace.fixed(spec.solved, "success_rate", scope=NoNames())
+    rate = namespace.fixed(spec.solved, "success_rate")
     known = spec.termination.success or spec.goal or any(map(values.is_lost, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or ask for a `mean_return`"

@@ -1,4 +1,4 @@
-"""Texts to typed trees, with findings at their places; values that every episode draws anew.
+"""Texts to typed trees, with findings at their places.
 
 Names whose definitions had findings are kept apart: later uses of them are not reported.
 """
@@ -9,46 +9,30 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
 from deepbots_cli.document.nodes import Sequence as SequenceNode
 from deepbots_cli.expressions import check, parser, syntax
-from deepbots_cli.expressions.dimensions import NUMBER, Dimension
-from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import (
-    PLANE,
-    SPACE,
     Components,
-    Constant,
-    Invocation,
-    NoNames,
     Redraw,
     Report,
     Scope,
     Stage,
-    Type,
     Typed,
     TypedRange,
-    Vector,
     zero,
 )
-from deepbots_cli.expressions.unification import ANY_SHAPE, expect, expect_kind, expect_range
-from deepbots_cli.program.resets import RandomizedParameter
-from deepbots_cli.program.robots import Parameter
+from deepbots_cli.expressions.unification import expect, expect_kind, expect_range
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.program.world import Colour
 from deepbots_cli.scenario.base import Section, fields
-from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, choose_from, colour_options, dimension_of, other_name
+from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
 from deepbots_cli.scenario.validate import meant_by
-
-if TYPE_CHECKING:
-    from deepbots_cli.compiler.namespace import Namespace
-
 
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 ANY = "*"
@@ -233,7 +217,7 @@ class Values:
 
     @staticmethod
     def _word_meant(text: Text, piece: str) -> str | None:
-        """Of a field that takes words beside figures, the one that an unknown name stands for."""
+        """Of a field that takes words beside numbers, the one that an unknown name stands for."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
         return other_name(piece, words) or nearest(piece, words) if words else None
 
@@ -263,7 +247,7 @@ class Values:
         return checked
 
     def redrawn(self, text: Text, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
-        """As `quantity`, for a single figure that may be new in every step; with it, how often its draws are repeated."""
+        """As `quantity`, for a single value that may be new in every step; with it, how often its draws are repeated."""
         checked = self.drawn(text, scope)
         value = checked and expect(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
         if checked is None or value is None or not self._is_within(value, text, what):
@@ -313,15 +297,15 @@ class Values:
         low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
         least, most, unit = kind.minimum, kind.maximum, str(value.type.dimension)
         if least is not None and math.isfinite(low) and (low < least or (kind.exclusive and low == least)):
-            odd, help = low, f"give {'more than' if kind.exclusive else 'at least'} {_figure(least, unit)}"
+            odd, help = low, f"give {'more than' if kind.exclusive else 'at least'} {_with_unit(least, unit)}"
         elif most is not None and math.isfinite(high) and high > most:
-            odd, help = high, f"give at most {_figure(most, unit)}"
-        elif kind.whole and known and (broken := [figure for figure in known if not float(figure).is_integer()]):
+            odd, help = high, f"give at most {_with_unit(most, unit)}"
+        elif kind.whole and known and (broken := [number for number in known if not float(number).is_integer()]):
             odd, help = broken[0], "give a whole number"
         else:
             return True
         verb = "can be" if known is None else "is" if len(known) == 1 else "holds"
-        self.findings.add("DB105", text.span, f"{what} {verb} {_figure(odd, unit)}", help=help)
+        self.findings.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help=help)
         return False
 
     def fixed(self, value: Typed, text: Text, what: str) -> tuple[float | bool, ...] | None:
@@ -355,205 +339,6 @@ class Values:
             return None
         return Ends((bounds.high if zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 
-    def number(self, path: Path, default: object, dimension: Dimension, scope: Scope | None = None) -> float | None:
-        """A fixed single value in SI units; None after a finding."""
-        values = self.numbers(path, default, dimension, None, scope)
-        return values[0] if values else None
 
-    def numbers(
-        self, path: Path, default: object, dimension: Dimension, components: Components | None, scope: Scope | None = None
-    ) -> tuple[float, ...] | None:
-        """The fixed SI values of a vector with `components`; None after a finding."""
-        return self.settled(self.text(path, default), scope or NoNames(), dimension, components)
-
-    def settled(
-        self, text: Text, scope: Scope, dimension: Dimension | None, components: Components | None, stage: Stage = Stage.FIXED
-    ) -> tuple[float, ...] | None:
-        """The SI values of a field that is fixed; None after a finding. One that the language lets vary up to `stage` may not do so yet."""
-        what = f"`{text.path[-1]}`"
-        typed = self.quantity(text, what, scope, dimension, components, stage)
-        if typed is not None and typed.type.stage is not Stage.FIXED:
-            self.findings.add("DB108", text.span, f"{what} that is drawn anew is not supported yet", help="give a fixed figure")
-            return None
-        values = self.fixed(typed, text, what) if typed else None
-        if not values:
-            return None
-        count = len(components) if components else 1
-        return tuple(float(value) for value in (values * count if len(values) == 1 else values))
-
-
-def _figure(number: float, unit: str) -> str:
+def _with_unit(number: float, unit: str) -> str:
     return f"{number:g}" if unit == "1" else f"{number:g} {unit}"
-
-
-def figure(
-    namespace: Namespace, path: Path, given: object, dimension: Dimension, scope: Scope, what: str, of: tuple[str, ...]
-) -> float | None:
-    """The SI value of a figure that an episode may vary; None where none is given, and after a finding.
-
-    `what` is its entry in the table of variations (`emit.variations`), `of` whose it is. A drawn figure
-    is noted there, and the middle of its interval returned.
-    """
-    found = figures(namespace, path, given, dimension, scope, what, of)
-    return found[0] if found else None
-
-
-def forget(namespace: Namespace, what: str, of: tuple[str, ...]) -> None:
-    """A figure that is given again, as for a link that two patterns mean, replaces what was to be drawn."""
-    namespace.variations[:] = [known for known in namespace.variations if (known.what, known.of) != (what, of)]
-
-
-def figures(
-    namespace: Namespace,
-    path: Path,
-    given: object,
-    dimension: Dimension,
-    scope: Scope,
-    what: str,
-    of: tuple[str, ...],
-    components: Components | None = None,
-    spread: Components | None = None,
-) -> tuple[float, ...] | None:
-    """The same for a vector of `components`, or for one figure that is drawn anew for each of `spread`."""
-    return None if given is None else varied(namespace, namespace.values.text(path, given), dimension, scope, what, of, components, spread)
-
-
-def varied(
-    namespace: Namespace,
-    text: Text,
-    dimension: Dimension | None,
-    scope: Scope,
-    what: str,
-    of: tuple[str, ...],
-    components: Components | None = None,
-    spread: Components | None = None,
-) -> tuple[float, ...] | None:
-    """The SI values of a figure that an episode may vary; a drawn one is noted in the table of variations."""
-    values, called = namespace.values, f"`{text.path[-1]}`"
-    typed = values.quantity(text, called, scope, dimension, components or spread, Stage.EPISODE)
-    if typed is None or not _is_bounded(typed, text, called, values):
-        return None
-    count = len(components or spread or ("",))
-    forget(namespace, what, of)
-    if typed.type.stage is Stage.FIXED:
-        fixed = values.fixed(typed, text, called)
-        return None if fixed is None else tuple(float(value) for value in (fixed * count if len(fixed) == 1 else fixed))
-    value = replace(text.expression(typed, spread=spread), owner=_owner(text, of))
-    namespace.variations.append(RandomizedParameter(what, of, value, count))
-    return (_middle(typed.type.interval),) * count
-
-
-def _owner(text: Text, of: tuple[str, ...]) -> str:
-    return ":".join((text.owner, *filter(None, of)))
-
-
-def noise(namespace: Namespace, section: Section, of: Typed) -> Noise | None:
-    """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or, written with `%`, as a share of it.
-
-    None where none is given, for a deviation of 0, and after a finding.
-    """
-    if "noise" not in section.model_fields_set:
-        return None
-    values, text = namespace.values, namespace.values.field(section, "noise")
-    if of.type.boolean or of.type.picture:
-        help = "take it out, or give it to the number behind it"
-        values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
-        return None
-    components = of.type.components
-    deviation = namespace.typed(text, "the noise", components=components)
-    if deviation is None or zero(deviation):
-        return None
-    relative = deviation.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
-    if not relative:
-        deviation = expect(deviation, values.report(text), "the noise", dimension=of.type.dimension, components=components)
-    return Noise(text.expression(deviation, spread=components), relative) if deviation else None
-
-
-def _is_bounded(typed: Typed, text: Text, called: str, values: Values) -> bool:
-    """Whether what is drawn keeps the bounds that its field has: a normal draw has none, and would break them now and then."""
-    reach, kind = typed.type.interval, text.kind
-    if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
-        return True
-    end = "least" if kind.minimum is not None and reach.low == -math.inf else "greatest"
-    if end == "greatest" and (kind.maximum is None or reach.high < math.inf):
-        return True
-    help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
-    values.findings.add("DB105", text.span, f"{called} is drawn without a {end} value", help=help)
-    return False
-
-
-def _middle(reach: Interval) -> float:
-    """Of an interval without one, the end that it has."""
-    ends = [end for end in (reach.low, reach.high) if math.isfinite(end)]
-    return sum(ends) / len(ends) if ends else 0.0
-
-
-def colour(namespace: Namespace, section: Section, of: tuple[str, str] | None = None) -> Colour | None:
-    """The `colour` of a section, None where none is given.
-
-    Of several to draw from it is the first, and the draw is noted as a variation of a body and link, `of`; without
-    one, a draw is a finding.
-    """
-    given = getattr(section, "colour", None)
-    if given is None:
-        return None
-    text = namespace.values.field(section, "colour")
-    if of is not None:
-        namespace.colours[:] = [known for known in namespace.colours if known.of != of]  # as for a link that two patterns mean
-    options = [_paint(word) for word in colour_options(given)]
-    if len(options) > 1 and of is None:
-        help = "it is the same in every episode; give one colour"
-        namespace.values.findings.add("DB407", text.span, "a draw of a colour that is fixed", help=help)
-    elif len(options) > 1 and of is not None:
-        single = Type(stage=Stage.EPISODE)
-        ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
-        which = Invocation(single, 0, 0, "integer", (), ends, 0)
-        shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
-        drawn = text.expression(Vector(single, 0, len(text.text), (which, *shades)))
-        namespace.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
-    return options[0]
-
-
-def _paint(word: str) -> Colour:
-    if word.startswith("#"):
-        return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
-    return (*COLOURS[word], 1.0)
-
-
-# Parameters that a kind of sensor or actuator has of its own
-
-
-def read_parameters(
-    values: Values,
-    place: Path,
-    spec: Section,
-    wanted: Iterable[tuple[str, FieldType]],
-    own: Dimension,
-    scope: Scope,
-    *,
-    slides: bool = False,
-) -> tuple[tuple[str, Parameter], ...] | None:
-    """The `wanted` parameters of the sensor or actuator at `place`, in SI units; None after a finding.
-
-    `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints that slide have the second.
-    """
-    read: dict[str, Parameter] = {}
-    for key, kind in wanted:
-        given, found = getattr(spec, key), len(values.findings)
-        read[key] = None if given is None else _parameter(values, (*place, key), given, kind, own, scope, slides)
-        if read[key] is None and len(values.findings) > found:
-            return None
-    return tuple(read.items())
-
-
-def _parameter(values: Values, path: Path, given: Any, kind: FieldType, own: Dimension, scope: Scope, slides: bool) -> Parameter:
-    if not isinstance(kind, (Quantity, Range, Column)) or (isinstance(kind, Quantity) and given in kind.words):
-        return given if isinstance(given, (bool, int, float)) else str(given)
-    text, what, dimension = values.text(path, given), f"`{path[-1]}`", dimension_of(kind.dimension, own, second=slides)
-    if isinstance(kind, Range):
-        ends = values.ends(text, what, scope, dimension=dimension)
-        return (*ends.low, *ends.high) if ends else None
-    components = ANY_SHAPE if isinstance(kind, Column) else {2: PLANE, 3: SPACE}.get(kind.components or 0)
-    typed = values.quantity(text, what, scope, dimension, components)
-    numbers = values.fixed(typed, text, what) if typed else None
-    return None if numbers is None else tuple(map(float, numbers)) if components else float(numbers[0])

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
 
-from deepbots_cli.compiler.namespace import Namespace, ParameterScope
+from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import RobotScene, located
-from deepbots_cli.compiler.values import colour
 from deepbots_cli.diagnostics import Edit, Fix
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH
@@ -18,6 +17,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import lower, op
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
+from deepbots_cli.program.resets import Group
 from deepbots_cli.program.world import (
     ARENA_WALLS,
     GROUND,
@@ -48,6 +48,47 @@ from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.fields import COLOURS
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.terrain import png
+
+
+def define_bodies(spec: Scenario, namespace: Namespace) -> None:
+    """Give robots, objects, walls and lines their names, and groups their size."""
+    for name in spec.robots:
+        namespace.define(name, Origin.ROBOT, ("robots", name))
+    for name, thing in spec.objects.items():
+        namespace.define(name, Origin.OBJECT, ("objects", name))
+        if "count" in thing.model_fields_set:
+            found = _group(name, thing, namespace)
+            namespace.groups |= {name: found} if found else {}
+            if found is None:
+                namespace.values.lose(name)
+    for name, wall in spec.world.walls.items():
+        namespace.define(name, Origin.WALL, ("world", "walls", name))
+        if namespace.origin(name) is Origin.WALL:
+            namespace.walls[name] = pieces(name, wall)
+    if spec.world.arena is not None:
+        namespace.walls["arena"] = ARENA_WALLS
+    for name in spec.world.lines:
+        namespace.define(name, Origin.LINE, ("world", "lines", name))
+
+
+def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group | None:
+    """The group that an object with a `count` is; None after a finding.
+
+    There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
+    """
+    findings, count = namespace.values.findings, namespace.expression(thing, "count")
+    if count is None:
+        return None
+    most = count.typed.type.interval.high
+    if not math.isfinite(most):
+        findings.add("DB105", count.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
+        return None
+    if most > MAX_BODIES:
+        help = "an engine would take minutes to build it"
+        findings.add("DB005", count.span, f"{most:_.0f} copies, more than {MAX_BODIES}", help=help)
+        return None
+    return Group(name, max(1, int(most)), count)
+
 
 MAX_TRIANGLES = 200_000
 _SMALLEST, _SMALL, _LARGE, _LARGEST = 1e-5, 1e-4, 1e3, 1e6  # m; beyond the inner two a mesh is probably in another unit
@@ -125,7 +166,7 @@ def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None
     if points is None or width is None or reflectance is None:
         namespace.values.lose(name)
         return None
-    return Line(name, points, spec.closed, width, reflectance, colour(namespace, spec) or (*COLOURS["black"], 1.0))
+    return Line(name, points, spec.closed, width, reflectance, namespace.colour(spec) or (*COLOURS["black"], 1.0))
 
 
 def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tuple[Point, ...] | None:
@@ -164,7 +205,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.lose(name)
         return ()
-    paint = colour(namespace, spec) or WALL_COLOUR
+    paint = namespace.colour(spec) or WALL_COLOUR
     boxes = []
     for piece, one, other in zip(names, points, ends, strict=False):
         heading = math.atan2(other[1] - one[1], other[0] - one[0])
@@ -182,7 +223,7 @@ _TRIED = 8  # places along either side at which a formula is tried
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """The terrain; None after a finding."""
     friction = namespace.varied(given, "friction", "lateral_friction", (GROUND, ""), 1.0)
-    paint = colour(namespace, given, (GROUND, ""))
+    paint = namespace.colour(given, (GROUND, ""))
     relief = _relief(given, namespace)
     return None if relief is None else Terrain(relief, friction, paint)
 
@@ -213,7 +254,7 @@ def _relief(given: world_spec.Terrain, namespace: Namespace) -> TerrainShape | N
 def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values = namespace.values
     sides = {name: Type(LENGTH, interval=Interval(-side / 2, side / 2), stage=Stage.STEP) for name, side in zip(PLANE, size, strict=True)}
-    scope = ParameterScope(namespace, Context.FIXED, {name: Symbol(name, known) for name, known in sides.items()})
+    scope = namespace.scope(Context.FIXED, {name: Symbol(name, known) for name, known in sides.items()})
     text = values.field(given, "heights")
     typed = values.quantity(text, "`heights`", scope, LENGTH, None, Stage.STEP)
     if typed is None:
@@ -267,7 +308,7 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
         name,
         made,
         mass=variants[0].mass if variants else _mass(thing, made, of, namespace),
-        colour=(None if variants else colour(namespace, thing, of)) or _GREY,
+        colour=(None if variants else namespace.colour(thing, of)) or _GREY,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
         friction=1.0 if variants else varied(thing, "friction", "lateral_friction", of, 1.0),
@@ -280,7 +321,7 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
 
 
 def _variant(kind: str, given: world_spec.Shaped, thing: world_spec.VariedObject, namespace: Namespace) -> Variant | None:
-    """A form that a body may take: what it does not say of itself, the object says for all; its figures are fixed."""
+    """A form that a body may take: what it does not say of itself, the object says for all; its values are fixed."""
     for key in _OF_ALL:
         if getattr(given, key) is not None:
             span, help = namespace.values.key_span((*given.path, key)), f"give `{key}` for all variants, beside `one_of`"
@@ -298,7 +339,7 @@ def _variant(kind: str, given: world_spec.Shaped, thing: world_spec.VariedObject
         kind,
         made,
         mass=_usual_mass(made, given, namespace, still=stays or thing.solid is False) if massive.mass is None else weight or 0.0,
-        colour=colour(namespace, painted) or _GREY,
+        colour=namespace.colour(painted) or _GREY,
         friction=1.0 if grip is None else grip,
         fixed=stays,
     )
@@ -393,7 +434,7 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
     of = (GROUND, "")
     friction = namespace.varied(spec, "friction", "lateral_friction", of, 1.0)
-    return Ground(friction, namespace.varied(spec, "restitution", "restitution", of, 0.0), colour(namespace, spec, of))
+    return Ground(friction, namespace.varied(spec, "restitution", "restitution", of, 0.0), namespace.colour(spec, of))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
@@ -401,4 +442,4 @@ def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
     friction = namespace.varied(spec, "friction", "walls_friction", ARENA_WALLS, 1.0)
     if size is None or height is None or thickness is None:
         return None
-    return Arena(size, height, thickness, friction, colour(namespace, spec))
+    return Arena(size, height, thickness, friction, namespace.colour(spec))

@@ -23,8 +23,10 @@ writes a program as canonical JSON, whose digest identifies the scenario.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
@@ -113,37 +115,24 @@ class Program:
         Raises:
             UsageError: There is none; lists those there are.
         """
-        found = next((case for case in self.cases if case.name == name), None)
-        if found is None:
-            known = ", ".join(case.name for case in self.cases)
-            raise UsageError(f"{self.name} has no case '{name}'" + (f"; there are: {known}" if known else ", nor any other"))
-        return found
+        return self._named("case", name, self.cases)
 
     def stage(self, name: str) -> CurriculumStage:
-        """The stage of the curriculum of that name.
-
-        Raises:
-            UsageError: There is none; lists those there are.
-        """
-        found = next((stage for stage in self.curriculum if stage.name == name), None)
-        if found is None:
-            known = ", ".join(stage.name for stage in self.curriculum)
-            raise UsageError(f"{self.name} has no stage '{name}'" + (f"; there are: {known}" if known else ", nor any other"))
-        return found
+        """The same for a stage of the curriculum."""
+        return self._named("stage", name, self.curriculum)
 
     def script(self, name: str) -> Script:
-        """The script of that name.
+        """The same for a script."""
+        return self._named("script", name, self.scripts)
 
-        Raises:
-            UsageError: There is none; lists those there are.
-        """
-        found = next((script for script in self.scripts if script.name == name), None)
+    def _named(self, what: str, name: str, known: Sequence[Entry]) -> Entry:
+        found = next((entry for entry in known if entry.name == name), None)
         if found is None:
-            names = [script.name for script in self.scripts]
+            names = [entry.name for entry in known]
             near = nearest(name, names)
             hint = f" (did you mean {near}?)" if near else ""
             raise UsageError(
-                f"{self.name} has no script '{name}'{hint}" + (f"; there are: {', '.join(names)}" if names else ", nor any other")
+                f"{self.name} has no {what} '{name}'{hint}" + (f"; there are: {', '.join(names)}" if names else ", nor any other")
             )
         return found
 
@@ -164,3 +153,6 @@ class CurriculumStage:
     name: str
     until: Criterion | None
     program: Program
+
+
+Entry = TypeVar("Entry", EvaluationCase, CurriculumStage, Script)

@@ -30,11 +30,11 @@ Channels = Literal["rgb", "grey", "depth", "mask"]
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """How a sensor errs; figures have one entry per component, and none where there is no such fault.
+    """The errors of a sensor: one entry per component, and none where there is no such error.
 
-    Noises are standard deviations. Figures are in the sensor's unit, `drift` in that unit per second, and
-    those that are relative are fractions of the value. `period` is in ticks, `latency` in s. Where a
-    figure is drawn in every episode, its nominal value stands here and a `Variation` beside it.
+    Noises are standard deviations. Values are in the sensor's unit, `drift` in that unit per second; relative ones are fractions of the
+    reading. `period` is in ticks, `latency` in s. Where a value is drawn in every episode, its nominal value stands here and a
+    `RandomizedParameter` beside it.
     """
 
     period: int = 1
@@ -166,11 +166,6 @@ class Motor:
     response: Response = Response()
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        """What it drives, each with figures of its own."""
-        return self.joints
-
-    @property
     def components(self) -> tuple[str, ...]:
         """What its command has one number for."""
         return self.joints
@@ -190,10 +185,6 @@ class Thrust:
     drag: float
     spin: tuple[float, ...]
     response: Response = Response()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return self.links
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -216,15 +207,35 @@ class Cartesian:
     response: Response = Response()
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        return self.joints
-
-    @property
     def components(self) -> tuple[str, ...]:
         return ("x", "y", "z")
 
 
-Actuator = Motor | Thrust | Cartesian
+@dataclass(frozen=True)
+class CustomActuator:
+    """Joints that the control law of a plug-in drives: `drive` is its `module:attribute`.
+
+    `parameters` are those that the kind has of its own, in SI units. Commands are clamped to `low` to `high` where they are given.
+    Limits are as those of `Motor`.
+    """
+
+    name: str
+    kind: str
+    joints: tuple[str, ...]
+    max_torque: tuple[float | None, ...]
+    max_velocity: tuple[float | None, ...]
+    drive: str
+    parameters: tuple[tuple[str, Parameter], ...]
+    low: float | None = None
+    high: float | None = None
+    response: Response = Response()
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        return self.joints
+
+
+Actuator = Motor | Thrust | Cartesian | CustomActuator
 
 
 # Messages
@@ -356,7 +367,7 @@ class Command:
             case Motor(kind="velocity_motor", max_velocity=limits):
                 pairs = zip(values, limits, strict=True)
                 return tuple(value if limit is None else _clamped(value, -limit, limit, reach) for value, limit in pairs)
-            case Thrust(low=low, high=high):
+            case Thrust(low=low, high=high) | CustomActuator(low=float() as low, high=float() as high):
                 return tuple(_clamped(value, low, high, reach) for value in values)
             case _:
                 return values

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.program.values import Expression, Foreign, Noise
@@ -177,16 +177,7 @@ class ObservedNumber(NamedTuple):
         return self.name if self.component is None else f"{self.name}.{self.component}"
 
 
-class Seen(Protocol):
-    """What `viewed` needs of a number of the observation."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def history(self) -> int: ...
-
-
-def viewed(numbers: Sequence[Seen], stack: int = 1) -> tuple[tuple[int, int], ...]:
+def viewed(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tuple[int, int], ...]:
     """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
 
     The frames of the stack come oldest first; in each, the named values in file order, each with its

@@ -25,7 +25,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Schedule:
-    """A figure that goes linearly from `start` to `end` over the training."""
+    """A value that goes linearly from `start` to `end` over the training."""
 
     start: float
     end: float
@@ -33,7 +33,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Hyperparameter:
-    """A figure of the algorithm, under the algorithm's own name for it."""
+    """A hyperparameter, under the algorithm's own name for it."""
 
     name: str
     value: bool | int | float | str | Schedule | None

@@ -16,7 +16,7 @@ from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.program.robots import Actuator, Cartesian, Command, Motor, Robot, Thrust
+from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import RobotBody
 from deepbots_cli.robots.inertia import matrix
 from deepbots_cli.robots.model import Joint, RobotModel
@@ -73,7 +73,7 @@ def _cut_off(book: Book, robot: Robot, model: RobotModel, command: Command) -> I
 def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
     """What all its joints or links can do; None where that has no end."""
     match actuator:
-        case Thrust(low=low, high=high):
+        case Thrust(low=low, high=high) | CustomActuator(low=float() as low, high=float() as high):
             return Interval(low, high)
         case Motor(kind="position_motor", joints=joints):
             stops = [model.joint(joint).limit for joint in joints]

@@ -8,8 +8,8 @@ from typing import Any
 from deepbots_cli.errors import MessageError
 from deepbots_cli.port import Engine
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Robot
-from deepbots_cli.runtime.actuation import Drive, hold
+from deepbots_cli.program.robots import CustomActuator, Robot
+from deepbots_cli.runtime.actuation import CustomMotor, Drive, Site, hold
 from deepbots_cli.runtime.messages import codec, explain
 from deepbots_cli.runtime.sensing import Device, instrument, sees
 from deepbots_cli.runtime.streams import Streams
@@ -47,6 +47,12 @@ class RobotController:
             made = instrument(sensor, self.spec.name, self._world, self._engine)
             self.devices[name] = Device(sensor, self.spec.name, made, self._world.timestep)
         return self.devices[name]
+
+    def actuator(self, name: str) -> CustomMotor:
+        """An actuator of a plug-in's kind."""
+        actuator = next(actuator for actuator in self.spec.actuators if actuator.name == name)
+        assert isinstance(actuator, CustomActuator)  # generated code asks for no other
+        return CustomMotor(Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps))
 
     def sees(self, sensor: str, body: str) -> Callable[[], bool]:
         """Whether the newest picture of a camera shows the body."""

@@ -1,8 +1,21 @@
-"""What a robot can drive: one model per kind, in the table `ACTUATORS`."""
+"""What a robot can drive: one class per kind.
 
-from typing import Annotated, ClassVar, Literal
+A class says everything about its kind: its parameters (fields with a docstring each), what it does (its docstring), and the dimension,
+components and interval of its commands. Validation, JSON Schema, completion, hover and reference come from it.
 
-from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section
+Other packages add a kind by an entry point of the group `deepbots.actuators`, whose name is the word of its `type`: a `JointActuator`
+with the control law `drive`, which gets the fields of the class as SI numbers and words. Generated code drives the kinds of deepbots.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
+
+from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, TORQUE, Dimension
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.types import SPACE, Components
+from deepbots_cli.plugins import Table
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, kind_of, parameters, require_kind
 from deepbots_cli.scenario.fields import (
     JointName,
     JointNames,
@@ -30,6 +43,13 @@ Spin = Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)]
 class Actuator(Section):
     """What all actuators have: the faults of real ones."""
 
+    dimension: ClassVar[Dimension] = NUMBER
+    """Of a command, which is in the SI unit of it."""
+    components: ClassVar[Components] = ()
+    """Of a command, where they are not the joints or links that it drives."""
+    interval: ClassVar[Interval] = EVERYTHING
+    """To which commands of a plug-in's kind are clamped."""
+
     type: Prose
     """The kind of actuator."""
     strength: RandomizableFactor = 1
@@ -40,9 +60,13 @@ class Actuator(Section):
     """Time constant with which it follows a command."""
 
 
-class Motor(Actuator):
+class JointActuator(Actuator):
     """Drives one joint, or several under their names."""
 
+    sliding: ClassVar[Dimension] = NUMBER
+    """The dimension of a command where the joint slides; `dimension` is that where it turns."""
+    drive: ClassVar[str] = ""
+    """`module:attribute` of the control law of a plug-in's kind: from a `runtime.actuation.Site` to a `ControlLaw`."""
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
@@ -52,9 +76,17 @@ class Motor(Actuator):
     max_torque: MaxTorque | None = None
     """Largest torque (N*m) or force (N) per joint; by default the effort limit of the robot file."""
 
+    @classmethod
+    def dimension_of(cls, joint: Joint) -> Dimension:
+        """Of a command to this joint."""
+        return cls.sliding if joint.type == "prismatic" else cls.dimension
 
-class VelocityMotor(Motor):
+
+class VelocityMotor(JointActuator):
     """Drives a joint at a commanded velocity."""
+
+    dimension = ANGULAR_VELOCITY
+    sliding = SPEED
 
     type: Literal["velocity_motor"]
     max_velocity: JointSpeed | None = None
@@ -63,8 +95,11 @@ class VelocityMotor(Motor):
     """How fast the velocity that it drives at may change; by default at once."""
 
 
-class PositionMotor(Motor):
+class PositionMotor(JointActuator):
     """Drives a joint to a commanded position, as a spring with a damper."""
+
+    dimension = ANGLE
+    sliding = LENGTH
 
     type: Literal["position_motor"]
     stiffness: Stiffness | None = None
@@ -75,8 +110,11 @@ class PositionMotor(Motor):
     """How fast the position that it drives to may move; by default the robot file's limit, with stiffness at once."""
 
 
-class TorqueMotor(Motor):
+class TorqueMotor(JointActuator):
     """Puts a commanded torque or force on a joint."""
+
+    dimension = TORQUE
+    sliding = FORCE
 
     type: Literal["torque_motor"]
 
@@ -84,9 +122,10 @@ class TorqueMotor(Motor):
 class Thrust(Actuator):
     """Pushes links along their z axis, as a rotor does."""
 
-    type: Literal["thrust"]
-
+    dimension = FORCE
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), min=1),)
+
+    type: Literal["thrust"]
 
     link: LinkName | None = None
     """The link that it pushes."""
@@ -102,6 +141,9 @@ class Thrust(Actuator):
 
 class Cartesian(Actuator):
     """Moves a link to a commanded position in the world, by inverse kinematics."""
+
+    dimension = LENGTH
+    components = SPACE
 
     type: Literal["cartesian"]
     link: LinkName
@@ -130,12 +172,19 @@ class Gripper(Actuator):
     """Largest torque or force per joint."""
 
 
-ACTUATORS: dict[str, type[Actuator]] = {
-    "velocity_motor": VelocityMotor,
-    "position_motor": PositionMotor,
-    "torque_motor": TorqueMotor,
-    "thrust": Thrust,
-    "cartesian": Cartesian,
-    "gripper": Gripper,
-}
+def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
+    """The class that an entry point names.
+
+    Raises:
+        ValueError: It is no class of an actuator kind, or lacks something.
+    """
+    if not (isinstance(kind, type) and issubclass(kind, JointActuator)):
+        raise ValueError(f"{kind!r} is no subclass of JointActuator")
+    require_kind(name, kind, kind.drive)
+    list(parameters(kind, JointActuator))
+    yield name, kind
+
+
+_OURS = (VelocityMotor, PositionMotor, TorqueMotor, Thrust, Cartesian, Gripper)
+ACTUATORS: Table[type[Actuator]] = Table("deepbots.actuators", {kind_of(model): model for model in _OURS}, _read)
 AnyActuator = Annotated[Actuator, Kinds("type", ACTUATORS)]

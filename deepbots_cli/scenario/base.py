@@ -250,6 +250,20 @@ def require_kind(name: str, model: type[Section], place: str, key: str = "type")
     fields(model)
 
 
+def parameters(model: type[Section], *bases: type[Section]) -> Iterator[tuple[str, FieldType]]:
+    """The fields that the model of a kind has beyond those of its `bases`.
+
+    Raises:
+        ValueError: One of them is no single value.
+    """
+    known = {name for base in bases if issubclass(model, base) for name in base.model_fields}
+    for name, shape in fields(model).items():
+        if name not in known:
+            if not isinstance(shape, FieldType):
+                raise ValueError(f"{model.__name__}.{name} is no single value")
+            yield name, shape
+
+
 Shape = FieldType | type[Section] | ListOf | MappingOf | Forms | Kinds
 
 

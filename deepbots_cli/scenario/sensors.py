@@ -29,10 +29,9 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
 from deepbots_cli.plugins import Table
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size, fields, kind_of, require_kind
+from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size, kind_of, parameters, require_kind
 from deepbots_cli.scenario.fields import (
     Column,
-    FieldType,
     JointName,
     JointNames,
     LinkName,
@@ -360,18 +359,8 @@ class Camera(LinkSensor):
     """Content of a pixel."""
 
 
-_BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
-"""Classes whose parameters the compiler knows."""
-
-
-def parameters(kind: type[Sensor]) -> Iterator[tuple[str, FieldType]]:
-    """The parameters of a kind beyond those of its base, with their field types. The compiler passes them to the reader."""
-    known = {name for base in kind.__mro__ if base in _BASES for name in getattr(base, "model_fields", ())}
-    for name, shape in fields(kind).items():
-        if name not in known:
-            if not isinstance(shape, FieldType):
-                raise ValueError(f"{kind.__name__}.{name} is no single value")
-            yield name, shape
+BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
+"""Classes whose parameters the compiler knows; it passes others to the reader."""
 
 
 def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
@@ -383,7 +372,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
     if not (isinstance(kind, type) and issubclass(kind, (JointSensor, LinkSensor, ContactSensor))):
         raise ValueError(f"{kind!r} is no subclass of JointSensor, LinkSensor or ContactSensor")
     require_kind(name, kind, kind.reader)
-    list(parameters(kind))
+    list(parameters(kind, *BASES))
     yield name, kind
 
 

@@ -44,9 +44,13 @@ def deepbots(folder, *arguments):
     return python(folder, "-m", "deepbots_cli", *arguments)
 
 
-def test_a_scenario_of_a_plugin_is_found_by_name_and_has_no_findings(site):
-    done = deepbots(site, "lint", "acme_spin")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "acme_spin: no findings\n", "")
+@pytest.mark.parametrize("name", ["acme_spin", "acme_throttle"])
+def test_a_scenario_of_a_plugin_is_found_by_name_and_has_no_findings(site, name):
+    done = deepbots(site, "lint", name)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name}: no findings\n", "")
+
+
+def test_a_scenario_of_a_plugin_is_inspected_and_listed(site):
     assert "AcmeSpin" in deepbots(site, "inspect", "acme_spin").stdout
     listed = json.loads(deepbots(site, "list", "--json").stdout)
     assert "acme_spin" in [row["name"] for row in listed["scenarios"]]
@@ -74,6 +78,25 @@ def test_mistakes_in_what_a_plugin_adds_are_found_at_their_place(site, change, c
     assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found), done.stdout
 
 
+@pytest.mark.parametrize(
+    ("change", "code", "headline"),
+    [
+        ("robots.spinner.actuators.axle.stall_torque=5 kg", "DB503", "`stall_torque`"),
+        ("robots.spinner.actuators.axle.idle_speed=0 rad/s", "DB105", "`idle_speed`"),
+        ("robots.spinner.actuators.axle.stall=5 N*m", "DB101", "stall"),
+        ("robots.spinner.actuators.axle.type=throtle", "DB104", "unknown type `throtle`"),
+        ("robots.spinner.actuators.axle.joint=axel", "DB302", "axel"),
+        ("robots.spinner.actuators.axle.max_torque=2 N*m", "DB304", "a limit of"),
+        ("robots.spinner.apply.axle=voltage * 5 N", "DB503", "the target of `axle`"),
+        ("action.voltage=-100 .. 100", "DB312", "`axle` is asked for"),
+    ],
+)
+def test_mistakes_in_an_actuator_of_a_plugin_are_found_at_their_place(site, change, code, headline):
+    done = deepbots(site, "lint", "acme_throttle", "--preview", "--set", change, "--format", "json")
+    found = json.loads(done.stdout)["findings"]
+    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found), done.stdout
+
+
 def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(site):
     assert "Most of them is the reset." in deepbots(site, "explain", "ACME1").stdout
     assert deepbots(site, "lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1").stdout.startswith(
@@ -86,7 +109,11 @@ def test_the_schema_knows_the_kinds_and_their_parameters(site):
     tachometer = schema["$defs"]["acme.sensors.Tachometer"]
     assert "The way between two pulses." in tachometer["properties"]["spacing"]["description"]
     assert tachometer["properties"]["direction"]["enum"] == ["both", "forward"]
+    throttle = schema["$defs"]["acme.actuators.Throttle"]
+    assert "without a load" in throttle["properties"]["idle_speed"]["description"]
+    assert {"joint", "joints", "max_torque", "strength", "delay", "lag"} < set(throttle["properties"])
     text = json.dumps(schema)
+    assert "A DC motor whose torque falls" in text
     assert "Counts the pulses of a disc on a joint" in text
     assert '"piped"' in text
     assert "acme.algorithms.GentlePPO" in schema["$defs"]
@@ -97,6 +124,8 @@ def test_the_schema_knows_the_kinds_and_their_parameters(site):
     [
         ("tachometer", "Counts the pulses of a disc on a joint"),
         ("spacing", "The way between two pulses."),
+        ("throttle", "A DC motor whose torque falls with its speed"),
+        ("idle_speed", "Speed at full voltage without a load."),
         ("halved", "Half of x."),
         ("GentlePPO", "PPO that makes three passes"),
     ],
@@ -110,14 +139,17 @@ def test_editors_are_offered_kinds_and_parameters(site):
 from deepbots_cli.scenario.base import fields, shape_at
 from deepbots_cli.scenario.docs import about_kind, hover
 from deepbots_cli.scenario.scenario import Scenario
-data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}}}}
-path = ("robots", "r", "sensors", "s")
-kinds = shape_at(Scenario, data, path, settled=False)
-print("tachometer" in kinds.names, about_kind(kinds, "tachometer"))
-print(hover(shape_at(Scenario, data, path), "spacing"))
+data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
+for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
+    path = ("robots", "r", section, name)
+    kinds = shape_at(Scenario, data, path, settled=False)
+    print(kind in kinds.names, about_kind(kinds, kind))
+    print(hover(shape_at(Scenario, data, path), key))
 """
     told = python(site, "-c", script).stdout
     assert told.startswith("True Counts the pulses")
+    assert "True A DC motor whose torque falls" in told
+    assert "**stall_torque**: a torque or a force" in told
     assert "**spacing**: an angle or a length" in told
     assert "**Default:** `1 deg`" in told
 
@@ -139,6 +171,32 @@ print(json.dumps([float(seen[0]), type(env.engine).__name__]))
     assert engine == "Counting"
 
 
+THROTTLED = """
+import json
+import sys
+import deepbots_cli
+from deepbots_cli import api
+assert "self.drive_axle = self.actuator('axle')" in api.compile("acme_throttle").code.replace('"', "'")
+env = deepbots_cli.make("acme_throttle", sets=sys.argv[1:])
+env.reset(seed=0)
+print(json.dumps([float(env.step([0.5])[0][0]) * 20.0 for _ in range(60)]))
+"""
+
+
+@pytest.mark.parametrize(("strength", "delay"), [("1", "0 ms"), ("uniform(0.4 .. 0.5)", "0 ms"), ("1", "100 ms")])
+def test_an_actuator_of_a_plugin_drives_with_strength_and_delay(site, strength, delay):
+    place = "robots.spinner.actuators.axle"
+    done = python(site, "-c", THROTTLED, f"{place}.strength={strength}", f"{place}.delay={delay}")
+    speeds = json.loads(done.stdout)
+    # The wheel follows the law: inertia * dw/dt = strength * stall * (share - w / idle), so with w = share * idle in the end,
+    # and a time constant of inertia * idle / (strength * stall) = 0.001 * 10.47 / 0.2 = 52 ms at full strength.
+    late = 5 if delay != "0 ms" else 0
+    assert all(abs(speed) < 1e-9 for speed in speeds[:late])
+    assert speeds[-1] == pytest.approx(0.5 * 10.472, rel=0.02), done.stderr
+    share = speeds[late + 2] / (0.5 * 10.472)  # after 60 ms
+    assert 0.5 < share < 0.8 if strength == "1" else 0.25 < share < 0.5
+
+
 def test_the_algorithm_of_a_plugin_trains_with_its_default(site):
     script = """
 from deepbots_cli import api
@@ -157,6 +215,8 @@ print([entry.value for entry in defaults.effective(program, 1000) if entry.name 
         ("deepbots.sensors", "pulse = json:loads", "is no subclass of JointSensor, LinkSensor or ContactSensor"),
         ("deepbots.sensors", "pulse = acme.sensors:Tachometer", 'needs the field `type: Literal["pulse"]`'),
         ("deepbots.sensors", "gyro = deepbots_cli.scenario.sensors:Gyro", "the name 'gyro' is taken"),
+        ("deepbots.actuators", "jet = json:loads", "is no subclass of JointActuator"),
+        ("deepbots.actuators", "jet = deepbots_cli.scenario.actuators:TorqueMotor", 'needs the field `type: Literal["jet"]`'),
         ("deepbots.formats", "pipe = json:loads", "is no MessageFormat"),
         ("deepbots.rules", "pipe = json:loads", "TypeError"),
         ("deepbots.algorithms", "Mine = json:loads", "is derived from none of PPO"),
@@ -166,7 +226,12 @@ print([entry.value for entry in defaults.effective(program, 1000) if entry.name 
 def test_a_broken_plugin_is_told_in_one_line_and_left_out(tmp_path, group, entry, reason):
     key, _, value = entry.partition(" = ")
     installed(tmp_path, {group: {key: value}})
-    unknown = ("robots.cart.sensors.pole_angle.type=pulze", "messages.format=pipes", "train.algorithm=Own")
+    unknown = (
+        "robots.cart.sensors.pole_angle.type=pulze",
+        "robots.cart.actuators.wheels.type=jett",
+        "messages.format=pipes",
+        "train.algorithm=Own",
+    )
     wrong = () if group == "deepbots.rules" else unknown  # rules run where nothing else is wrong
     done = deepbots(tmp_path, "lint", "cartpole", *(word for change in wrong for word in ("--set", change)))
     told = [line for line in done.stderr.splitlines() if "are not available" in line]

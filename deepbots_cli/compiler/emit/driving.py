@@ -8,7 +8,7 @@ from deepbots_cli import frames
 from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
 from deepbots_cli.compiler.robots import held
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Thrust
+from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 
 
 class Driving:
@@ -40,6 +40,8 @@ class Driving:
                 return self._thrust(actuator)
             case Cartesian():
                 return self._cartesian(actuator)
+            case CustomActuator():
+                return f"self.actuator({quoted(actuator.name)})"
             case Motor():
                 return self._device(actuator) if self._is_device(actuator) else self._plain(actuator)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.port import Engine
-from deepbots_cli.runtime.actuation.motors import Figures, Motor
+from deepbots_cli.runtime.actuation.motors import Motor, PerJoint
 
 
 class Cartesian(Motor):
@@ -22,10 +22,10 @@ class Cartesian(Motor):
         robot: str,
         link: str,
         joints: Sequence[str],
-        max_torque: Figures,
+        max_torque: PerJoint,
         *,
         rpy: tuple[float, float, float] | None = None,
-        strength: Figures = 1.0,
+        strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
         lag: float = 0.0,

@@ -9,7 +9,7 @@ from deepbots_cli.port import Engine, MotorWriter
 from deepbots_cli.program.robots import MotorKind
 from deepbots_cli.runtime.actuation.response import Response
 
-Figures = float | Sequence[float]
+PerJoint = float | Sequence[float]
 """One for all joints, or one for each."""
 
 
@@ -27,11 +27,11 @@ class Motor:
         kind: MotorKind,
         robot: str,
         joints: Sequence[str],
-        max_torque: Figures,
+        max_torque: PerJoint,
         *,
-        stiffness: Figures | None = None,
-        damping: Figures | None = None,
-        strength: Figures = 1.0,
+        stiffness: PerJoint | None = None,
+        damping: PerJoint | None = None,
+        strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
         lag: float = 0.0,
@@ -60,10 +60,10 @@ class Motor:
             self.response.send(targets)
 
     def reset(self) -> None:
-        """Take the figures as they are now, and forget all commands."""
-        figures = (self.max_torque, self.stiffness, self.damping, self.strength)
-        if figures != self._bound:
-            self._bound = figures
+        """Take strength, limits and gains as they are now, and forget all commands."""
+        bound = (self.max_torque, self.stiffness, self.damping, self.strength)
+        if bound != self._bound:
+            self._bound = bound
             self._bind()
         if self.response is not None:
             self.response.reset()
@@ -103,9 +103,9 @@ class Motor:
         else:
             self._write = engine.position_motor(robot, joints, limits, self._scaled(self.stiffness), self._scaled(self.damping))
 
-    def _scaled(self, gain: Figures | None) -> list[float] | None:
+    def _scaled(self, gain: PerJoint | None) -> list[float] | None:
         """A gain of the spring in each joint, as strong as that motor is."""
         return None if gain is None else [share * max(0.0, each) for share, each in zip(self._shares, self._each(gain), strict=True)]
 
-    def _each(self, figures: Figures) -> Sequence[float]:
-        return (figures,) * len(self._joints) if isinstance(figures, (int, float)) else figures
+    def _each(self, values: PerJoint) -> Sequence[float]:
+        return (values,) * len(self._joints) if isinstance(values, (int, float)) else values

@@ -46,7 +46,7 @@ class Thrust:
         self.response.send(thrusts)
 
     def reset(self) -> None:
-        """Take the figures as they are now, and forget all commands."""
+        """Take the strength as it is now, and forget all commands."""
         strength = self.strength
         strengths = [strength] * len(self._rotors) if isinstance(strength, (int, float)) else strength
         self._effects = [_effect(rotor, max(0.0, each)) for rotor, each in zip(self._rotors, strengths, strict=True)]

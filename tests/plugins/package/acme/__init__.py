@@ -1,1 +1,1 @@
-"""A plug-in of deepbots: a sensor, a function, a lint rule, a message format, an algorithm, an engine, a scenario with its robot."""
+"""A plug-in of deepbots: sensor, actuator, function, lint rule, message format, algorithm, engine, scenarios with a robot."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from deepbots_cli.runtime import actuation
+from deepbots_cli.runtime.actuation import ControlLaw
 from deepbots_cli.runtime.messages import Codec
 from deepbots_cli.runtime.sensing import Instrument, Site
 
@@ -11,6 +13,12 @@ def tachometer(site: Site) -> Instrument:
     if site.parameters["direction"] == "forward":
         return Instrument(lambda: [max(0.0, state[1]) / spacing for state in read()])
     return Instrument(lambda: [state[1] / spacing for state in read()])
+
+
+def throttle(site: actuation.Site) -> ControlLaw:
+    read = site.engine.joint_states(site.robot, site.joints)
+    stall, idle = site.parameters["stall_torque"], site.parameters["idle_speed"]
+    return ControlLaw(lambda shares: [stall * (share - state[1] / idle) for share, state in zip(shares, read(), strict=True)])
 
 
 def piped(stamp: int, codes: list[str]) -> Codec:
