@@ -1,6 +1,6 @@
 """The rule registry: code, kebab-case name, severity and summary of each rule.
 
-Codes and names are stable: a retired rule keeps its number.
+Codes and names are stable. DB604, DB605, DB606 and DB610 are retired and never given again.
 """
 
 from __future__ import annotations
@@ -38,15 +38,6 @@ class Rule:
     def family(self) -> str:
         """The topic of the rules with the same first digit."""
         return FAMILIES.get(self.code[:3], "plug-ins")
-
-
-@dataclass(frozen=True)
-class Retired:
-    """A code that is no longer reported, and why."""
-
-    code: str
-    name: str
-    reason: str
 
 
 FAMILIES = {
@@ -162,19 +153,6 @@ _CATALOGUE = (
     Rule("DB903", "rule-failed", "error", "a rule or the compiler raised an exception on this file, which is a fault of deepbots"),
 )
 
-_RETIRED = (
-    Retired(
-        "DB604", "action-dims-mismatch", "the space follows from `action`; a command of the wrong length is DB404, a choice left open DB102"
-    ),
-    Retired("DB605", "action-not-normalised", "the agent acts in [-1, 1] in every scenario; `action` says what that means"),
-    Retired(
-        "DB606", "message-layout-mismatch", "both ends take their layout from the same `emit` and `receive`; what is not sent is DB407"
-    ),
-    Retired(
-        "DB610", "undeclared-delay", "there is no delay but what `latency`, `delay`, `period` and `timing` say; none comes with the loop"
-    ),
-)
-
 
 def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
     """The rules that an entry point names.
@@ -187,26 +165,23 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
             raise ValueError(f"{rule!r} is no Rule with a check that has a docstring")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
             raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
-        if rule.name in {entry.name for entry in (*_CATALOGUE, *_RETIRED)}:
+        if rule.name in {entry.name for entry in _CATALOGUE}:
             raise ValueError(f"the name {rule.name!r} is taken")
         yield rule.code, rule
 
 
 RULES: Table[Rule] = Table("deepbots.rules", {entry.code: entry for entry in _CATALOGUE}, _read)
-RETIRED = {entry.code: entry for entry in _RETIRED}
 
 
-def with_prefix(word: str) -> tuple[Rule | Retired, ...]:
-    """The entry whose code or name is `word`, whatever its case, or all entries whose codes begin with it; retired ones last."""
+def with_prefix(word: str) -> tuple[Rule, ...]:
+    """The rule whose code or name is `word`, whatever its case, or all rules whose codes begin with it."""
     wanted = word.strip().lower().replace("_", "-")
-    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *_RETIRED)
-    named = tuple(entry for entry in entries if wanted == entry.name)
-    return named or tuple(entry for entry in entries if entry.code.lower().startswith(wanted))
+    named = tuple(rule for rule in RULES.values() if wanted == rule.name)
+    return named or tuple(rule for rule in RULES.values() if rule.code.lower().startswith(wanted))
 
 
 def unknown(word: str) -> str:
-    """The message for a word that fits no entry."""
+    """The message for a word that fits no rule."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
-    entries: tuple[Rule | Retired, ...] = (*RULES.values(), *_RETIRED)
-    near = nearest(word, [entry.code if is_code else entry.name for entry in entries])
+    near = nearest(word, [rule.code if is_code else rule.name for rule in RULES.values()])
     return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")

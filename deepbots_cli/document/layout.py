@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, to_data
+from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, Sequence, descend, to_data
 from deepbots_cli.document.parse import LOADER, parse
 
 _MAX_PASSES = 6
@@ -241,36 +241,29 @@ _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n",
 
 def write(node: Node) -> str:
     """Block-style YAML that reads back as the same values, without comments."""
-    return "\n".join(_lines(node, 0)) + "\n"
+    return "\n".join(_lines(node, "")) + "\n"
 
 
-def _lines(node: Node, depth: int) -> list[str]:
-    pad = "  " * depth
+def _lines(node: Node, pad: str) -> Iterator[str]:
     match node:
-        case Mapping(entries=entries) if entries:
-            return [line for key, entry in entries.items() for line in _entry(f"{pad}{_text(key)}:", entry.value, depth)]
-        case Sequence(items=items) if items:
-            return [line for item in items for line in _entry(f"{pad}-", item, depth)]
-        case _:
-            return [pad + _inline(node)]
-
-
-def _entry(head: str, value: Node, depth: int) -> list[str]:
-    match value:
-        case Mapping(entries=inner) | Sequence(items=inner) if inner:
-            return [head, *_lines(value, depth + 1)]
-        case _:
-            return [f"{head} {_inline(value)}"]
-
-
-def _inline(node: Node) -> str:
-    match node:
-        case Mapping():
-            return "{}"
-        case Sequence():
-            return "[]"
         case Scalar():
-            return _text(node.text) if isinstance(node.value, str) else node.text
+            yield pad + (_text(node.text) if isinstance(node.value, str) else node.text)
+        case Mapping(entries=entries):
+            for key, entry in entries.items():
+                yield from _under(f"{pad}{_text(key)}:", entry.value, pad)
+        case Sequence(items=items):
+            for item in items:
+                yield from _under(f"{pad}-", item, pad)
+
+
+def _under(head: str, value: Node, pad: str) -> Iterator[str]:
+    """The lines of an entry; a scalar or an empty collection stands on the line of its key."""
+    lines = list(_lines(value, f"{pad}  "))
+    if isinstance(value, Scalar) or not lines:
+        yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, Mapping) else '[]'}"
+    else:
+        yield head
+        yield from lines
 
 
 def _text(text: str) -> str:
@@ -283,13 +276,13 @@ def _text(text: str) -> str:
 # Removing an entry
 
 _REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
+_COMMA = re.compile(r"[ \t]*,[ \t]*")
 
 
 def removing(root: Node, path: Path) -> Fix | None:
-    """The fix that removes the entry at `path`, with its lines or between its brackets.
+    """The fix that removes the entry at `path`, with its lines or with a comma beside it.
 
-    None where the rest might change: the only entry of its mapping, a list item, or brackets with a comment or a line
-    break beside the entry.
+    None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with other text.
     """
     holder, _, steps = descend(root, path[:-1])
     if steps < len(path) - 1 or not isinstance(holder, Mapping) or len(holder.entries) < 2:
@@ -297,23 +290,15 @@ def removing(root: Node, path: Path) -> Fix | None:
     entry = holder.entries.get(str(path[-1]))
     if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:
         return None
-    span = _in_brackets(holder, entry) if holder.span.text.startswith("{") else _on_lines(entry)
-    return Fix((Edit(span, ""),), safe=False) if span else None
-
-
-def _on_lines(entry: Entry) -> Span | None:
-    source, text = entry.key.span.source, entry.key.span.source.text
-    start = text.rfind("\n", 0, entry.key.span.start) + 1
-    rest = _REST_OF_LINE.match(text, entry.value.span.end)
-    return Span(source, start, rest.end()) if rest and not text[start : entry.key.span.start].strip() else None
-
-
-def _in_brackets(holder: Mapping, entry: Entry) -> Span | None:
-    source = holder.span.source
-    entries = sorted(holder.entries.values(), key=lambda other: other.key.span.start)
-    at = next(index for index, other in enumerate(entries) if other is entry)
-    if at + 1 < len(entries):
-        span = Span(source, entry.key.span.start, entries[at + 1].key.span.start)
+    source, start, _ = entry.key.span
+    text, end = source.text, entry.value.span.end
+    if not holder.span.text.startswith("{"):
+        start = text.rfind("\n", 0, start) + 1
+        rest = _REST_OF_LINE.match(text, end)
+        end = rest.end() if rest and not text[start : entry.key.span.start].strip() else start
+    elif comma := _COMMA.match(text, end):
+        end = comma.end()
     else:
-        span = Span(source, entries[at - 1].value.span.end, entry.value.span.end)
-    return None if set(span.text) & set("#\n") else span
+        before = text[:start].rstrip()
+        start = len(before) - 1 if before.endswith(",") else end
+    return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None
