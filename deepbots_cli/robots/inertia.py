@@ -6,7 +6,6 @@ Inertia is in kg m^2 about the centre of mass, in axes parallel to the shape's o
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Matrix
@@ -50,12 +49,6 @@ def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | N
             return Inertial(mass, origin, ixx=across, iyy=across, izz=middle / 2 * r * r + ends * 2 / 5 * r * r)
         case Mesh():
             return None
-
-
-def weighing(inertial: Inertial, mass: float) -> Inertial:
-    """The same body of another density, so that it weighs `mass` kg; its own must not be 0."""
-    moments = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    return replace(inertial, mass=mass, **{name: getattr(inertial, name) * mass / inertial.mass for name in moments})
 
 
 def is_plausible(inertial: Inertial) -> bool:

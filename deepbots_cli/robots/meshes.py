@@ -14,7 +14,7 @@ import re
 import sys
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -41,8 +41,6 @@ _MAX_LINES = 400_000  # vertices and faces of an OBJ file; 32 MiB could hold mil
 _MAX_CORNERS = 1_500_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
 _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")
-_HARMLESS: set[tuple[str, str]] = set()
-"""Suffix and digest of meshes that were checked in this process."""
 
 
 @dataclass(frozen=True)
@@ -200,10 +198,10 @@ class Meshes:
 
 
 def checked_bytes(mesh: Mesh) -> bytes:
-    """The file of a mesh of a compiled scenario, which may come from anyone: it is still the file that was checked, and harmless.
+    """The file of a mesh of a compiled scenario, if it is still the file that the compiler checked.
 
     Raises:
-        EngineError: It cannot be read, has changed, or may crash an engine.
+        EngineError: The file cannot be read, or has changed.
     """
     path = Path(mesh.path)
     if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
@@ -212,33 +210,23 @@ def checked_bytes(mesh: Mesh) -> bytes:
         data = read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
-    digest = hashlib.sha256(data).hexdigest()
-    if digest != mesh.digest:
+    if hashlib.sha256(data).hexdigest() != mesh.digest:
         raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")
-    if (path.suffix, digest) not in _HARMLESS:
-        wrong = fault(path.suffix.lower(), data)
-        if wrong is not None:
-            raise EngineError(f"mesh {mesh.path} cannot be used: {wrong}")
-        _HARMLESS.add((path.suffix, digest))
     return data
 
 
+@lru_cache(maxsize=1000)
 def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
     """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or one that has gone or changed."""
-    found = _measured(replace(mesh, scale=(1.0, 1.0, 1.0)))
+    try:
+        found = measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
+    except EngineError:
+        return None
     if found is None:
         return None
     ends = [sorted((low * factor, high * factor)) for low, high, factor in zip(found.lower, found.upper, mesh.scale, strict=True)]
     (x, x_end), (y, y_end), (z, z_end) = ends
     return (x, y, z), (x_end, y_end, z_end)
-
-
-@lru_cache(maxsize=1000)
-def _measured(mesh: Mesh) -> Measure | None:
-    try:
-        return measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
-    except EngineError:
-        return None
 
 
 # What a file holds
