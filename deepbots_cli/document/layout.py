@@ -11,7 +11,6 @@ import json
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import yaml
@@ -134,50 +133,34 @@ class _Columns:
     """The columns in which the tokens of each line begin."""
 
     def __init__(self, text: str) -> None:
-        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
+        self._source = Source("", text)
         self._columns: dict[int, set[int]] = {}
         for token in _visible(text):
             if token.kind not in (",", ":"):
-                line, column = self._place(token.start)
+                line, column = self._source.position(token.start)
                 self._columns.setdefault(line, set()).add(column)
         lines = sorted(self._columns)
         self._neighbours = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
 
-    def _place(self, offset: int) -> tuple[int, int]:
-        line = bisect_right(self._starts, offset) - 1
-        return line, offset - self._starts[line]
-
     def aligned(self, offset: int) -> bool:
         """Whether the token there stands right above or below the beginning of another one."""
-        line, column = self._place(offset)
+        line, column = self._source.position(offset)
         return any(column in self._columns[other] for other in self._neighbours[line])
 
 
 # Indentation
 
 
-@dataclass
-class _Line:
-    """The old and new column of a line that begins an entry."""
-
-    old: int
-    new: int
-
-
 def _indented(text: str) -> str:
-    structure, inside, dashes = _structure(text)
-    beginnings = sorted(structure)
-    lines = text.split("\n")
+    shifts, inside, dashes = _structure(text)
+    beginnings = sorted(shifts)
     done: list[str] = []
     shift = 0
-    for number, line in enumerate(lines):
-        if number in structure:
-            shift = structure[number].new - structure[number].old
-        own = shift
-        if number not in structure and number not in inside and line.strip():  # a comment belongs to the entry below it
+    for number, line in enumerate(text.split("\n"), 1):
+        shift = own = shifts.get(number, shift)
+        if number not in shifts and number not in inside and line.strip():  # a comment belongs to the entry below it
             index = bisect_right(beginnings, number)
-            following = structure[beginnings[index]] if index < len(beginnings) else None
-            own = following.new - following.old if following else shift
+            own = shifts[beginnings[index]] if index < len(beginnings) else shift
         done.append(_shifted(line, own, dashes.get(number, ())))
     return "\n".join(done)
 
@@ -191,34 +174,35 @@ def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
     return " " * max(0, blanks + shift) + line.lstrip(" ")
 
 
-def _structure(text: str) -> tuple[dict[int, _Line], set[int], dict[int, tuple[int, ...]]]:
-    """By line number: the lines that begin an entry of a block, the lines inside a value, and the columns of dashes with text behind."""
-    starts = [0, *(match.end() for match in re.finditer("\n", text))]
-    structure: dict[int, _Line] = {}
+def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int, ...]]]:
+    """By line number (from 1): how far the lines that begin an entry move, the lines inside a value, the dashes with text behind.
+
+    A line moves by blanks to the right; a dash is given by the number of blanks before it.
+    """
+    source = Source("", text)
+    shifts: dict[int, int] = {}
     inside: set[int] = set()
     dashes: dict[int, tuple[int, ...]] = {}
     levels: list[str] = []
-    line, flow, is_key, opened, known = 0, 0, False, 0, 0
+    flow, is_key, opened, known = 0, False, 1, 0
     for token in _tokens(text):
-        while line + 1 < len(starts) and starts[line + 1] <= token.start:
-            line += 1
+        line, column = source.position(token.start)
+        blanks = column - 1
         if flow == 0:
             _nest(levels, token.kind)
             begins = token.kind == "-" or (is_key and token.end > token.start)
-            if begins and line not in structure and not text[starts[line] : token.start].strip():
-                structure[line] = _Line(token.start - starts[line], 2 * (len(levels) - 1))
+            if begins and line not in shifts and not text[token.start - blanks : token.start].strip():
+                shifts[line] = 2 * (len(levels) - 1) - blanks
             if token.kind == "-" and text[token.end : token.end + 2].strip(" ") == "" and "\n" not in text[token.end : token.end + 2]:
-                dashes[line] = (*dashes.get(line, ()), token.start - starts[line])
+                dashes[line] = (*dashes.get(line, ()), blanks)
             opened = line
         is_key = token.kind == "?" or (is_key and token.end == token.start)
         flow += (token.kind in _OPENING) - (token.kind in _CLOSING)
         last = line + text.count("\n", token.start, token.start + len(text[token.start : token.end].rstrip()))
-        if flow:
-            inside.update(range(max(opened + 1, known), last + 1))
-        else:
-            inside.update(range((line if token.kind in _CLOSING else line + 1), last + 1))
+        first = max(opened + 1, known) if flow else line if token.kind in _CLOSING else line + 1
+        inside.update(range(first, last + 1))
         known = last + 1  # the lines above are done
-    return structure, inside, dashes
+    return shifts, inside, dashes
 
 
 def _nest(levels: list[str], kind: str) -> None:

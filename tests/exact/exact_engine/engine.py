@@ -12,7 +12,6 @@ passes the end of its range is an error, since there are no stops.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
@@ -21,7 +20,7 @@ from deepbots_cli.engines import solids
 from deepbots_cli.engines.lookup import find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
-from deepbots_cli.robots import edits, inertia
+from deepbots_cli.robots import edits
 from exact_engine.lump import joined
 from exact_engine.motion import CartPole, Drive, RigidBody
 
