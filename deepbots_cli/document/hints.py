@@ -287,7 +287,7 @@ def help_for_key(key: Scalar) -> str:
     return f'put it in quotes: "{key.text}"'
 
 
-# Plain values that older or looser readers take differently
+# Plain values that YAML 1.1 reads differently
 
 # `y` and `n` are left out: they are coordinates and counts far more often than answers.
 _YAML11 = {
@@ -306,7 +306,7 @@ _GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9
 
 
 def unusual_value(scalar: Scalar, findings: Findings) -> None:
-    """Report a plain value that another reader of YAML takes differently, or that looks like a number and is text."""
+    """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
     text, span = scalar.text, scalar.span
     if text in _YAML11:
         help = f"write {_YAML11[text]}, or put it in quotes if text is meant"

@@ -19,7 +19,7 @@ import yaml
 from yaml.error import MarkedYAMLError
 from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, ScalarEvent, StreamEndEvent
 
-from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span, TooManyFindings
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
 from deepbots_cli.document import hints
 from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style, Value, measure
 
@@ -65,23 +65,20 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
         findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help=help)
         return None
     noticed = Findings(findings.limit)
-    root, broken, too_many = None, None, None
+    broken: Finding | None = None
     try:
-        root = _Builder(source, text, noticed, budget or Budget()).document()
+        return _Builder(source, text, noticed, budget or Budget()).document()
     except MarkedYAMLError as error:
         broken = hints.syntax_error(source, error)
         findings.append(broken)
     except _OverLimitError:
         pass
-    except TooManyFindings as error:
-        too_many = error
-    for finding in noticed:
-        # Other findings on a broken line are consequences.
-        if broken is None or finding.span.begin.line != broken.span.begin.line:
-            findings.append(finding)
-    if too_many is not None:
-        raise too_many
-    return root
+    finally:
+        for finding in noticed:
+            # Other findings on a broken line are consequences.
+            if broken is None or finding.span.begin.line != broken.span.begin.line:
+                findings.append(finding)
+    return None
 
 
 class _OverLimitError(Exception):

@@ -1,6 +1,6 @@
-"""A robot with one thing changed: pure functions. A change that is impossible returns a sentence that says why.
+"""Pure functions that change one property of a robot. An impossible change returns a sentence with the reason.
 
-The link or joint must exist: the caller reports an unknown name where it was written.
+The link or joint must exist: callers report unknown names.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
 
 
 def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
-    """The link as a homogeneous body of `density` kg/m^3, whatever its file says of mass; a mesh is weighed when it is simulated."""
+    """The link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is simulated."""
     old = model.link(link)
     shapes = old.collisions or old.visuals
     if len(shapes) != 1:

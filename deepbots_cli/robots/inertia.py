@@ -1,4 +1,4 @@
-"""Mass, volume and inertia of simple bodies in closed form; second moments.
+"""Mass, volume and inertia of simple shapes in closed form.
 
 Inertia is in kg m^2 about the centre of mass, in axes parallel to the shape's own.
 """

@@ -1,8 +1,7 @@
-"""Mesh files: where they are, whether they may be read, what they hold. Needs no numpy, since lint imports it.
+"""Mesh files: location, access, content. This module needs no numpy, since lint imports it.
 
-A file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashed the process on a vertex that is not
-a number, on an OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws an STL file of
-another length than it claims as nothing.
+Every file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is not a number, on an
+OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws nothing for an STL file of a wrong length.
 """
 
 from __future__ import annotations
@@ -53,14 +52,14 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Above:
-    """A mesh that lies in a folder above the robot file only, where PyBullet looks too; `reference` names it from the robot's folder."""
+    """A mesh in a folder above the robot file, where PyBullet looks too; `reference` is its path from the folder of the robot."""
 
     path: Path
     reference: str
 
 
 class Loaded(NamedTuple):
-    """A mesh that may be given to an engine; `reference` is set if the robot file had better name it so."""
+    """A mesh that an engine may load; `reference` is a better name for it in the robot file, if there is one."""
 
     path: Path
     digest: str
