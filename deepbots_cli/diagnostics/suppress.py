@@ -1,7 +1,7 @@
-"""Which findings are shown: `--select DB5,DB603 --ignore DB505`, and comments that suppress warnings.
+"""Selection of findings: `--select DB5,DB603 --ignore DB505`, and comments that suppress warnings.
 
-`# deepbots: ignore[DB603]` stands at the end of a line, or on a line of its own above. It suppresses warnings only. A
-comment that suppresses nothing is itself a finding (DB901), so none outlives its reason.
+The comment `# deepbots: ignore[DB603]` suppresses warnings on its line, or on the next line if it has a line of its own. A
+comment that suppresses nothing is itself a finding (DB901).
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def read(path: Path) -> bytes:
 
 
 def decode(data: bytes, name: str, findings: Findings, included_from: Span | None = None) -> tuple[Source, bool]:
-    """The text of `data`, and whether it may be parsed; a finding says why not."""
+    """The text of `data`, and whether it can be parsed; a finding gives the reason if not."""
     if len(data) > MAX_BYTES or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
         if len(data) > MAX_BYTES:
@@ -132,7 +132,7 @@ def decode(data: bytes, name: str, findings: Findings, included_from: Span | Non
 
 
 def check(source: Source, findings: Findings) -> bool:
-    """Whether every character may stand in a scenario; a finding names the first that may not."""
+    """Whether a scenario may hold every character of the text; a finding names the first forbidden one."""
     found = FORBIDDEN.search(source.text)
     if found is None:
         return True

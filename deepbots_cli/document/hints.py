@@ -34,7 +34,7 @@ _MAX_SHOWN = 60
 
 @dataclass(frozen=True)
 class _Problem:
-    """Where the parser stopped (`at`), where it began to read the piece that it stopped in (`since`), and what it says."""
+    """An error of the parser: the offset where it stopped (`at`), the start of the piece that it was reading (`since`), its message."""
 
     source: Source
     at: int
@@ -279,7 +279,7 @@ def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool
 
 
 def help_for_key(key: Scalar) -> str:
-    """The help for a key that is no text; a number without a colon is what a comma left over."""
+    """The help for a key that is no text; a number without a colon is the rest of a value that a comma cuts."""
     if not key.text:
         return "write `name: value`"
     if not _HAS_COLON.match(key.span.source.text, key.span.end):

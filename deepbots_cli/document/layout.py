@@ -143,7 +143,7 @@ class _Columns:
         self._neighbours = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
 
     def aligned(self, offset: int) -> bool:
-        """Whether the token there stands right above or below the beginning of another one."""
+        """Whether a token of the line above or below begins in the same column."""
         line, column = self._source.position(offset)
         return any(column in self._columns[other] for other in self._neighbours[line])
 
@@ -241,7 +241,7 @@ def _lines(node: Node, pad: str) -> Iterator[str]:
 
 
 def _under(head: str, value: Node, pad: str) -> Iterator[str]:
-    """The lines of an entry; a scalar or an empty collection stands on the line of its key."""
+    """The lines of an entry; a scalar or an empty collection follows its key on the same line."""
     lines = list(_lines(value, f"{pad}  "))
     if isinstance(value, Scalar) or not lines:
         yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, Mapping) else '[]'}"

@@ -25,7 +25,7 @@ MAX_CHAIN = 32
 _MAX_LISTED = 20
 
 Drafts = Table[Path, bytes]
-"""Contents that replace those of files, by absolute path."""
+"""Unsaved contents of files, by absolute path."""
 NO_DRAFTS: Drafts = {}
 
 
@@ -337,12 +337,12 @@ def assign(root: Mapping, assignment: str, findings: Findings, budget: Budget | 
 
 
 def place(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
-    """`root` after a setting whose path and value stand in a file."""
+    """`root` after a setting of a file: its key is the path, its value the new value."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
 
 
 def under(root: Mapping, path: NodePath) -> Mapping:
-    """`root` after the settings at `path`: those of an evaluation case or a curriculum stage."""
+    """`root` after the settings of the evaluation case or curriculum stage at `path`."""
     settings, _, reached = descend(root, (*path, "set"))
     if reached > len(path) and isinstance(settings, Mapping):
         for entry in settings.entries.values():

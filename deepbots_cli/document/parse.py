@@ -45,14 +45,14 @@ _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None):
 
 @dataclass
 class Budget:
-    """What is left of the limits, shared by all files of a scenario."""
+    """The remaining number of values, shared by all files of a scenario."""
 
     nodes: int = MAX_NODES
     expanded: int = MAX_EXPANDED
 
 
 def parse(source: Source, findings: Findings, budget: Budget | None = None, *, text: str | None = None) -> Node | None:
-    """The document in `source`; None if a finding says that it cannot be used.
+    """The document in `source`; None, with a finding, if it cannot be used.
 
     `text` is parsed instead of the text of the source, whose offsets it must share.
 

@@ -48,7 +48,7 @@ def known_names(word: str, known: Iterable[str], kind: str) -> str:
 
 @dataclass
 class Report:
-    """What was found in one file so far."""
+    """The findings of one file so far, and their number."""
 
     source: Source
     findings: Findings

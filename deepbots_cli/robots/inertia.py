@@ -12,7 +12,7 @@ from deepbots_cli.frames import Matrix
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, RobotModel, Shape, Sphere
 
 _HERE = Pose()
-# Published files round to three digits, and a flat plate stands exactly on the boundary.
+# Published files round to three digits, and a flat plate lies exactly on the boundary.
 _TOLERANCE = 1e-3
 
 
@@ -32,7 +32,7 @@ def volume(shape: Shape) -> float | None:
 
 
 def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
-    """The inertial of a homogeneous body of `mass` kg whose shape stands at `origin`; None for a mesh."""
+    """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):
             return Inertial(mass, origin, ixx=mass / 12 * (y * y + z * z), iyy=mass / 12 * (x * x + z * z), izz=mass / 12 * (x * x + y * y))

@@ -216,7 +216,7 @@ def checked_bytes(mesh: Mesh) -> bytes:
 
 @lru_cache(maxsize=1000)
 def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or one that has gone or changed."""
+    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is missing or changed."""
     try:
         found = measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
     except EngineError:
@@ -228,11 +228,11 @@ def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
     return (x, y, z), (x_end, y_end, z_end)
 
 
-# What a file holds
+# Content
 
 
 def fault(suffix: str, data: bytes) -> str | None:
-    """What is wrong with the mesh in `data`, as a headline; None where it may be loaded."""
+    """The headline for the first problem of a mesh; None if an engine may load it."""
     match suffix:
         case ".stl":
             return _stl(data)

@@ -1,4 +1,4 @@
-"""URDF to a checked model. Strict about what would crash or mislead an engine, lenient about the rest.
+"""URDF to a checked model. Errors are mistakes that would crash or mislead an engine; other oddities are warnings.
 
 The order is: the file, its elements, links and joints one by one, then the robot as a whole (one tree, plausible inertia).
 """
@@ -80,7 +80,7 @@ _VOCABULARY = {
     "dynamics": ("", "damping friction"),
     "mimic": ("", "joint multiplier offset"),
 }
-"""The elements and attributes that may stand inside each element. Others belong to other tools."""
+"""The child elements and attributes of each element. Unknown ones belong to other tools."""
 _SHAPES = _VOCABULARY["geometry"][0].split()
 
 
@@ -224,7 +224,7 @@ def _model(root: Element, links: dict[str, Element], joints: dict[str, Element],
 
 
 def _colours(root: Element) -> dict[str, Colour]:
-    """The named materials that have a colour: those of the robot, then those first written inside a visual."""
+    """The colours of named materials, first of the robot, then of its visuals."""
     named: dict[str, Colour] = {}
     holders = [root, *(visual for link in root.all("link") for visual in link.all("visual"))]
     for material in (material for holder in holders for material in holder.all("material")):
@@ -357,7 +357,7 @@ def _friction(link: Element) -> Friction:
 
 
 def _joint(element: Element, name: str) -> Joint | None:
-    """One `<joint>`; None where it has no type or does not say what it joins."""
+    """One `<joint>`; None if its type, parent or child is missing."""
     kind = _joint_type(element)
     parent, child = element.required("parent"), element.required("child")
     above = parent and parent.text("link")
@@ -389,7 +389,7 @@ def _joint_type(element: Element) -> JointType | None:
 
 
 def _axis(joint: Element, kind: JointType) -> Vector:
-    """The axis as a unit vector; that of a fixed or floating joint is not read."""
+    """The axis as a unit vector; fixed and floating joints have none."""
     element = joint.only("axis")
     if element is None or kind in ("fixed", "floating"):
         return (1.0, 0.0, 0.0)
