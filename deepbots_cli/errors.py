@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class DeepbotsError(Exception):
-    """A problem that the user can mend; its text says how."""
+    """A problem that the user can solve; its message says how."""
 
 
 class ScenarioError(DeepbotsError):

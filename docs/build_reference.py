@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from deepbots_cli.diagnostics.registry import RETIRED, RULES
+from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
@@ -286,9 +286,6 @@ def _rules() -> str:
         severity = f"{rule.severity}, in preview" if rule.preview else rule.severity
         by = {"no": "text", "too": "text, simulation", "only": "simulation"}[rule.deep]
         lines.append(f"| {rule.code} | `{rule.name}` | {severity} | {by} | {_cell(rule.summary)} |")
-    lines += ["", "## Retired", "", "Mistakes that the language leaves no room for, or that another finding tells of.", ""]
-    lines += ["| code | name | why |", "|---|---|---|"]
-    lines += [f"| {entry.code} | `{entry.name}` | {_cell(entry.reason)} |" for entry in RETIRED.values()]
     for page in every_page():
         lines += _rule_page(page)
     return "\n".join(lines) + "\n"

@@ -21,11 +21,10 @@ from deepbots_cli.diagnostics.findings import (
     TooManyFindings,
     shielded,
 )
-from deepbots_cli.diagnostics.registry import RETIRED, RULES, Rule, Severity
+from deepbots_cli.diagnostics.registry import RULES, Rule, Severity
 
 __all__ = [
     "MAX_FINDINGS",
-    "RETIRED",
     "RULES",
     "Edit",
     "Finding",

@@ -1,4 +1,4 @@
-"""Findings as data: what is wrong, where exactly, and what to write instead.
+"""Findings as data: a problem, its exact place, and the correction.
 
 A `Source` is a text with a name. A `Span` is a piece of it, given by two offsets, so a place inside a scalar is as
 easy to name as a whole line.

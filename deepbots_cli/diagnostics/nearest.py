@@ -17,7 +17,7 @@ _MIN_PREFIX = 3
 
 
 class Meant(NamedTuple):
-    """What to write instead of a word, and whether it is certain."""
+    """The replacement of a word, and whether it is certain."""
 
     text: str
     safe: bool

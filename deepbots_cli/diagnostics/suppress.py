@@ -1,7 +1,7 @@
-"""Which findings are shown: `--select DB5,DB603 --ignore DB505`, and comments that suppress warnings.
+"""Selection of findings: `--select DB5,DB603 --ignore DB505`, and comments that suppress warnings.
 
-`# deepbots: ignore[DB603]` stands at the end of a line, or on a line of its own above. It suppresses warnings only. A
-comment that suppresses nothing is itself a finding (DB901), so none outlives its reason.
+The comment `# deepbots: ignore[DB603]` suppresses warnings on its line, or on the next line if it has a line of its own. A
+comment that suppresses nothing is itself a finding (DB901).
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 
 from deepbots_cli.diagnostics.findings import Edit, Finding, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.registry import RETIRED, RULES, Retired, Rule, unknown, with_prefix
+from deepbots_cli.diagnostics.registry import RULES, unknown, with_prefix
 from deepbots_cli.errors import UsageError
 
 _UNREADABLE = ("DB0", "DB1")
@@ -23,10 +24,8 @@ _COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[(
 # Possessive: a line of 1 MiB may hold thousands of comments.
 _BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
 _CODE = re.compile(r"[^\s,]+")
-_MAX_CODES = 50
-"""Codes in one comment."""
-_MAX_COMPARED = 100
-"""Unknown codes compared with the known ones; a file of 1 MiB may hold tens of thousands."""
+_MAX_CODES = 1000
+"""Codes that are read in one file; a file of 1 MiB may hold tens of thousands."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,9 @@ class Selection:
         found = []
         for word in self._words.words if "DB902" not in self._ignore else ():
             entries = with_prefix(word)
-            if len(entries) != 1 or not isinstance(rule := entries[0], Rule) or not self._has(rule.code):
+            if len(entries) != 1 or not self._has(entries[0].code):
                 continue
-            span = self._words.span(word)
+            rule, span = entries[0], self._words.span(word)
             if rule.preview and not self._preview:
                 help = "add --preview (`preview = true`), or take it out"
                 found.append(Finding("DB902", span, f"{rule.code} is in preview, and does not run", help=help))
@@ -95,8 +94,6 @@ def _codes(given: Words) -> Mapping[str, int]:
         entries = with_prefix(word)
         if not word.strip() or not entries:
             raise UsageError(f"{given.source.name}: {unknown(word)}")
-        if len(entries) == 1 and isinstance(entries[0], Retired):
-            raise UsageError(f"{given.source.name}: {entries[0].code} is retired, take it out: {entries[0].reason}")
         for entry in entries:
             length = min(len(word.strip()), len(entry.code))
             fitting[entry.code] = max(length, fitting.get(entry.code, 0))
@@ -123,24 +120,20 @@ def suppress(
     wanted: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
     for source in sources:
-        for entry in _suppressions(source):
+        for entry in islice(_suppressions(source), _MAX_CODES):
             if isinstance(entry, Finding):
                 unused.append(entry)
             else:
                 wanted.setdefault((source, entry.line, entry.code), entry)
-    used = set()
     kept = []
+    used = set()
     for finding in findings:
         key = (finding.span.source, finding.span.begin.line, finding.code)
         if finding.severity == "warning" and key in wanted:
             used.add(key)
         else:
             kept.append(finding)
-    compared = 0
-    for key, entry in wanted.items():
-        if key not in used and _could_be_found(entry.code, preview, deep):
-            compared += entry.code not in RULES
-            unused.append(_unused(entry, compare=compared <= _MAX_COMPARED))
+    unused += [_unused(entry) for key, entry in wanted.items() if key not in used and _could_be_found(entry.code, preview, deep)]
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
@@ -152,15 +145,10 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
         line, column = source.position(comment.start())
         alone = line != before and not source.text[comment.start() - column + 1 : comment.start()].strip()
         before = line
-        if comment[1] is None or not comment[1].strip():
+        codes = list(islice(_CODE.finditer(source.text, *comment.span(1)), _MAX_CODES)) if comment[1] else []
+        if not codes:
             span = Span(source, *comment.span())
             yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB603]")
-            continue
-        codes = list(_CODE.finditer(source.text, *comment.span(1)))
-        if len(codes) > _MAX_CODES:
-            help = f"at most {_MAX_CODES} are read; name those that its line has findings of"
-            yield Finding("DB901", Span(source, *comment.span(1)), f"a suppression of {len(codes):_} codes", help=help)
-            continue
         for code in codes:
             removal = _removal(source, comment, [other[0] for other in codes if other[0] != code[0]])
             yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
@@ -174,24 +162,21 @@ def _could_be_found(code: str, preview: bool, deep: bool) -> bool:
     return (preview or not rule.preview) and (rule.deep == "no" or (deep and (preview or not rule.deep_preview)))
 
 
-def _unused(entry: _Suppression, *, compare: bool) -> Finding:
-    rule, fix = RULES.get(entry.code), Fix((entry.removal,), safe=True)
-    if entry.code in RETIRED:
-        help = f"remove the comment: {RETIRED[entry.code].reason}"
-        return Finding("DB901", entry.span, f"{entry.code} is retired", help=help, fix=fix)
+def _unused(entry: _Suppression) -> Finding:
+    rule = RULES.get(entry.code)
     if rule is None:
-        near = nearest(entry.code, RULES) if compare else None
+        near = nearest(entry.code, RULES)
         help = f"did you mean {near}?" if near else "codes look like DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
+    headline, help = f"no finding {entry.code} is suppressed here", "remove the comment"
     if rule.severity == "error":
-        headline = f"{entry.code} is an error, which cannot be suppressed"
-        return Finding("DB901", entry.span, headline, help="mend what it reports", fix=fix)
-    return Finding("DB901", entry.span, f"no finding {entry.code} is suppressed here", help="remove the comment", fix=fix)
+        headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct what it reports"
+    return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))
 
 
 def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:
-    """The edit that leaves only the `others` in the list, or removes the comment unless text follows that may be a reason."""
+    """The edit that leaves only the `others` in the list, or removes the comment but not a reason behind it."""
     if others:
         return Edit(Span(source, *comment.span(1)), ", ".join(others))
     rest = _BLANK_TO_LINE_END.match(source.text, comment.end())
@@ -199,6 +184,5 @@ def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:
         return Edit(Span(source, *comment.span()), comment[0][: comment[0].index("deepbots")].rstrip())
     line_start = source.text.rfind("\n", 0, comment.start()) + 1
     start = line_start + len(source.text[line_start : comment.start()].rstrip(" \t"))
-    if start == line_start:
-        return Edit(Span(source, start, min(rest.end() + 1, len(source.text))), "")
-    return Edit(Span(source, start, comment.end()), "")
+    end = comment.end() if start > line_start else min(rest.end() + 1, len(source.text))
+    return Edit(Span(source, start, end), "")

@@ -110,31 +110,29 @@ def read(path: Path) -> bytes:
 
 
 def decode(data: bytes, name: str, findings: Findings, included_from: Span | None = None) -> tuple[Source, bool]:
-    """The text of `data`, and whether it may be parsed; a finding says why not."""
-    if len(data) > MAX_BYTES:
+    """The text of `data`, and whether it can be parsed; a finding gives the reason if not."""
+    if len(data) > MAX_BYTES or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
-        help = "split it with `include`, or check that it is a scenario"
-        findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help=help)
+        if len(data) > MAX_BYTES:
+            help = "split it with `include`, or check that it is a scenario"
+            findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help=help)
+        else:
+            findings.add("DB001", Span(source, 0, 0), "the file is in UTF-16", help="save it as UTF-8")
         return source, False
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        source = Source(name, "", included_from)
-        findings.add("DB001", Span(source, 0, 0), "the file is in UTF-16", help="save it as UTF-8")
-        return source, False
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    source = Source(name, data.decode("utf-8", "replace"), included_from)
     try:
-        text, broken = data.decode("utf-8"), None
+        data.decode("utf-8")
     except UnicodeDecodeError as error:
-        text, broken = data.decode("utf-8", "replace"), len(data[: error.start].decode("utf-8"))
-    bom = text.startswith("\ufeff")
-    source = Source(name, text[bom:], included_from)
-    if broken is not None and "\0" not in text:
-        at = broken - bom
-        findings.add("DB001", Span(source, at, at + 1), "the file is not UTF-8 text", help="save it as UTF-8")
-        return source, False
+        if "\0" not in source.text:
+            at = len(data[: error.start].decode("utf-8"))
+            findings.add("DB001", Span(source, at, at + 1), "the file is not UTF-8 text", help="save it as UTF-8")
+            return source, False
     return source, check(source, findings)
 
 
 def check(source: Source, findings: Findings) -> bool:
-    """Whether every character may stand in a scenario; a finding names the first that may not."""
+    """Whether a scenario may hold every character of the text; a finding names the first forbidden one."""
     found = FORBIDDEN.search(source.text)
     if found is None:
         return True

@@ -1,13 +1,13 @@
-"""YAML mistakes: the wording of syntax errors, and text that is YAML but not what was meant.
+"""YAML mistakes: the wording of syntax errors, and YAML that its author probably meant otherwise.
 
-The parser only says what it expected. Its message chooses the case here, and the text around the place tells what was
-written and what to write instead.
+The message of the parser only says what it expected. It chooses the case here; the text around the place tells what to
+write instead.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from yaml.error import MarkedYAMLError
@@ -34,7 +34,7 @@ _MAX_SHOWN = 60
 
 @dataclass(frozen=True)
 class _Problem:
-    """Where the parser stopped (`at`), where it began to read the piece that it stopped in (`since`), and what it says."""
+    """An error of the parser: the offset where it stopped (`at`), the start of the piece that it was reading (`since`), its message."""
 
     source: Source
     at: int
@@ -68,11 +68,16 @@ def syntax_error(source: Source, error: MarkedYAMLError) -> Finding:
     at = min(error.problem_mark.index, len(source.text)) if error.problem_mark else len(source.text)
     since = error.context_mark.index if error.context_mark else at
     problem = _Problem(source, at, since, error.problem or "", error.context or "")
-    for hint in _SYNTAX_HINTS:
-        found = hint(problem)
-        if found is not None:
-            return found
-    return problem.finding("the text cannot be read as YAML from here", _QUOTE_HELP, at)
+    return (
+        _tab(problem)
+        or _exclamation_mark(problem)
+        or _quote(problem)
+        or _brackets(problem)
+        or _leading_sign(problem)
+        or _colon(problem)
+        or _behind_value(problem)
+        or problem.finding("the text cannot be read as YAML from here", _QUOTE_HELP, at)
+    )
 
 
 def _tab(problem: _Problem) -> Finding | None:
@@ -147,30 +152,24 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
 
 
 def _colon(problem: _Problem) -> Finding | None:
-    """A colon that begins a mapping where none can begin."""
+    """A key or a list item where none can begin, or a line without a key."""
+    if problem.says("could not find expected ':'"):
+        return _line_without_key(problem, problem.since, problem.rest(problem.since))
+    if problem.says("sequence entries are not allowed"):
+        help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
+        return problem.finding("a list item on the line of its key", help, problem.at)
     if not problem.says("mapping values are not allowed"):
         return None
-    if ": " in problem.before.lstrip() or (":" in problem.before and '"' in problem.before):
+    key = problem.before.lstrip()
+    if ": " in key or (":" in key and '"' in key):
         return _second_colon(problem, _QUOTE_HELP)
-    text, line_start = problem.source.text, problem.line_start
-    above = text.rfind("\n", 0, max(0, line_start - 1)) + 1
-    line = text[above:line_start].strip()
+    text = problem.source.text
+    above = text.rfind("\n", 0, max(0, problem.line_start - 1)) + 1
+    line = text[above : problem.line_start].strip()
     if line.startswith("//"):
         return _line_without_key(problem, text.index("//", above), line)
-    indent = len(problem.before) - len(problem.before.lstrip())
     help = "align it with the keys that it belongs to; a key holds a value or further keys, not both"
-    return problem.finding("a key where the value above goes on", help, line_start + indent, max(1, len(problem.before) - indent))
-
-
-def _dash(problem: _Problem) -> Finding | None:
-    if not problem.says("sequence entries are not allowed"):
-        return None
-    help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
-    return problem.finding("a list item on the line of its key", help, problem.at)
-
-
-def _no_colon(problem: _Problem) -> Finding | None:
-    return _line_without_key(problem, problem.since, problem.rest(problem.since)) if problem.says("could not find expected ':'") else None
+    return problem.finding("a key where the value above goes on", help, problem.at - len(key), max(1, len(key)))
 
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
@@ -211,19 +210,6 @@ def _behind_value(problem: _Problem) -> Finding | None:
 def _quoted(text: str) -> str:
     """`text` in quotes that YAML reads back as it."""
     return f"'{text}'" if '"' in text and "'" not in text else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-_SYNTAX_HINTS: tuple[Callable[[_Problem], Finding | None], ...] = (
-    _tab,
-    _exclamation_mark,
-    _quote,
-    _brackets,
-    _leading_sign,
-    _colon,
-    _dash,
-    _no_colon,
-    _behind_value,
-)
 
 
 # Values cut by a comma, or emptied by a `#`
@@ -293,7 +279,7 @@ def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool
 
 
 def help_for_key(key: Scalar) -> str:
-    """The help for a key that is no text; a number without a colon is what a comma left over."""
+    """The help for a key that is no text; a number without a colon is the rest of a value that a comma cuts."""
     if not key.text:
         return "write `name: value`"
     if not _HAS_COLON.match(key.span.source.text, key.span.end):
@@ -301,29 +287,26 @@ def help_for_key(key: Scalar) -> str:
     return f'put it in quotes: "{key.text}"'
 
 
-# Plain values that older or looser readers take differently
+# Plain values that YAML 1.1 reads differently
 
 # `y` and `n` are left out: they are coordinates and counts far more often than answers.
 _YAML11 = {
     **dict.fromkeys(("on", "On", "ON", "yes", "Yes", "YES"), "true"),
     **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
 }
-# Common to all odd numbers, and quickly false for an expression such as `2 * x`.
-_PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]*+")
-_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
-_RADIX = re.compile(r"([-+]?)0(?:x([0-9A-Fa-f]+)|o([0-7]+)|b([01]+))")
-_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+)+")
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,(?![0-9]{3}$)[0-9]+")
-_THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(?:,[0-9]{3}){2,}")
-_SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
+# Common to all odd numbers, and quickly false for an expression such as `2 * x`. A text of more than 24 characters is no number.
+_PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
-# Possessive: a million digits would be tried in half a million ways.
-_GROUPS = re.compile(r"(?=[^_]*+_)[-+]?[0-9][0-9_]*+(?:\.[0-9_]*+)?")
-_MAX_DIGITS = 24
+_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
+_RADIX = re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)")
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,([0-9]+)")
+_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+){2,}")
+_SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
+_GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
 
 
 def unusual_value(scalar: Scalar, findings: Findings) -> None:
-    """Report a plain value that another reader of YAML takes differently, or that looks like a number and is text."""
+    """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
     text, span = scalar.text, scalar.span
     if text in _YAML11:
         help = f"write {_YAML11[text]}, or put it in quotes if text is meant"
@@ -345,27 +328,23 @@ def as_a_number(span: Span) -> Fix | None:
 
 
 def _odd_number(text: str) -> tuple[str, str, str | None] | None:
-    """Headline and help for a text that looks like a number, or is another number elsewhere, and its only possible meaning."""
+    """For a text that looks like a number, or is another number elsewhere: headline, help, and its only possible meaning."""
     if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
         return None
-    short = len(text) <= _MAX_DIGITS
     if _LEADING_ZERO.fullmatch(text):
-        number = str(int(text)) if short else None
-        headline = f"`{text}` is {number} here, though older YAML reads a leading zero as octal"
-        return (headline, f"write {number}", number) if number else None
-    if radix := _RADIX.fullmatch(text):
-        sign, hexadecimal, octal, binary = radix.groups()
-        number = f"{sign}{int(hexadecimal, 16) if hexadecimal else int(octal, 8) if octal else int(binary, 2)}" if short else None
-        return f"`{text}` is text: numbers are decimal", f"write {number}" if number else "write it in decimal", number
+        return f"`{text}` is {int(text)} here, though older YAML reads a leading zero as octal", f"write {int(text)}", str(int(text))
+    if _RADIX.fullmatch(text):
+        return f"`{text}` is text: numbers are decimal", f"write {int(text, 0)}", str(int(text, 0))
+    if decimal := _DECIMAL_COMMA.fullmatch(text):
+        number = text.replace(",", ".")
+        certain = len(decimal[1]) != 3  # `1,500` may be either
+        return f"`{text}` is text: a decimal takes a point", f"write {number} for a decimal", number if certain else None
     if _COMMAS.fullmatch(text):
-        several = text.count(",") > 1
-        number = text.replace(",", "_" if several else ".")
-        help = f"write {number}" if several else f"write {number} for a decimal"
-        certain = short and (_THOUSANDS if several else _DECIMAL_COMMA).fullmatch(text)  # `1,500` may be either
-        return f"`{text}` is text: a decimal takes a point", help, number if certain else None
+        number = text.replace(",", "_")
+        return f"`{text}` is text: a decimal takes a point", f"write {number}", number if _GROUPED.fullmatch(number) else None
     if _SEXAGESIMAL.fullmatch(text):
         return f"`{text}` is text, though older YAML reads it as a number in base 60", "write a duration with its unit, such as 750 s", None
     if _GROUPS.fullmatch(text):
         number = text.replace("_", "")
-        return f"`{text}` is text: digits are grouped in threes", f"write {number}", number if short else None
+        return f"`{text}` is text: digits are grouped in threes", f"write {number}", number
     return None

@@ -11,13 +11,12 @@ import json
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, to_data
+from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, Sequence, descend, to_data
 from deepbots_cli.document.parse import LOADER, parse
 
 _MAX_PASSES = 6
@@ -134,50 +133,34 @@ class _Columns:
     """The columns in which the tokens of each line begin."""
 
     def __init__(self, text: str) -> None:
-        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
+        self._source = Source("", text)
         self._columns: dict[int, set[int]] = {}
         for token in _visible(text):
             if token.kind not in (",", ":"):
-                line, column = self._place(token.start)
+                line, column = self._source.position(token.start)
                 self._columns.setdefault(line, set()).add(column)
         lines = sorted(self._columns)
         self._neighbours = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
 
-    def _place(self, offset: int) -> tuple[int, int]:
-        line = bisect_right(self._starts, offset) - 1
-        return line, offset - self._starts[line]
-
     def aligned(self, offset: int) -> bool:
-        """Whether the token there stands right above or below the beginning of another one."""
-        line, column = self._place(offset)
+        """Whether a token of the line above or below begins in the same column."""
+        line, column = self._source.position(offset)
         return any(column in self._columns[other] for other in self._neighbours[line])
 
 
 # Indentation
 
 
-@dataclass
-class _Line:
-    """The old and new column of a line that begins an entry."""
-
-    old: int
-    new: int
-
-
 def _indented(text: str) -> str:
-    structure, inside, dashes = _structure(text)
-    beginnings = sorted(structure)
-    lines = text.split("\n")
+    shifts, inside, dashes = _structure(text)
+    beginnings = sorted(shifts)
     done: list[str] = []
     shift = 0
-    for number, line in enumerate(lines):
-        if number in structure:
-            shift = structure[number].new - structure[number].old
-        own = shift
-        if number not in structure and number not in inside and line.strip():  # a comment belongs to the entry below it
+    for number, line in enumerate(text.split("\n"), 1):
+        shift = own = shifts.get(number, shift)
+        if number not in shifts and number not in inside and line.strip():  # a comment belongs to the entry below it
             index = bisect_right(beginnings, number)
-            following = structure[beginnings[index]] if index < len(beginnings) else None
-            own = following.new - following.old if following else shift
+            own = shifts[beginnings[index]] if index < len(beginnings) else shift
         done.append(_shifted(line, own, dashes.get(number, ())))
     return "\n".join(done)
 
@@ -191,34 +174,35 @@ def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
     return " " * max(0, blanks + shift) + line.lstrip(" ")
 
 
-def _structure(text: str) -> tuple[dict[int, _Line], set[int], dict[int, tuple[int, ...]]]:
-    """By line number: the lines that begin an entry of a block, the lines inside a value, and the columns of dashes with text behind."""
-    starts = [0, *(match.end() for match in re.finditer("\n", text))]
-    structure: dict[int, _Line] = {}
+def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int, ...]]]:
+    """By line number (from 1): how far the lines that begin an entry move, the lines inside a value, the dashes with text behind.
+
+    A line moves by blanks to the right; a dash is given by the number of blanks before it.
+    """
+    source = Source("", text)
+    shifts: dict[int, int] = {}
     inside: set[int] = set()
     dashes: dict[int, tuple[int, ...]] = {}
     levels: list[str] = []
-    line, flow, is_key, opened, known = 0, 0, False, 0, 0
+    flow, is_key, opened, known = 0, False, 1, 0
     for token in _tokens(text):
-        while line + 1 < len(starts) and starts[line + 1] <= token.start:
-            line += 1
+        line, column = source.position(token.start)
+        blanks = column - 1
         if flow == 0:
             _nest(levels, token.kind)
             begins = token.kind == "-" or (is_key and token.end > token.start)
-            if begins and line not in structure and not text[starts[line] : token.start].strip():
-                structure[line] = _Line(token.start - starts[line], 2 * (len(levels) - 1))
+            if begins and line not in shifts and not text[token.start - blanks : token.start].strip():
+                shifts[line] = 2 * (len(levels) - 1) - blanks
             if token.kind == "-" and text[token.end : token.end + 2].strip(" ") == "" and "\n" not in text[token.end : token.end + 2]:
-                dashes[line] = (*dashes.get(line, ()), token.start - starts[line])
+                dashes[line] = (*dashes.get(line, ()), blanks)
             opened = line
         is_key = token.kind == "?" or (is_key and token.end == token.start)
         flow += (token.kind in _OPENING) - (token.kind in _CLOSING)
         last = line + text.count("\n", token.start, token.start + len(text[token.start : token.end].rstrip()))
-        if flow:
-            inside.update(range(max(opened + 1, known), last + 1))
-        else:
-            inside.update(range((line if token.kind in _CLOSING else line + 1), last + 1))
+        first = max(opened + 1, known) if flow else line if token.kind in _CLOSING else line + 1
+        inside.update(range(first, last + 1))
         known = last + 1  # the lines above are done
-    return structure, inside, dashes
+    return shifts, inside, dashes
 
 
 def _nest(levels: list[str], kind: str) -> None:
@@ -241,36 +225,29 @@ _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n",
 
 def write(node: Node) -> str:
     """Block-style YAML that reads back as the same values, without comments."""
-    return "\n".join(_lines(node, 0)) + "\n"
+    return "\n".join(_lines(node, "")) + "\n"
 
 
-def _lines(node: Node, depth: int) -> list[str]:
-    pad = "  " * depth
+def _lines(node: Node, pad: str) -> Iterator[str]:
     match node:
-        case Mapping(entries=entries) if entries:
-            return [line for key, entry in entries.items() for line in _entry(f"{pad}{_text(key)}:", entry.value, depth)]
-        case Sequence(items=items) if items:
-            return [line for item in items for line in _entry(f"{pad}-", item, depth)]
-        case _:
-            return [pad + _inline(node)]
-
-
-def _entry(head: str, value: Node, depth: int) -> list[str]:
-    match value:
-        case Mapping(entries=inner) | Sequence(items=inner) if inner:
-            return [head, *_lines(value, depth + 1)]
-        case _:
-            return [f"{head} {_inline(value)}"]
-
-
-def _inline(node: Node) -> str:
-    match node:
-        case Mapping():
-            return "{}"
-        case Sequence():
-            return "[]"
         case Scalar():
-            return _text(node.text) if isinstance(node.value, str) else node.text
+            yield pad + (_text(node.text) if isinstance(node.value, str) else node.text)
+        case Mapping(entries=entries):
+            for key, entry in entries.items():
+                yield from _under(f"{pad}{_text(key)}:", entry.value, pad)
+        case Sequence(items=items):
+            for item in items:
+                yield from _under(f"{pad}-", item, pad)
+
+
+def _under(head: str, value: Node, pad: str) -> Iterator[str]:
+    """The lines of an entry; a scalar or an empty collection follows its key on the same line."""
+    lines = list(_lines(value, f"{pad}  "))
+    if isinstance(value, Scalar) or not lines:
+        yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, Mapping) else '[]'}"
+    else:
+        yield head
+        yield from lines
 
 
 def _text(text: str) -> str:
@@ -283,13 +260,13 @@ def _text(text: str) -> str:
 # Removing an entry
 
 _REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
+_COMMA = re.compile(r"[ \t]*,[ \t]*")
 
 
 def removing(root: Node, path: Path) -> Fix | None:
-    """The fix that removes the entry at `path`, with its lines or between its brackets.
+    """The fix that removes the entry at `path`, with its lines or with a comma beside it.
 
-    None where the rest might change: the only entry of its mapping, a list item, or brackets with a comment or a line
-    break beside the entry.
+    None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with other text.
     """
     holder, _, steps = descend(root, path[:-1])
     if steps < len(path) - 1 or not isinstance(holder, Mapping) or len(holder.entries) < 2:
@@ -297,23 +274,15 @@ def removing(root: Node, path: Path) -> Fix | None:
     entry = holder.entries.get(str(path[-1]))
     if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:
         return None
-    span = _in_brackets(holder, entry) if holder.span.text.startswith("{") else _on_lines(entry)
-    return Fix((Edit(span, ""),), safe=False) if span else None
-
-
-def _on_lines(entry: Entry) -> Span | None:
-    source, text = entry.key.span.source, entry.key.span.source.text
-    start = text.rfind("\n", 0, entry.key.span.start) + 1
-    rest = _REST_OF_LINE.match(text, entry.value.span.end)
-    return Span(source, start, rest.end()) if rest and not text[start : entry.key.span.start].strip() else None
-
-
-def _in_brackets(holder: Mapping, entry: Entry) -> Span | None:
-    source = holder.span.source
-    entries = sorted(holder.entries.values(), key=lambda other: other.key.span.start)
-    at = next(index for index, other in enumerate(entries) if other is entry)
-    if at + 1 < len(entries):
-        span = Span(source, entry.key.span.start, entries[at + 1].key.span.start)
+    source, start, _ = entry.key.span
+    text, end = source.text, entry.value.span.end
+    if not holder.span.text.startswith("{"):
+        start = text.rfind("\n", 0, start) + 1
+        rest = _REST_OF_LINE.match(text, end)
+        end = rest.end() if rest and not text[start : entry.key.span.start].strip() else start
+    elif comma := _COMMA.match(text, end):
+        end = comma.end()
     else:
-        span = Span(source, entries[at - 1].value.span.end, entry.value.span.end)
-    return None if set(span.text) & set("#\n") else span
+        before = text[:start].rstrip()
+        start = len(before) - 1 if before.endswith(",") else end
+    return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None

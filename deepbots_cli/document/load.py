@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
 from dataclasses import dataclass, replace
-from operator import is_
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
@@ -26,7 +25,7 @@ MAX_CHAIN = 32
 _MAX_LISTED = 20
 
 Drafts = Table[Path, bytes]
-"""Contents that replace those of files, by absolute path."""
+"""Unsaved contents of files, by absolute path."""
 NO_DRAFTS: Drafts = {}
 
 
@@ -181,27 +180,21 @@ class _Reader:
         return self.pruned(tree, remove.value, own) if remove else tree
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
-        """`node`, from a file in `folder`, with included files in their places; itself if it includes none."""
+        """`node`, from a file in `folder`, with included files in their places."""
         match node:
             case Scalar():
                 return node
             case Sequence():
-                items = tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items)
-                return node if all(map(is_, items, node.items)) else Sequence(node.span, items)
+                return Sequence(node.span, tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items))
             case Mapping():
-                include = node.entries.get("include")
-                entries = {
-                    key: Entry(entry.key, self.expanded(entry.value, folder, chain, depth + 1))
-                    for key, entry in node.entries.items()
-                    if key != "include"
-                }
+                below = {key: Entry(own, self.expanded(value, folder, chain, depth + 1)) for key, (own, value) in node.entries.items()}
+                include = below.pop("include", None)
                 if include is None:
-                    changed = any(entries[key].value is not entry.value for key, entry in node.entries.items())
-                    return replace(node, entries=entries) if changed else node
+                    return replace(node, entries=below)
                 included = self.referenced(include, folder, chain)
                 if included is None or not self.is_affordable(included, include, depth):
-                    return Mapping(node.span, entries, partial=True)
-                return merge(included, replace(node, entries=entries))
+                    return Mapping(node.span, below, partial=True)
+                return merge(included, replace(node, entries=below))
 
     def is_affordable(self, included: Mapping, entry: Entry, depth: int) -> bool:
         size, height = measure(included)
@@ -256,7 +249,7 @@ class _Reader:
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
     def pruned(self, tree: Mapping, remove: Node, own: Mapping) -> Mapping:
-        """The tree without the paths listed under `remove`; `own` is the tree of the file that lists them."""
+        """The tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree of the same file."""
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, Sequence):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", help=example)
@@ -269,27 +262,17 @@ class _Reader:
             steps, reached, rest = follow(tree, item.text)
             if not rest and steps:
                 paths.append(steps)
-                self.warn_if_written_here(own, steps, item, reached)
+                _, key, found = descend(own, steps)
+                if found == len(steps) and key is not None and key.span.source is item.span.source:
+                    headline = f"`{item.text}` is written here, and taken out by `remove`"
+                    help = "keep one of the two; a value that is written anew needs no `remove`"
+                    self.findings.add("DB205", key.span, headline, help=help, also=(Label(item.span, "taken out here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 help = _listed(reached) if isinstance(reached, Mapping) else "remove a path that exists"
                 self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=help)
         pruned = without(tree, paths)
         return pruned if isinstance(pruned, Mapping) else tree
-
-    def warn_if_written_here(self, own: Mapping, path: NodePath, remove: Scalar, removed: Node) -> None:
-        """DB205 where `remove` takes out an entry that the same file writes; `removed` is that node after merging."""
-        node, key, reached = descend(own, path)
-        if reached < len(path) or key is None or key.span.source is not remove.span.source:
-            return
-        name = ".".join(map(str, path))
-        help = "take one of the two out; what is written anew needs no `remove`"
-        if isinstance(node, Mapping) and isinstance(removed, Mapping):
-            extended = [f"{name}.{entry}" for entry in removed.entries if entry not in node.entries]
-            if extended:
-                help = f"to replace what the extended file has in `{name}`, remove it by name: `remove: [{', '.join(extended[:10])}]`"
-        also = (Label(remove.span, "taken out here"),)
-        self.findings.add("DB205", key.span, f"`{name}` is written here, and taken out by `remove`", help=help, also=also)
 
 
 def _listed(node: Mapping) -> str:
@@ -354,12 +337,12 @@ def assign(root: Mapping, assignment: str, findings: Findings, budget: Budget | 
 
 
 def place(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
-    """`root` after a setting whose path and value stand in a file."""
+    """`root` after a setting of a file: its key is the path, its value the new value."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
 
 
 def under(root: Mapping, path: NodePath) -> Mapping:
-    """`root` after the settings at `path`: those of an evaluation case or a curriculum stage."""
+    """`root` after the settings of the evaluation case or curriculum stage at `path`."""
     settings, _, reached = descend(root, (*path, "set"))
     if reached > len(path) and isinstance(settings, Mapping):
         for entry in settings.entries.values():

@@ -202,7 +202,7 @@ def follow(node: Node, dotted: str) -> tuple[Path, Node, str]:
 
 
 def replace(node: Node, path: Path, entry: Entry) -> Node:
-    """The tree with the value at `path` replaced by that of `entry`, which is added if its key is new."""
+    """The tree with the value of `entry` at `path`; a new key is added."""
     step, rest = path[0], path[1:]
     match node:
         case Mapping() if isinstance(step, str):

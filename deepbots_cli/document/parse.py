@@ -17,18 +17,9 @@ from typing import Any, NoReturn
 
 import yaml
 from yaml.error import MarkedYAMLError
-from yaml.events import (
-    AliasEvent,
-    CollectionEndEvent,
-    CollectionStartEvent,
-    Event,
-    MappingStartEvent,
-    NodeEvent,
-    ScalarEvent,
-    StreamEndEvent,
-)
+from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, ScalarEvent, StreamEndEvent
 
-from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span, TooManyFindings
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
 from deepbots_cli.document import hints
 from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style, Value, measure
 
@@ -37,6 +28,7 @@ MAX_DEPTH = 64
 MAX_NODES = 8_000
 MAX_EXPANDED = 8_000
 
+Event = Any  # the stubs of PyYAML allow events without marks
 LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 """The parser in C, or the one in Python (40 times slower) where PyYAML was built without libyaml."""
 
@@ -53,14 +45,14 @@ _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None):
 
 @dataclass
 class Budget:
-    """What is left of the limits, shared by all files of a scenario."""
+    """The remaining number of values, shared by all files of a scenario."""
 
     nodes: int = MAX_NODES
     expanded: int = MAX_EXPANDED
 
 
 def parse(source: Source, findings: Findings, budget: Budget | None = None, *, text: str | None = None) -> Node | None:
-    """The document in `source`; None if a finding says that it cannot be used.
+    """The document in `source`; None, with a finding, if it cannot be used.
 
     `text` is parsed instead of the text of the source, whose offsets it must share.
 
@@ -73,23 +65,20 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
         findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help=help)
         return None
     noticed = Findings(findings.limit)
-    root, broken, too_many = None, None, None
+    broken: Finding | None = None
     try:
-        root = _Builder(source, text, noticed, budget or Budget()).document()
+        return _Builder(source, text, noticed, budget or Budget()).document()
     except MarkedYAMLError as error:
         broken = hints.syntax_error(source, error)
         findings.append(broken)
     except _OverLimitError:
         pass
-    except TooManyFindings as error:
-        too_many = error
-    for finding in noticed:
-        # Other findings on a broken line are consequences.
-        if broken is None or finding.span.begin.line != broken.span.begin.line:
-            findings.append(finding)
-    if too_many is not None:
-        raise too_many
-    return root
+    finally:
+        for finding in noticed:
+            # Other findings on a broken line are consequences.
+            if broken is None or finding.span.begin.line != broken.span.begin.line:
+                findings.append(finding)
+    return None
 
 
 class _OverLimitError(Exception):
@@ -138,17 +127,17 @@ class _Builder:
 
     def anchored(self, event: Event, node: Node | None) -> Node | None:
         """`node` without its tag and known by its anchor; None if it has a tag, which is reported."""
-        if isinstance(event, (ScalarEvent, CollectionStartEvent)) and event.tag is not None:
-            mark = _TAG.search(self.text, _start(event))
+        if event.tag is not None:
+            mark = _TAG.search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
             help = "put text that starts with `!` in quotes; `not` negates a condition"
             self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help=help)
             node = None
-        if isinstance(event, NodeEvent) and event.anchor is not None:
+        if event.anchor is not None:
             self.anchors[event.anchor] = node
         return node
 
-    def alias(self, event: AliasEvent, depth: int) -> Node | None:
+    def alias(self, event: Event, depth: int) -> Node | None:
         span = self.span(event)
         self.end = span.end
         if event.anchor not in self.anchors:
@@ -167,7 +156,7 @@ class _Builder:
             self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
         return node
 
-    def value(self, event: ScalarEvent) -> Scalar | None:
+    def value(self, event: Event) -> Scalar | None:
         scalar = self.scalar(event)
         if scalar.value in (math.inf, -math.inf):
             self.findings.add("DB105", scalar.span, "the number is too large to compute with", help="write a smaller number")
@@ -176,8 +165,8 @@ class _Builder:
             hints.unusual_value(scalar, self.findings)
         return scalar
 
-    def scalar(self, event: ScalarEvent) -> Scalar:
-        start, end = self.start(event), _end(event)
+    def scalar(self, event: Event) -> Scalar:
+        start, end = self.start(event), event.end_mark.index
         style = _STYLES.get(event.style, "plain")
         if style in _BLOCKS:
             end = start + len(self.text[start:end].rstrip())
@@ -198,7 +187,7 @@ class _Builder:
         items = [self.node(event, depth + 1) for event in self.children()]
         span = self.close(start)
         scalars = [item for item in items if isinstance(item, Scalar)]
-        cut = hints.cut_by_commas(scalars, self.findings) if _is_flow(start) else []
+        cut = hints.cut_by_commas(scalars, self.findings) if start.flow_style else []
         empty = [item for item in scalars if item.value is None]
         for item in empty:
             self.findings.add("DB107", item.span, "a list item is empty", help="give it a value, or remove it")
@@ -208,8 +197,8 @@ class _Builder:
     def mapping(self, start: Event, depth: int) -> Mapping:
         pairs = [(self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()]
         span = self.close(start)
-        is_flow = _is_flow(start)
-        cut = hints.cut_by_commas([part for pair in pairs for part in pair if isinstance(part, Scalar)], self.findings) if is_flow else []
+        scalars = [part for pair in pairs for part in pair if isinstance(part, Scalar)]
+        cut = hints.cut_by_commas(scalars, self.findings) if start.flow_style else []
         entries: dict[str, Entry] = {}
         hollow: list[Scalar] = []
         seen: dict[str, Scalar] = {}
@@ -225,7 +214,7 @@ class _Builder:
                 also = (Label(first.span, "first defined here"),)
                 self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", also=also)
             elif isinstance(value, Scalar) and value.value is None:
-                hints.empty_value(key, value, self.findings, is_flow=is_flow)
+                hints.empty_value(key, value, self.findings, is_flow=start.flow_style)
                 hollow.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
@@ -254,14 +243,14 @@ class _Builder:
         while not isinstance(event := next(self.events), CollectionEndEvent):
             yield event
         # Brackets end a flow collection; a block ends with its last value.
-        if _end(event) > _start(event):
-            self.end = _end(event)
+        _, start, end = self.span(event)
+        self.end = end if end > start else self.end
 
     def start(self, event: Event) -> int:
         """Where a value begins, behind its anchor."""
-        start = _start(event)
-        if isinstance(event, NodeEvent) and event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
-            start = min(anchor.end(), _end(event)) if isinstance(event, ScalarEvent) else anchor.end()
+        _, start, end = self.span(event)
+        if event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
+            return min(anchor.end(), end) if isinstance(event, ScalarEvent) else anchor.end()
         return start
 
     def close(self, start: Event) -> Span:
@@ -269,7 +258,7 @@ class _Builder:
         return Span(self.source, first, max(first, self.end))
 
     def span(self, event: Event) -> Span:
-        return Span(self.source, _start(event), _end(event))
+        return Span(self.source, event.start_mark.index, event.end_mark.index)
 
     def count(self, event: Event) -> None:
         self.budget.nodes -= 1
@@ -279,18 +268,6 @@ class _Builder:
     def stop(self, event: Event, headline: str) -> NoReturn:
         self.findings.add("DB005", self.span(event), headline, help="simplify the file; scenarios are far below this limit")
         raise _OverLimitError
-
-
-def _start(event: Event) -> int:
-    return event.start_mark.index if event.start_mark else 0
-
-
-def _end(event: Event) -> int:
-    return event.end_mark.index if event.end_mark else 0
-
-
-def _is_flow(event: Event) -> bool:
-    return isinstance(event, CollectionStartEvent) and bool(event.flow_style)
 
 
 # Plain scalars: the core schema of YAML 1.2 with decimal numbers only

@@ -1,4 +1,4 @@
-"""Scenarios and robots that are known by name: those of deepbots, in its wheel or beside it in a checkout, and those of plug-ins.
+"""Scenarios and robots with a name: shipped with deepbots, in its wheel or beside it in a checkout, or added by plug-ins.
 
 An entry point of the group `deepbots.scenarios` names a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`.
 """
@@ -28,7 +28,7 @@ def data_dir() -> Path:
 
 @cache
 def _added_dirs() -> tuple[Path, ...]:
-    """The folders of plug-ins that hold the same; one with a name that is taken is left out."""
+    """The folders of plug-ins; a folder with a name that is taken is left out."""
     found: list[Path] = []
     for entry in entries("deepbots.scenarios"):
         try:

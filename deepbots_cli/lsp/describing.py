@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.diagnostics.registry import RETIRED, RULES
+from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.functions import Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Shape as PictureShape
@@ -76,8 +76,6 @@ def _figures(values: Iterable[float | bool]) -> str:
 
 def of_finding(code: str) -> str | None:
     """The page of a finding by its code; None where there is no such code."""
-    if code in RETIRED:
-        return f"**{code}** {RETIRED[code].name} (retired): {RETIRED[code].reason}"
     rule = RULES.get(code)
     if rule is None:
         return None

@@ -4,7 +4,7 @@ model.py     links, joints, shapes, inertia
 elements.py  XML to elements that know their place; their numbers and vectors
 reader.py    elements to a checked model, every finding with its place
 meshes.py    where mesh files are, whether they may be read, what they hold
-inertia.py   closed forms; second moments
-edits.py     stretch, with_mass, with_friction, with_joint
+inertia.py   mass, volume and inertia in closed form
+edits.py     a robot with one thing changed: stretch, with_mass, with_friction, with_joint
 writer.py    the normalised URDF that an engine loads
 """

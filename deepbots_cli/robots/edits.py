@@ -1,6 +1,6 @@
-"""A robot with one thing changed: pure functions. A change that is impossible returns a sentence that says why.
+"""Pure functions that change one property of a robot. An impossible change returns a sentence with the reason.
 
-The link or joint must exist: the caller reports an unknown name where it was written.
+The link or joint must exist: callers report unknown names.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from deepbots_cli.robots.model import (
     Capsule,
     Colour,
     Cylinder,
-    Friction,
     Geometry,
     Inertial,
     Joint,
@@ -48,7 +47,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
 
 
 def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
-    """The link as a homogeneous body of `density` kg/m^3, whatever its file says of mass; a mesh is weighed when it is simulated."""
+    """The link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is simulated."""
     old = model.link(link)
     shapes = old.collisions or old.visuals
     if len(shapes) != 1:
@@ -60,24 +59,11 @@ def with_density(model: RobotModel, link: str, density: float) -> RobotModel | s
     return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
 
 
-def with_friction(
-    model: RobotModel,
-    link: str,
-    *,
-    lateral: float | None = None,
-    spinning: float | None = None,
-    rolling: float | None = None,
-    restitution: float | None = None,
-) -> RobotModel:
-    """The link with the given contact parameters; None keeps the old value."""
+def with_friction(model: RobotModel, link: str, **parameters: float | None) -> RobotModel:
+    """The link with the given contact parameters, by the names of `Friction`; None keeps the old value."""
     old = model.link(link)
-    new = Friction(
-        old.friction.lateral if lateral is None else lateral,
-        old.friction.spinning if spinning is None else spinning,
-        old.friction.rolling if rolling is None else rolling,
-        old.friction.restitution if restitution is None else restitution,
-    )
-    return with_link(model, replace(old, friction=new))
+    given = {name: value for name, value in parameters.items() if value is not None}
+    return with_link(model, replace(old, friction=replace(old.friction, **given)))
 
 
 def with_colour(model: RobotModel, link: str, colour: Colour) -> RobotModel:

@@ -48,7 +48,7 @@ def known_names(word: str, known: Iterable[str], kind: str) -> str:
 
 @dataclass
 class Report:
-    """What was found in one file so far."""
+    """The findings of one file so far, and their number."""
 
     source: Source
     findings: Findings
@@ -73,8 +73,8 @@ class Element:
         found = _START_TAG.match(source.text, self.start)
         return Span(source, self.start, found.end() if found else self.start + 1)
 
-    def value_span(self, attribute: str) -> Span:
-        """The value of `attribute` without its quotes; the start tag where it is absent."""
+    def value_span(self, attribute: str | None) -> Span:
+        """The value of `attribute` without its quotes; the start tag where it is absent or None."""
         tag = self.span
         for found in _ATTRIBUTE.finditer(tag.source.text, tag.start + 1 + len(self.tag), tag.end):
             if found[1] == attribute:
@@ -88,14 +88,14 @@ class Element:
         """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute) if attribute else self.span, headline, help=help, also=also)
+            self.report.findings.add(code, self.value_span(attribute), headline, help=help, also=also)
 
     def warn(
         self, headline: str, *, attribute: str | None = None, help: str | None = None, notes: tuple[str, ...] = (), code: str = "DB311"
     ) -> None:
         self.report.warnings += 1
         if self.report.warnings <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute) if attribute else self.span, headline, help=help, notes=notes)
+            self.report.findings.add(code, self.value_span(attribute), headline, help=help, notes=notes)
 
     def all(self, tag: str) -> list[Element]:
         return [child for child in self.children if child.tag == tag]

@@ -1,4 +1,4 @@
-"""Mass, volume and inertia of simple bodies in closed form; second moments.
+"""Mass, volume and inertia of simple shapes in closed form.
 
 Inertia is in kg m^2 about the centre of mass, in axes parallel to the shape's own.
 """
@@ -6,14 +6,13 @@ Inertia is in kg m^2 about the centre of mass, in axes parallel to the shape's o
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Matrix
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Inertial, Mesh, Pose, RobotModel, Shape, Sphere
 
 _HERE = Pose()
-# Published files round to three digits, and a flat plate stands exactly on the boundary.
+# Published files round to three digits, and a flat plate lies exactly on the boundary.
 _TOLERANCE = 1e-3
 
 
@@ -33,7 +32,7 @@ def volume(shape: Shape) -> float | None:
 
 
 def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
-    """The inertial of a homogeneous body of `mass` kg whose shape stands at `origin`; None for a mesh."""
+    """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):
             return Inertial(mass, origin, ixx=mass / 12 * (y * y + z * z), iyy=mass / 12 * (x * x + z * z), izz=mass / 12 * (x * x + y * y))
@@ -50,12 +49,6 @@ def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | N
             return Inertial(mass, origin, ixx=across, iyy=across, izz=middle / 2 * r * r + ends * 2 / 5 * r * r)
         case Mesh():
             return None
-
-
-def weighing(inertial: Inertial, mass: float) -> Inertial:
-    """The same body of another density, so that it weighs `mass` kg; its own must not be 0."""
-    moments = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    return replace(inertial, mass=mass, **{name: getattr(inertial, name) * mass / inertial.mass for name in moments})
 
 
 def is_plausible(inertial: Inertial) -> bool:

@@ -1,8 +1,7 @@
-"""Mesh files: where they are, whether they may be read, what they hold. Needs no numpy, since lint imports it.
+"""Mesh files: location, access, content. This module needs no numpy, since lint imports it.
 
-A file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashed the process on a vertex that is not
-a number, on an OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws an STL file of
-another length than it claims as nothing.
+Every file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is not a number, on an
+OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws nothing for an STL file of a wrong length.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import re
 import sys
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -41,8 +40,6 @@ _MAX_LINES = 400_000  # vertices and faces of an OBJ file; 32 MiB could hold mil
 _MAX_CORNERS = 1_500_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
 _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")
-_HARMLESS: set[tuple[str, str]] = set()
-"""Suffix and digest of meshes that were checked in this process."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +52,14 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Above:
-    """A mesh that lies in a folder above the robot file only, where PyBullet looks too; `reference` names it from the robot's folder."""
+    """A mesh in a folder above the robot file, where PyBullet looks too; `reference` is its path from the folder of the robot."""
 
     path: Path
     reference: str
 
 
 class Loaded(NamedTuple):
-    """A mesh that may be given to an engine; `reference` is set if the robot file had better name it so."""
+    """A mesh that an engine may load; `reference` is a better name for it in the robot file, if there is one."""
 
     path: Path
     digest: str
@@ -200,10 +197,10 @@ class Meshes:
 
 
 def checked_bytes(mesh: Mesh) -> bytes:
-    """The file of a mesh of a compiled scenario, which may come from anyone: it is still the file that was checked, and harmless.
+    """The file of a mesh of a compiled scenario, if it is still the file that the compiler checked.
 
     Raises:
-        EngineError: It cannot be read, has changed, or may crash an engine.
+        EngineError: The file cannot be read, or has changed.
     """
     path = Path(mesh.path)
     if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
@@ -212,20 +209,18 @@ def checked_bytes(mesh: Mesh) -> bytes:
         data = read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
-    digest = hashlib.sha256(data).hexdigest()
-    if digest != mesh.digest:
+    if hashlib.sha256(data).hexdigest() != mesh.digest:
         raise EngineError(f"mesh {mesh.path} has changed since the scenario was compiled")
-    if (path.suffix, digest) not in _HARMLESS:
-        wrong = fault(path.suffix.lower(), data)
-        if wrong is not None:
-            raise EngineError(f"mesh {mesh.path} cannot be used: {wrong}")
-        _HARMLESS.add((path.suffix, digest))
     return data
 
 
+@lru_cache(maxsize=1000)
 def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or one that has gone or changed."""
-    found = _measured(replace(mesh, scale=(1.0, 1.0, 1.0)))
+    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is missing or changed."""
+    try:
+        found = measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
+    except EngineError:
+        return None
     if found is None:
         return None
     ends = [sorted((low * factor, high * factor)) for low, high, factor in zip(found.lower, found.upper, mesh.scale, strict=True)]
@@ -233,19 +228,11 @@ def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
     return (x, y, z), (x_end, y_end, z_end)
 
 
-@lru_cache(maxsize=1000)
-def _measured(mesh: Mesh) -> Measure | None:
-    try:
-        return measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
-    except EngineError:
-        return None
-
-
-# What a file holds
+# Content
 
 
 def fault(suffix: str, data: bytes) -> str | None:
-    """What is wrong with the mesh in `data`, as a headline; None where it may be loaded."""
+    """The headline for the first problem of a mesh; None if an engine may load it."""
     match suffix:
         case ".stl":
             return _stl(data)

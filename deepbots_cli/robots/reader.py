@@ -1,4 +1,4 @@
-"""URDF to a checked model. Strict about what would crash or mislead an engine, lenient about the rest.
+"""URDF to a checked model. Errors are mistakes that would crash or mislead an engine; other oddities are warnings.
 
 The order is: the file, its elements, links and joints one by one, then the robot as a whole (one tree, plausible inertia).
 """
@@ -45,6 +45,7 @@ MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
 MAX_WORDS = 200  # unknown words that are compared with the known ones
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
 _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
+_AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 
 _VALUE = ("", "value")
@@ -79,7 +80,7 @@ _VOCABULARY = {
     "dynamics": ("", "damping friction"),
     "mimic": ("", "joint multiplier offset"),
 }
-"""The elements and attributes that may stand inside each element. Others belong to other tools."""
+"""The child elements and attributes of each element. Unknown ones belong to other tools."""
 _SHAPES = _VOCABULARY["geometry"][0].split()
 
 
@@ -112,17 +113,15 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
     Returns:
         The robot, or None where something was found at error level.
     """
-    if not path.is_file():  # a pipe would block for ever
-        data: bytes | str = "the robot file is not a regular file" if path.exists() else "the robot file does not exist"
-    else:
+    headline = "the robot file is not a regular file" if path.exists() else "the robot file does not exist"
+    if path.is_file():  # a pipe would block for ever
         try:
             data = read_at_most(path, MAX_BYTES + 1)
+            return read_bytes(data, display, findings, resolve_mesh=resolve_mesh or beside(path.absolute().parent))
         except OSError as error:
-            data = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
-    if isinstance(data, str):
-        findings.add("DB301", Span(Source(display, ""), 0, 0), data)
-        return None
-    return read_bytes(data, display, findings, resolve_mesh=resolve_mesh or beside(path.absolute().parent))
+            headline = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
+    findings.add("DB301", Span(Source(display, ""), 0, 0), headline)
+    return None
 
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
@@ -225,14 +224,13 @@ def _model(root: Element, links: dict[str, Element], joints: dict[str, Element],
 
 
 def _colours(root: Element) -> dict[str, Colour]:
-    """The named materials that have a colour: those of the robot, then those first written inside a visual."""
+    """The colours of named materials, first of the robot, then of its visuals."""
     named: dict[str, Colour] = {}
-    visuals = [visual for link in root.all("link") for visual in link.all("visual")]
-    for holder in (root, *visuals):
-        for material in holder.all("material"):
-            name, colour = material.attributes.get("name"), _colour(material)
-            if name and colour:
-                named.setdefault(name, colour)
+    holders = [root, *(visual for link in root.all("link") for visual in link.all("visual"))]
+    for material in (material for holder in holders for material in holder.all("material")):
+        name, colour = material.attributes.get("name"), _colour(material)
+        if name and colour:
+            named.setdefault(name, colour)
     return named
 
 
@@ -264,13 +262,7 @@ def _pose(element: Element) -> Pose:
 def _link(element: Element, name: str, colours: dict[str, Colour], meshes: Meshes) -> Link:
     visuals = [_geometry(visual, meshes, _visual_colour(visual, colours)) for visual in element.all("visual")]
     collisions = [_geometry(collision, meshes) for collision in element.all("collision")]
-    return Link(
-        name,
-        _inertial(element),
-        tuple(geometry for geometry in visuals if geometry),
-        tuple(geometry for geometry in collisions if geometry),
-        _friction(element),
-    )
+    return Link(name, _inertial(element), tuple(filter(None, visuals)), tuple(filter(None, collisions)), _friction(element))
 
 
 def _inertial(link: Element) -> Inertial | None:
@@ -365,7 +357,7 @@ def _friction(link: Element) -> Friction:
 
 
 def _joint(element: Element, name: str) -> Joint | None:
-    """One `<joint>`; None where it has no type or does not say what it joins."""
+    """One `<joint>`; None if its type, parent or child is missing."""
     kind = _joint_type(element)
     parent, child = element.required("parent"), element.required("child")
     above = parent and parent.text("link")
@@ -389,19 +381,15 @@ def _joint(element: Element, name: str) -> Joint | None:
 
 def _joint_type(element: Element) -> JointType | None:
     word = element.text("type")
-    if word is None:
-        return None
-    if word == _BALL:
-        return "continuous"
-    kind = next((known for known in _JOINT_TYPES if known == word), None)
-    if kind is None:
+    kind = "continuous" if word == _BALL else next((known for known in _JOINT_TYPES if known == word), None)
+    if word is not None and kind is None:
         help = known_names(word, _JOINT_TYPES, "joint types")
         element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
     return kind
 
 
 def _axis(joint: Element, kind: JointType) -> Vector:
-    """The axis as a unit vector; that of a fixed or floating joint is not read."""
+    """The axis as a unit vector; fixed and floating joints have none."""
     element = joint.only("axis")
     if element is None or kind in ("fixed", "floating"):
         return (1.0, 0.0, 0.0)
@@ -444,7 +432,11 @@ def _mimic(joint: Element) -> Mimic | None:
 
 
 def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotModel:
-    """The model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them."""
+    """The model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them.
+
+    The hinges stand at one place and turn about x, then y, then z, with two links between them that have neither mass nor shape. Their
+    angles are intrinsic rotations about x, y, z. Each hinge has the effort, velocity, damping and friction of the ball joint.
+    """
     balls = {joint.name for joint in model.joints if elements[joint.name].attributes["type"] == _BALL}
     links: list[Link] = list(model.links)
     joints: list[Joint] = []
@@ -456,8 +448,7 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
         if joint.name not in balls:
             joints.append(joint)
             continue
-        between, hinges = _hinges(joint)
-        names = [hinge.name for hinge in hinges]
+        names = [f"{joint.name}_{letter}" for letter in "xyz"]
         clash = next((name for name in names if name in taken), None)
         if clash:
             headline = f"{quoted(joint.name)} is a ball joint, and {quoted(clash)}, the name of one of its hinges, is taken"
@@ -467,26 +458,15 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
         headline = f"ball joint {quoted(joint.name)} is read as three hinges at one place: {', '.join(names)}"
         help = f"near -90 and 90 deg about y, its axes x and z coincide.{limited}"
         element.warn(headline, attribute="type", help=help)
-        links += between
-        joints += hinges
+        between = names[:2]
+        links += [Link(name) for name in between]
+        joints += [
+            replace(joint, name=name, parent=parent, child=child, axis=axis, origin=origin)
+            for name, parent, child, axis, origin in zip(
+                names, [joint.parent, *between], [*between, joint.child], _AXES, [joint.origin, Pose(), Pose()], strict=True
+            )
+        ]
     return replace(model, links=tuple(links), joints=tuple(joints))
-
-
-def _hinges(ball: Joint) -> tuple[list[Link], list[Joint]]:
-    """A ball joint as three hinges at one place, about x, then y, then z, with two links between them that have neither mass nor shape.
-
-    Each hinge has the effort, velocity, damping and friction of the ball joint. The angles are
-    those of intrinsic rotations about x, y, z: near -90 or 90 deg about y, the axes of x and z coincide.
-    """
-    between = [Link(f"{ball.name}_{letter}") for letter in "xy"]
-    parents = [ball.parent, *(link.name for link in between)]
-    children = [*parents[1:], ball.child]
-    axes: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    joints = [
-        replace(ball, name=f"{ball.name}_{letter}", parent=parent, child=child, axis=axis, origin=ball.origin if letter == "x" else Pose())
-        for letter, axis, parent, child in zip("xyz", axes, parents, children, strict=True)
-    ]
-    return between, joints
 
 
 # The robot as a whole

@@ -1,4 +1,4 @@
-"""A robot as URDF: what is in the model and nothing else, one element per line, floats to the last digit.
+"""A robot model as URDF text: one element per line, floats to the last digit.
 
 `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's
 own file, is what an engine loads.

@@ -1,7 +1,7 @@
-"""Ground that is not flat: from what a scenario says of it to heights.
+"""Terrain: ground that is not flat.
 
-png.py     what is checked of a picture of heights before it is decoded; needs no numpy
-relief.py  every kind of relief as a grid of heights or as triangles, and the height of any place
+png.py     checks of a height picture before it is decoded; needs no numpy
+relief.py  every kind of terrain as a grid of heights or as triangles, and the height at any x, y
 
-Engines build a terrain from these, and placing stands bodies on it, so both use the same surface.
+Engines and the placement of bodies use the same surface.
 """

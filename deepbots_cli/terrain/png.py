@@ -1,4 +1,4 @@
-"""What is checked of a grey PNG picture before it is decoded. Needs neither numpy nor PIL, since lint imports it.
+"""Checks a grey PNG picture before it is decoded. This module needs neither numpy nor PIL, since lint imports it.
 
 PIL decodes the picture when the world is built (`relief.py`). The header limits its size first, and the data is unpacked
 to no more bytes than the header promises, so a hostile picture costs no more than `MAX_SIDE` allows.
@@ -15,7 +15,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def fault(data: bytes) -> str | None:
-    """What is wrong with the picture in `data`, as a headline; None for a grey one of 8 or 16 bits that is as large as it claims."""
+    """The headline for the first problem of a picture; None for a sound grey picture of 8 or 16 bits."""
     if len(data) > MAX_BYTES:
         return f"the picture is larger than {MAX_BYTES >> 20} MiB"
     if not data.startswith(_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Height = Callable[[float, float], float]
-"""The height (m) of the ground at x, y (m); beyond the terrain that of its nearest edge."""
+"""The height (m) of the ground at x, y (m); beyond the terrain, the height of its nearest edge."""
 
 CREST = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
 _PIT_CELLS = 200  # along either side

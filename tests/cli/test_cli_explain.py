@@ -13,7 +13,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli.words import Topic, topics
 from deepbots_cli.compiler import check
-from deepbots_cli.diagnostics import RETIRED, RULES
+from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
 from deepbots_cli.rules.pages import every_page
 
@@ -58,21 +58,12 @@ def test_a_code_has_one_page_also_where_it_tells_of_several_things(deepbots):
     assert all(word in said for word in ("parameter", "signal", "sensor", "actuator"))
 
 
-def test_a_retired_code_says_why_there_is_none(deepbots):
-    ran = deepbots("explain", "DB604")
-    assert ran.code == 0
-    assert ran.out.startswith("DB604 action-dims-mismatch (retired)\n")
-    assert "a command of the wrong length is DB404" in ran.out
-    (shown,) = json.loads(deepbots("explain", "action-dims-mismatch", "--json").out)["rules"]
-    assert shown["retired"] == RETIRED["DB604"].reason
-
-
 def test_without_a_code_every_finding_has_its_line(deepbots):
     lines = deepbots("explain").out.splitlines()[2:]
-    assert [line.split()[0] for line in lines] == [*RULES, *RETIRED]
+    assert [line.split()[0] for line in lines] == [*RULES]
     report = json.loads(deepbots("explain", "--json").out)
     assert report["version"] == 1
-    assert [entry["code"] for entry in report["rules"]] == [*RULES, *RETIRED]
+    assert [entry["code"] for entry in report["rules"]] == [*RULES]
 
 
 def test_the_beginning_of_codes_lists_a_family(deepbots):
@@ -82,7 +73,7 @@ def test_the_beginning_of_codes_lists_a_family(deepbots):
 
 @pytest.mark.parametrize(
     ("word", "meant"),
-    [("DB6O3", "DB6"), ("saturate-before-terminate", "saturates-before-termination"), ("action-dims", "action-dims-mismatch")],
+    [("DB6O3", "DB6"), ("saturate-before-terminate", "saturates-before-termination"), ("algorithm-space", "algorithm-space-mismatch")],
 )
 def test_an_unknown_word_is_wrong_usage_and_the_nearest_is_suggested(deepbots, word, meant):
     ran = deepbots("explain", word)

@@ -55,7 +55,6 @@ def test_case_and_blanks_do_not_matter() -> None:
     [
         ("DB77", "--select: there is no finding 'DB77'; did you mean DB"),
         ("term-dominate", "did you mean term-dominates?"),
-        ("DB604", "DB604 is retired, take it out: the space follows from `action`"),
         ("", "there is no finding ''"),
         ("zzzzz", "deepbots explain lists them"),
     ],

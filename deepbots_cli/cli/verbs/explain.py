@@ -14,8 +14,8 @@ from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.cli.words import explained, unknown
 from deepbots_cli.diagnostics import Rule
-from deepbots_cli.diagnostics.registry import Retired, with_prefix
 from deepbots_cli.diagnostics.registry import unknown as unknown_finding
+from deepbots_cli.diagnostics.registry import with_prefix
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rules.pages import pages_of
 
@@ -60,9 +60,7 @@ def command(
         terminal.say("\n".join(_lines(found[0])))
 
 
-def _row(entry: Rule | Retired) -> Row:
-    if isinstance(entry, Retired):
-        return {"code": entry.code, "name": entry.name, "severity": "retired", "about": entry.reason}
+def _row(entry: Rule) -> Row:
     return {"code": entry.code, "name": entry.name, "severity": _severity(entry), "about": entry.summary}
 
 
@@ -70,22 +68,19 @@ def _severity(rule: Rule) -> str:
     return f"{rule.severity}, in preview" if rule.preview else rule.severity
 
 
-def _data(entry: Rule | Retired) -> Row:
-    if isinstance(entry, Retired):
-        return {"code": entry.code, "name": entry.name, "retired": entry.reason}
+def _data(entry: Rule) -> Row:
     pages = [{"about": page.about, "example": page.example, "instead": page.instead} for page in pages_of(entry.code)]
     named: Row = {"code": entry.code, "name": entry.name, "severity": entry.severity, "preview": entry.preview, "deep": entry.deep}
     return {**named, "summary": entry.summary, "pages": pages}
 
 
-def _lines(entry: Rule | Retired) -> Iterator[str]:
+def _lines(entry: Rule) -> Iterator[str]:
     row = _row(entry)
     yield f"{row['code']} {row['name']} ({row['severity']})"
     yield _wrapped(str(row["about"]))
-    if isinstance(entry, Rule):
-        for page in pages_of(entry.code):
-            yield from ("", page.text(_width()))
-        yield from _manners(entry)
+    for page in pages_of(entry.code):
+        yield from ("", page.text(_width()))
+    yield from _manners(entry)
 
 
 def _manners(rule: Rule) -> Iterator[str]:

@@ -12,7 +12,6 @@ passes the end of its range is an error, since there are no stops.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
@@ -21,7 +20,7 @@ from deepbots_cli.engines import solids
 from deepbots_cli.engines.lookup import find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
-from deepbots_cli.robots import inertia
+from deepbots_cli.robots import edits
 from exact_engine.lump import joined
 from exact_engine.motion import CartPole, Drive, RigidBody
 
@@ -131,8 +130,9 @@ class ExactEngine:
         inertial = usual.link(name).inertial
         if inertial is None or inertial.mass <= 0.0:
             raise EngineError(f"link '{name}' of '{body}' has no mass that could change")
-        changed = replace(usual.link(name), inertial=inertia.weighing(inertial, mass))
-        self._weigh(body, motion, replace(usual, links=tuple(changed if link.name == name else link for link in usual.links)))
+        changed = edits.with_mass(usual, name, mass)
+        assert not isinstance(changed, str)
+        self._weigh(body, motion, changed)
         self._ways_back.append(partial(self._weigh, body, motion, usual))
 
     def _weigh(self, body: str, motion: RigidBody | CartPole, model: RobotModel) -> None:
