@@ -10,14 +10,14 @@ from xml.etree import ElementTree
 
 import pytest
 
-from deepbots_cli import api, probing
+from deepbots_cli import api
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Source
+from deepbots_cli.lint import endings, simulation
+from deepbots_cli.lint.probed import Probed
 from deepbots_cli.lsp.analysing import analyse
 from deepbots_cli.lsp.diagnosing import diagnostics
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.probing.probed import Probed
-from deepbots_cli.rules import endings
 
 
 def breaking(checked: Checked) -> Iterator[Finding]:
@@ -55,7 +55,7 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
         [told[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
     ]
     assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
-    assert re.search(r" \(deepbots_cli\.rules:\d+\)", ran.out), "the innermost place in deepbots"
+    assert re.search(r" \(deepbots_cli\.lint:\d+\)", ran.out), "the innermost place in deepbots"
     assert "Traceback" not in ran.out + ran.err
 
 
@@ -107,7 +107,7 @@ def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) ->
 
 @pytest.mark.slow
 def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(deepbots, folder, monkeypatch) -> None:
-    monkeypatch.setitem(probing.RULES, "DB702", breaking_too)
+    monkeypatch.setitem(simulation.RULES, "DB702", breaking_too)
     ran = deepbots("lint", "b.yaml", "--deep", "--preview", "--set", "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}")
     assert ran.code == 3
     assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out

@@ -14,11 +14,11 @@ from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics.findings import Source
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
-from deepbots_cli.probing import RULES as MEASURED
-from deepbots_cli.probing import probe
+from deepbots_cli.lint import Rule, code_of, everything, run
+from deepbots_cli.lint.pages import Page, every_page
+from deepbots_cli.lint.simulation import RULES as MEASURED
+from deepbots_cli.lint.simulation import probe
 from deepbots_cli.robots.reader import read
-from deepbots_cli.rules import Rule, code_of, everything, run
-from deepbots_cli.rules.pages import Page, every_page
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)

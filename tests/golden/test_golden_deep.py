@@ -12,7 +12,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import RULES, Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.probing import probe
+from deepbots_cli.lint import review
+from deepbots_cli.lint.simulation import probe
 
 HERE = Path(__file__).parent
 FOLDER = HERE / "deep"
@@ -29,8 +30,8 @@ def _stand_in_the_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 def found_in(path: str) -> list[Finding]:
     """What only the simulation tells."""
     checked = api.load(path)
-    told = {finding.sort_key for finding in api.review(checked, preview=True)}
-    found = api.review(checked, preview=True, measured=probe(checked, preview=True).findings)
+    told = {finding.sort_key for finding in review(checked, preview=True)}
+    found = review(checked, preview=True, measured=probe(checked, preview=True).findings)
     return [finding for finding in found if finding.sort_key not in told]
 
 
