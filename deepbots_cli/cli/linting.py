@@ -15,8 +15,7 @@ from deepbots_cli.diagnostics import Finding, Source
 from deepbots_cli.diagnostics.findings import failure
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint import review
-from deepbots_cli.lint.folders import scenarios_in
-from deepbots_cli.lint.settings import Settings
+from deepbots_cli.lint.settings import Settings, scenarios_in
 
 STDIN = "-"
 _NAMELESS = "<stdin>"
@@ -67,13 +66,13 @@ class Look:
         if any(finding.severity == "error" and not finding.is_fault for finding in found):
             terminal.note(f"{called}: not simulated, since it has errors")
             return found
-        from deepbots_cli.lint.simulation import probe
+        from deepbots_cli.lint import simulate
 
         with terminal.passing(f"{called}: simulating"):
-            probed = probe(checked, preview=self.preview)
-        if probed.left:
-            terminal.note(f"{called}: the simulation was left {probed.left}; what it would have found is not told")
-        return review(checked, preview=self.preview, measured=probed.findings)
+            simulated = simulate(checked, preview=self.preview)
+        if simulated.left:
+            terminal.note(f"{called}: the simulation was left {simulated.left}; what it would have found is not told")
+        return review(checked, preview=self.preview, measured=simulated.findings)
 
     def called(self, name: str) -> str:
         """How findings call the scenario `name`."""

@@ -1,28 +1,29 @@
-"""Rules about when episodes end, the family DB8; `goals` has the one about goals that are out of reach."""
+"""When episodes end (family DB8); the rule about goals out of reach is in `goals`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
-from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.expressions.intervals import INF, Interval, hull
-from deepbots_cli.expressions.scalar import Name, Op, Scalar, World, children
-from deepbots_cli.lint.meaning import Book, Comparison, book_of
-from deepbots_cli.lint.payments import Payments, payments_of, versions
-from deepbots_cli.lint.precedence import forestalled
-from deepbots_cli.lint.reach import ALWAYS, NEVER, Reach, Supposing, reach_of
-from deepbots_cli.lint.start import AtStart
-from deepbots_cli.lint.wording import between
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import TIME
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
+from deepbots_cli.lint.analysis import Analysis, Comparison, total
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.ranges import Ranges, between, with_unit
+from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
 
 _CLOCK = frozenset({"time", "step"})
-_ENDLESS = (0.0, INF)
+_MAX_SEEDS = 8
+"""Seeds listed in a note."""
 
 
-def never_true(checked: Checked) -> Iterator[Finding]:
+def never_true(context: Context) -> Iterator[Finding]:
     """DB801: an ending can never hold, whatever happens in an episode.
 
     The joint has a stop before the limit, the distance cannot be negative, the angle is given in degrees and compared in radians.
@@ -36,53 +37,48 @@ def never_true(checked: Checked) -> Iterator[Finding]:
 
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
-    if checked.program is None:
-        return
-    silent: set[str] | None = None
-    for program in versions(checked):
-        found = {ending.value.name for ending in program.endings if _unlimited(book_of(program), ending) == NEVER}
-        silent = found if silent is None else silent & found
-    for ending in checked.program.endings:
-        if ending.value.name in (silent or ()):
+    silent = [
+        {ending.value.name for ending in analysis.program.endings if _ever(analysis, ending) == NEVER} for analysis in context.versions
+    ]
+    for ending in context.program.endings:
+        if all(ending.value.name in names for names in silent):
             headline = f"`{ending.value.name}` can never hold"
-            notes = tuple(_reasons(book_of(checked.program), ending))
+            notes = tuple(_reasons(context.analysis, ending))
             yield Finding("DB801", ending.value.span, headline, help="give a limit that can be met, or take it out", notes=notes)
 
 
-def _unlimited(book: Book, ending: Ending) -> Interval:
-    """Whether an ending holds in an episode that may last for ever; 0 .. 1 where that depends."""
-    if ending.value.foreign is not None:
-        return Interval(0.0, 1.0)
-    return reach_of(book, _ENDLESS).of(book.scalars(ending.value)[0])
+def _ever(analysis: Analysis, ending: Ending) -> Interval:
+    """Whether an ending holds in an episode without time limit; 0 .. 1 where that depends."""
+    return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending.value)[0])
 
 
-def _reasons(book: Book, ending: Ending) -> Iterator[str]:
-    """Comparisons that never hold, and where their sides lie; or why they never hold together."""
-    reach = reach_of(book, _ENDLESS)
-    (node,) = book.scalars(ending.value)
+def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
+    """Comparisons that never hold, with the ranges of their sides; or why the parts never hold together."""
+    ranges = analysis.ranges_in(0.0, INF)
     never = [
         entry
-        for entry in book.comparisons(ending.value)
-        if all(reach.of(part) == NEVER for part in book.lowered(entry.node, entry.value.owner))
+        for entry in analysis.comparisons(ending.value)
+        if all(ranges.of(part) == NEVER for part in analysis.lowered(entry.node, entry.value.owner))
     ]
     for entry in never:
-        yield from _where(book, reach, entry)
-    touched = (part for part in book.unfold(node) if isinstance(part, World) and part.function in ("contact", "collided"))
-    marks = sorted({mark for part in touched for mark in book.marks.intersection(part.subjects)})
-    yield from (f"nothing touches `{mark}`, which is not solid" for mark in marks)
-    if not never and not marks and isinstance(meaning := book.meaning(node), Op) and meaning.op == "and":
+        yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
+    (node,) = analysis.scalars(ending.value)
+    touched = (part for part in analysis.unfold(node) if isinstance(part, World) and part.function in ("contact", "collided"))
+    intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
+    yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
+    if not never and not intangible and isinstance(meaning := analysis.meaning(node), Op) and meaning.op == "and":
         yield "its parts exclude each other"
 
 
-def _where(book: Book, reach: Reach, entry: Comparison) -> Iterator[str]:
+def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
+    """The text, the range and the range in words of both sides of a comparison, except constants."""
     for arg in entry.node.args:
-        known = hull([reach.of(part) for part in book.lowered(arg, entry.value.owner)])
-        text = entry.value.text[arg.start : arg.end]
-        if (known.low > -INF or known.high < INF) and not known.single:
-            yield f"`{text}` is {between(known, arg.type.dimension)}"
+        known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
+        if not known.single:
+            yield entry.value.text[arg.start : arg.end], known, between(known, arg.type.dimension)
 
 
-def always_true(checked: Checked) -> Iterator[Finding]:
+def always_true(context: Context) -> Iterator[Finding]:
     """DB802: an ending holds in every step, so that no episode can run.
 
     Example::
@@ -93,16 +89,13 @@ def always_true(checked: Checked) -> Iterator[Finding]:
 
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
-    if checked.program is None:
-        return
-    book = book_of(checked.program)
-    for ending in checked.program.endings:
-        if _unlimited(book, ending) == ALWAYS:
+    for ending in context.program.endings:
+        if _ever(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
             yield Finding("DB802", ending.value.span, headline, help="give a limit that an episode can keep within")
 
 
-def shadowed_limit(checked: Checked) -> Iterator[Finding]:
+def shadowed_limit(context: Context) -> Iterator[Finding]:
     """DB804: of two limits one always comes first, so the other has no effect.
 
     `max_time` after `max_steps`, an ending that could hold only after the episode is cut short or after another one has ended it, or
@@ -118,64 +111,63 @@ def shadowed_limit(checked: Checked) -> Iterator[Finding]:
 
         truncation: {max_steps: 200}
     """
-    if checked.program is None or checked.namespace is None:
-        return
-    yield from _two_limits(checked)
-    yield from _one_behind_another(checked)
-    book = book_of(checked.program)
-    payments = payments_of(checked.program)
-    for ending in checked.program.endings:
-        if ending.value.foreign is not None or _unlimited(book, ending).single:
+    yield from _later_limit(context)
+    yield from _later_ending(context)
+    analysis, last = context.analysis, context.analysis.last
+    for ending in context.program.endings:
+        if _ever(analysis, ending).single or ending.foreign:
             continue  # DB801, DB802
-        (node,) = book.scalars(ending.value)
-        limit = f"an episode is cut short, after {book.last} steps"
-        names = _leaves(book, node)
-        if _within(payments, (0.0, float(book.last))).of(node) == NEVER:
+        (node,) = analysis.scalars(ending.value)
+        limit = f"an episode is cut short, after {last} steps"
+        if _with_return(analysis, 0, last).of(node) == NEVER:
             headline = f"`{ending.value.name}` cannot hold before {limit}"
-            span = checked.namespace.values.key_span(("truncation",))
             help = "raise the limit under `truncation`, or take the ending out"
-            yield Finding("DB804", ending.value.span, headline, help=help, also=(Label(span, "cut short here"),))
-        elif not names <= _CLOCK and book.last > 1 and _before(payments, book.last - 1).of(node) == ALWAYS:
+            yield Finding(
+                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "cut short here"),)
+            )
+        elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline = f"`{ending.value.name}` is sure to hold before {limit}"
-            span = checked.namespace.values.key_span(("truncation",))
             help = "take it out: the limit under `truncation` ends an episode, and `solved` says what a good one is"
-            yield Finding("DB804", ending.value.span, headline, help=help, also=(Label(span, "never reached"),))
+            yield Finding(
+                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
+            )
 
 
-def _within(payments: Payments, steps: tuple[float, float]) -> Reach:
-    """What can be within these steps, the return included."""
-    ordinary = payments.total(list(payments.terms), payments.running())
-    ticks = steps[1] * payments.program.agent.repeat
-    known = Interval(min(0.0, ordinary.low * ticks), max(0.0, ordinary.high * ticks)) if payments.is_whole else Interval()
-    return Supposing(payments.book, {"episode_return": known}, steps)
+def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
+    """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
+    reward = analysis.reward
+    step = total(reward.terms, reward.running())
+    ticks = float((last - bool(first)) * analysis.program.agent.repeat)
+    known = Interval()
+    if reward.is_complete and not first:
+        known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
+    elif reward.is_complete and step.finite:
+        known = Interval(step.low * ticks, step.high * ticks)
+    return Ranges(analysis, {"episode_return": known}, (float(first), float(last)))
 
 
-def _before(payments: Payments, step: int) -> Reach:
-    """What is in one step, before which the episode has been paid for all steps before."""
-    ordinary = payments.total(list(payments.terms), payments.running())
-    ticks = float((step - 1) * payments.program.agent.repeat)
-    known = Interval(ordinary.low * ticks, ordinary.high * ticks) if payments.is_whole and ordinary.finite else Interval()
-    return Supposing(payments.book, {"episode_return": known}, (float(step), float(step)))
-
-
-def _two_limits(checked: Checked) -> Iterator[Finding]:
-    """Of `max_steps` and `max_time` the one that is later in every case and every stage."""
-    assert checked.program is not None  # as the caller found
-    assert checked.namespace is not None
-    later = {_later(program) for program in versions(checked)}
+def _later_limit(context: Context) -> Iterator[Finding]:
+    """The later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
+    later = {_later(analysis.program) for analysis in context.versions}
     if len(later) == 1 and (name := later.pop()):
         other = "max_steps" if name == "max_time" else "max_time"
-        values = checked.namespace.values
         headline = f"`{name}` comes after `{other}`, which always ends an episode before"
-        also = (Label(values.span(("truncation", other)), "comes first"),)
-        yield Finding("DB804", values.span(("truncation", name)), headline, help="keep the one that is meant", also=also)
+        also = (Label(context.values.span(("truncation", other)), "comes first"),)
+        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="keep the one that is meant", also=also)
 
 
-def _one_behind_another(checked: Checked) -> Iterator[Finding]:
+def _later(program: Program) -> str:
+    limits, timestep = program.truncation, program.world.timestep
+    if limits.max_steps is None or limits.max_time is None:
+        return ""
+    steps, time = limits.max_steps * program.agent.repeat, math.ceil(limits.max_time / timestep - 1e-9)
+    return "max_time" if time > steps else "max_steps" if steps > time else ""
+
+
+def _later_ending(context: Context) -> Iterator[Finding]:
     """Endings that come too late in every case and every stage."""
-    assert checked.program is not None  # as the caller found
-    found = forestalled(checked.program)
-    later = [{late.value.name for late in forestalled(program)} for program in versions(checked)] if found else []
+    found = context.analysis.shadowed
+    later = [{late.value.name for late in analysis.shadowed} for analysis in context.versions] if found else []
     for late, first in found.items():
         if all(late.value.name in names for names in later):
             headline = f"`{late.value.name}` comes after `{first.value.name}`, which always ends an episode before"
@@ -183,34 +175,15 @@ def _one_behind_another(checked: Checked) -> Iterator[Finding]:
             yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "comes first"),))
 
 
-def _later(program: Program) -> str:
-    limits, tick = program.truncation, program.world.timestep
-    if limits.max_steps is None or limits.max_time is None:
-        return ""
-    steps, time = limits.max_steps * program.agent.repeat, math.ceil(limits.max_time / tick - 1e-9)
-    return "max_time" if time > steps else "max_steps" if steps > time else ""
+def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
+    """The names without definition that a value depends on, except parameters; facts of the world by their function."""
+    parameters = {value.name for value in analysis.program.parameters}
+    nodes = list(analysis.unfold(node))
+    names = {part.name for part in nodes if isinstance(part, Name)} - parameters
+    return names | {f"{part.function}()" for part in nodes if isinstance(part, World)}
 
 
-def _leaves(book: Book, node: Scalar) -> set[str]:
-    """The names at the bottom of a value, parameters aside; facts of the world by their function."""
-    found: set[str] = set()
-    parameters = {value.name for value in book.program.parameters}
-    met: set[Scalar] = set()
-    waiting = [node]
-    while waiting:
-        node = book.meaning(waiting.pop())
-        match node:
-            case Name(name) if name not in parameters:
-                found.add(name)
-            case World(function):
-                found.add(f"{function}()")
-            case _ if node not in met:
-                met.add(node)
-                waiting += children(node)
-    return found
-
-
-def timeout_as_termination(checked: Checked) -> Iterator[Finding]:
+def timeout_as_termination(context: Context) -> Iterator[Finding]:
     """DB805: an ending that depends on the time alone, which the agent cannot see.
 
     A time limit is no part of the task: the world would have gone on. Told by `truncation`, the learner estimates what would have
@@ -225,25 +198,17 @@ def timeout_as_termination(checked: Checked) -> Iterator[Finding]:
 
         truncation: {max_steps: 156}
     """
-    if checked.program is None or checked.namespace is None:
-        return
-    book = book_of(checked.program)
-    shown = {name for entry in checked.program.observation for node in book.scalars(entry.value) for name in _leaves(book, node)}
-    if shown & _CLOCK:
-        return
-    reach = reach_of(book)
-    for ending in checked.program.endings:
-        if ending.value.foreign is not None:
-            continue
-        (node,) = book.scalars(ending.value)
-        names = _leaves(book, node)
-        if names and names <= _CLOCK and not reach.of(node).single:
+    analysis = context.analysis
+    shown = {name for entry in context.program.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)}
+    for ending in context.program.endings if not shown & _CLOCK else ():
+        names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
+        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).single:
             headline = f"`{ending.value.name}` ends the task by the clock, which the policy does not see"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
             yield Finding("DB805", ending.value.span, headline, help=f"let `truncation` cut the episode short: {kept}")
 
 
-def ends_at_reset(checked: Checked) -> Iterator[Finding]:
+def ends_at_reset(context: Context) -> Iterator[Finding]:
     """DB806: an ending already holds where every episode begins.
 
     Example::
@@ -254,21 +219,84 @@ def ends_at_reset(checked: Checked) -> Iterator[Finding]:
 
         reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
-    if checked.program is None:
-        return
-    book = book_of(checked.program)
-    start = AtStart(book)
-    for ending in checked.program.endings:
-        if ending.value.foreign is None and start.of(book.scalars(ending.value)[0]) == ALWAYS != _unlimited(book, ending):
+    analysis, start = context.analysis, context.analysis.start
+    for ending in context.program.endings:
+        if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _ever(analysis, ending):
             headline = f"`{ending.value.name}` already holds when an episode begins"
-            notes = tuple(
-                f"`{entry.value.text[arg.start : arg.end]}` begins {between(known, arg.type.dimension)}"
-                for entry in book.comparisons(ending.value)
-                for arg in entry.node.args
-                if not (known := hull([start.of(part) for part in book.lowered(arg, entry.value.owner)])).single and known.finite
-            )
+            sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
+            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.finite)
             help = "let the episode begin clear of it, under `reset`, widen it, or turn its comparison round"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
 
-RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset)
+def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
+    """DB806: an ending holds when an episode begins, with some seeds at least."""
+    for ending in simulation.program.endings:
+        seeds = simulation.report.early.get(ending.value.name, [])
+        if seeds:
+            headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
+            more = ", ..." if len(seeds) > _MAX_SEEDS else ""
+            notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
+            help = "let the episode begin clear of it, under `reset`, or widen it"
+            yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
+
+
+def breaks_off(simulation: Simulation) -> Iterator[Finding]:
+    """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
+    stop, failed = simulation.report.stop or {}, simulation.failed
+    if failed is not None and failed.section == "other":
+        help = "keep it defined everywhere, as `x / max(y, 1 cm)` does"
+        yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
+    elif failed is None and stop.get("kind") == "value":
+        span = simulation.values.key_span(("reset",) if simulation.report.where.doing == "reset" else ("robots",))
+        yield Finding("DB808", span, "an episode breaks off", notes=(simulation.when(), str(stop.get("text", ""))))
+
+
+def after_the_end(context: Context) -> Iterator[Finding]:
+    """DB811: a push, a reading or a message that would come only after every episode has been cut short.
+
+    The first push of a disturbance, the second reading of a sensor, the first message after that of the reset: later than `max_steps` or
+    `max_time`, in the scenario and in each of its cases and stages, so that there is none. Most often a time is in another unit.
+
+    Example::
+
+        disturbances:
+          knock: {body: cart, force: 5 0 0 N, at: 20 s, lasts: 50 ms}
+
+    Instead::
+
+        disturbances:
+          knock: {body: cart, force: 5 0 0 N, at: 2 s, lasts: 50 ms}
+    """
+    times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
+    end = max(analysis.last * analysis.period for analysis in context.versions)  # s
+    for what, time, path in _delays(context.analysis):
+        if time >= end and all(known.get(path, time) >= end for known in times):
+            headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
+            yield Finding("DB811", context.values.span(path), headline, help="let it come earlier, or episodes last longer")
+
+
+def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:
+    """Events that come with a delay, the smallest delay (s), and its place."""
+    program = analysis.program
+
+    def low(time: Expression) -> float:
+        return analysis.ranges.of(analysis.scalars(time)[0]).low
+
+    for push in program.disturbances:
+        key, first = ("at", push.first) if push.first is not None else ("every", push.every)
+        if first is not None:
+            yield f"`{push.name}` begins after", low(first), ("disturbances", push.name, key)
+    for robot in program.robots:
+        for sensor in robot.sensors:
+            if sensor.faults is not None and sensor.faults.period > 1:
+                period = sensor.faults.period * program.world.timestep
+                yield f"`{sensor.name}` is read again after", period, ("robots", robot.name, "sensors", sensor.name, "period")
+    for robot in program.robots[:1]:  # all have the same routes
+        for key, route in (("to_robot", robot.to_route), ("from_robot", robot.from_route)):
+            if route.latency is not None:
+                yield "a message takes", low(route.latency), ("messages", key, "latency")
+
+
+RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end)
+MEASURED = (sometimes_ends_at_reset, breaks_off)

@@ -1,22 +1,28 @@
-"""Rules about names."""
+"""Names and expressions: definitions that nothing uses (DB205), equality of measurements (DB411), angles that jump (DB506)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import pi
 
-from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removing
-from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.types import Invocation, Kind, Reference, Typed, children
+from deepbots_cli.expressions.dimensions import ANGLE
+from deepbots_cli.expressions.scalar import Op, Scalar, World
+from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, walk
+from deepbots_cli.lint.analysis import Analysis
+from deepbots_cli.lint.context import Context, names_in
 from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
+
+# ---- names.py
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
 
-def unused_definition(checked: Checked) -> Iterator[Finding]:
+def unused_definition(context: Context) -> Iterator[Finding]:
     """DB205: something is defined and never used: a parameter, action variable, field, signal, sensor or actuator, or sent in vain.
 
     Most often it is a misspelling elsewhere, or what remains of an earlier version. A sensor is of use if it is sent or used on
@@ -38,52 +44,55 @@ def unused_definition(checked: Checked) -> Iterator[Finding]:
             emit: [pole_angle, rolling]
         observation: {cart.rolling: -10 .. 10 rad/s}
     """
-    if checked.namespace is None:
-        return
-    yield from _unused_names(checked, checked.namespace)
-    if checked.program is not None:
-        yield from _unused_parts(checked, checked.program)
+    yield from _unused_names(context)
+    yield from _unused_parts(context)
 
 
-def _unused_names(checked: Checked, namespace: Namespace) -> Iterator[Finding]:
-    used = {name for each in checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
-    for name, definition in namespace.definitions.items():
+def _unused_names(context: Context) -> Iterator[Finding]:
+    used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
+    for name, definition in context.namespace.definitions.items():
         if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
-            values, headline = namespace.values, f"`{name}` is {definition.origin.value} that nothing uses"
-            fix = removing(values.root, definition.path)
-            yield Finding("DB205", values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
+            headline = f"`{name}` is {definition.origin.value} that nothing uses"
+            fix = removing(context.values.root, definition.path)
+            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
 
 
-def _unused_parts(checked: Checked, program: Program) -> Iterator[Finding]:
-    """Sensors and actuators of a robot, and what it is sent."""
-    looking = {part for value in _judged(program) for part in _sensors(value.typed)}
-    for robot in program.robots:
-        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in _names(value.typed)}
+def _unused_parts(context: Context) -> Iterator[Finding]:
+    """Sensors and actuators of a robot, and what it receives."""
+    read = {
+        subject.name
+        for value in _computed(context.program)
+        for node in walk(value.typed)
+        if isinstance(node, Invocation)
+        for subject in node.subjects
+        if subject.kind in (Kind.SENSOR, Kind.CAMERA)
+    }
+    for robot in context.program.robots:
+        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in names_in(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
-        for sensor in robot.sensors:
-            if sensor.name not in used and f"{robot.name}.{sensor.name}" not in looking:
-                what, help = "a sensor that nothing reads", "send it under `emit`, or take it out"
-                yield from _idle(checked, ("robots", robot.name, "sensors", sensor.name), what, help)
-        for value in robot.receive:
-            if value.name not in used:
-                what, help = "sent to a robot that does not use it", "use it under `apply`, or take it out"
-                yield from _idle(checked, ("robots", robot.name, "receive", value.name), what, help)
-        for actuator in robot.actuators:
-            if actuator.name not in driven:
-                what, help = "an actuator that nothing drives", "give it a command under `apply`, or take it out"
-                yield from _idle(checked, ("robots", robot.name, "actuators", actuator.name), what, help)
+        unused = [
+            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or take it out")
+            for sensor in robot.sensors
+            if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
+        ]
+        unused += [
+            (("receive", value.name), "sent to a robot that does not use it", "use it under `apply`, or take it out")
+            for value in robot.receive
+            if value.name not in used
+        ]
+        unused += [
+            (("actuators", actuator.name), "an actuator that nothing drives", "give it a command under `apply`, or take it out")
+            for actuator in robot.actuators
+            if actuator.name not in driven
+        ]
+        for place, what, help in unused:
+            path = ("robots", robot.name, *place)
+            span = context.values.key_span(path)
+            if span.source is context.checked.document.source:  # an included robot file may offer more than the task needs
+                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removing(context.values.root, path))
 
 
-def _idle(checked: Checked, path: Path, what: str, help: str) -> Iterator[Finding]:
-    """The finding, where the part is written in the scenario's own file."""
-    assert checked.namespace is not None  # there is a task
-    values = checked.namespace.values
-    span = values.key_span(path)
-    if span.source is checked.document.source:
-        yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removing(values.root, path))
-
-
-def _judged(program: Program) -> Iterator[Expression]:
+def _computed(program: Program) -> Iterator[Expression]:
     """What the supervisor computes."""
     yield from program.signals
     yield from program.reward
@@ -97,19 +106,158 @@ def _judged(program: Program) -> Iterator[Expression]:
         yield from robot.receive
 
 
-def _sensors(value: Typed) -> Iterator[str]:
-    """The sensors that functions are asked about."""
-    if isinstance(value, Invocation):
-        yield from (subject.name for subject in value.subjects if subject.kind in (Kind.SENSOR, Kind.CAMERA))
-    for part in children(value):
-        yield from _sensors(part)
+# ---- equality.py
+
+_MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
+_SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
+"""Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met exactly."""
 
 
-def _names(value: Typed) -> Iterator[str]:
-    if isinstance(value, Reference):
-        yield value.symbol.name
-    for part in children(value):
-        yield from _names(part)
+def equality_of_measures(context: Context) -> Iterator[Finding]:
+    """DB411: a condition asks a measure to be equal to a figure.
+
+    A distance, an angle or a speed is a number of sixteen digits, new in every tick. It passes 20 cm without ever being 20 cm, so that
+    `==` never holds, or holds by chance alone, and `!=` holds at the slightest change. What is counted, chosen or clamped can be equal to
+    a figure, and so can the place of what never moves: these are not meant.
+
+    Example::
+
+        reward: {alive: 1, there: 5 when x == 20 cm}
+
+    Instead::
+
+        reward: {alive: 1, there: 5 when abs(x - 20 cm) < 1 cm}
+    """
+    analysis = context.analysis.ideal
+    for value in _written(context.program):
+        for node in walk(value.typed):
+            if not isinstance(node, Operation) or node.operator not in ("equal", "not_equal") or node.args[0].type.boolean:
+                continue
+            pair = next((pair for pair in (node.args, node.args[::-1]) if _equal_by_chance(analysis, value, *pair)), None)
+            if pair is not None:
+                text = context.text(value.owner)
+                measure, constant, written = (text.text[part.start : part.end] for part in (*pair, node))
+                outcome, sign = ("holds by chance alone", "<") if node.operator == "equal" else ("holds at the slightest change", ">")
+                is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
+                difference = measure if is_zero else f"{measure} - {constant}"
+                help = f"ask how near it is, as `abs({difference}) {sign} ...` does"
+                yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help=help)
 
 
-RULES = (unused_definition,)
+def _written(program: Program) -> Iterator[Expression]:
+    """The signals, reward terms and endings that are not functions of Python."""
+    values = (*program.signals, *program.reward, *(ending.value for ending in program.endings))
+    return (value for value in values if value.foreign is None)
+
+
+def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, other: Typed) -> bool:
+    is_settled = other.type.stage is not Stage.STEP
+    return is_settled and all(_is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner))
+
+
+def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) -> bool:
+    """`known` holds the answers for quantities that were asked before."""
+    number = analysis.identity(node)
+    if number not in known:
+        match analysis.meaning(node):
+            case World(function, subjects):
+                fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
+                known[number] = function in _MEASURED and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
+            case Op(op, args):
+                known[number] = op in _SMOOTH and any(_is_measurement(analysis, arg, known) for arg in args)
+            case _:
+                known[number] = False
+    return known[number]
+
+
+# ---- turns.py
+
+_WRAPPING = frozenset({"yaw", "bearing", "atan2", "wrap"})
+"""Functions that go from 180 deg to -180 deg within a step."""
+_PERIODIC = frozenset({"wrap", "sin", "cos", "tan"})
+"""Functions for which a full turn makes no difference."""
+
+
+def angle_jumps(context: Context) -> Iterator[Finding]:
+    """DB506: the change of a heading, or the difference of two, which jumps by a full turn where the heading passes 180 deg.
+
+    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. Who turns on from 179 to -179 deg has turned by 2 deg, and
+    `delta` gives -358; a goal at 170 deg is 11 deg from there, and the difference 349. A reward or a policy that is made of that is
+    right for most of the circle. `wrap` gives the short way round; `sin` and `cos` do not mind.
+
+    Example::
+
+        signals: {turned: delta(yaw(cart))}
+        reward: {still: -abs(turned) / rad}
+
+    Instead::
+
+        signals: {turned: wrap(delta(yaw(cart)))}
+        reward: {still: -abs(turned) / rad}
+    """
+    values: list[tuple[Expression, Robot | None]] = [(value, None) for value in _written(context.program)]
+    for robot in context.program.robots:
+        values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]
+    known: dict[str, bool] = {}
+    for value, on in values:
+        for node in _Wrapping(context.analysis, on, known).jumps(value.typed):
+            text = context.text(f"robots.{value.owner}" if on else value.owner)
+            written, place = text.text[node.start : node.end], text.part(node.start, node.end)
+            yield Finding("DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"go the short way round: `wrap({written})`")
+
+
+class _Wrapping:
+    """Which angles wrap around at 180 deg, in expressions of the supervisor or of a robot controller.
+
+    `known` holds the answers for names of the supervisor.
+    """
+
+    def __init__(self, analysis: Analysis, robot: Robot | None, known: dict[str, bool]) -> None:
+        self._analysis = analysis
+        self._robot = robot
+        self._known = known
+
+    def jumps(self, node: Typed) -> Iterator[Typed]:
+        """The parts of an expression that jump."""
+        match node:
+            case Invocation(function=function) if function in _PERIODIC:
+                return
+            case Invocation(function="delta", args=(inner, *_)) if self._wraps(inner):
+                yield node
+                return
+            case Operation(operator="sub", args=(a, b)) if self._differ(a, b) or self._differ(b, a):
+                yield node
+                return
+        for part in children(node):
+            yield from self.jumps(part)
+
+    def _differ(self, heading: Typed, other: Typed) -> bool:
+        """Whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
+        known = other.type.interval
+        return self._wraps(heading) and (self._wraps(other) or (known.finite and max(-known.low, known.high) > pi / 2 + 1e-9))
+
+    def _wraps(self, node: Typed) -> bool:
+        if node.type.dimension != ANGLE or node.type.stage is not Stage.STEP:
+            return False
+        match node:
+            case Invocation(function=function):
+                return function in _WRAPPING
+            case Operation(operator="add" | "sub" | "neg", args=args):
+                return any(self._wraps(arg) for arg in args)
+            case Reference(symbol=symbol) if self._robot is not None:
+                return any(sensor.name == symbol.name and sensor.kind == "compass" for sensor in self._robot.sensors)
+            case Reference(symbol=symbol):
+                return self._name_wraps(symbol.name)
+            case _:
+                return False
+
+    def _name_wraps(self, name: str) -> bool:
+        if name not in self._known:
+            robot = next((robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None)
+            meant = self._analysis.named(name)
+            inner = _Wrapping(self._analysis, robot, self._known)
+            self._known[name] = meant is not None and meant.foreign is None and inner._wraps(meant.typed)
+        return self._known[name]
+
+
+RULES = (unused_definition, equality_of_measures, angle_jumps)

@@ -1,6 +1,6 @@
 """The page of each finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
 
-That of a lint rule is the docstring of its function; those of what the compiler finds, and what a simulation does, stand in `pages.yaml`.
+The page of a static rule is the docstring of its function. The pages of the compiler's findings and of measured rules are in `pages.yaml`.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from textwrap import dedent, fill, indent
 from deepbots_cli.diagnostics import RULES, Findings, Source
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.lint import Rule, everything
+from deepbots_cli.lint import RULES as LINT_RULES
 
 FILE = Path(__file__).with_name("pages.yaml")
 
 
 @dataclass(frozen=True)
 class Page:
-    """`about` holds paragraphs with blank lines between; `example` and `instead` are both there or both empty.
+    """`about` holds paragraphs with blank lines between; `example` and `instead` are both given or both empty.
 
-    What a `deep` one is about is found by a simulation.
+    A `deep` page is about a measured rule.
     """
 
     code: str
@@ -55,18 +55,18 @@ class Page:
 
 @cache
 def every_page() -> tuple[Page, ...]:
-    """All of them in the order of their codes; where a code is told by text and by simulation, the page about text comes first."""
-    return tuple(sorted([*map(_of_a_rule, everything()), *_of_the_file()], key=lambda page: page.code))
+    """All pages in the order of their codes; of two pages of a code, the one about static analysis comes first."""
+    return tuple(sorted([*(_of_rule(rule.__doc__) for rule in LINT_RULES), *_of_file()], key=lambda page: page.code))
 
 
 def pages_of(code: str) -> tuple[Page, ...]:
-    """Those of one code."""
+    """The pages of one code."""
     check = RULES[code].check
     return tuple(page for page in every_page() if page.code == code) if check is None else (_page(code, cleandoc(check.__doc__ or "")),)
 
 
-def _of_a_rule(rule: Rule) -> Page:
-    code, _, text = cleandoc(rule.__doc__ or "").partition(": ")
+def _of_rule(docstring: str | None) -> Page:
+    code, _, text = cleandoc(docstring or "").partition(": ")
     return _page(code, text)
 
 
@@ -76,7 +76,7 @@ def _page(code: str, text: str) -> Page:
     return Page(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
 
 
-def _of_the_file() -> Iterator[Page]:
+def _of_file() -> Iterator[Page]:
     findings = Findings()
     root = parse(Source(FILE.name, FILE.read_text(encoding="utf-8")), findings)
     table = to_data(root) if root else None

@@ -14,7 +14,7 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import files
 from deepbots_cli.document.nodes import Node
 from deepbots_cli.document.parse import parse
-from deepbots_cli.lint.folders import is_scenario
+from deepbots_cli.lint.settings import is_scenario
 from deepbots_cli.lsp.positions import Encoding, Lines
 
 _BLANK = re.compile(r"\ufeff?(?:[ \t\r]*(?:#[^\n]*)?\n)*+[a-z]*\s*")

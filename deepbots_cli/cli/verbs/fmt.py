@@ -18,8 +18,7 @@ from deepbots_cli.document.layout import tidy
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Rewrite
-from deepbots_cli.lint.folders import scenarios_in
-from deepbots_cli.lint.settings import settings
+from deepbots_cli.lint.settings import scenarios_in, settings
 
 _BOM = b"\xef\xbb\xbf"
 

@@ -130,7 +130,7 @@ def _words(option: str, given: Codes) -> Words | None:
 
 
 def _check_simulator(fixing: bool) -> None:
-    from deepbots_cli.lint.process import require_simulator
+    from deepbots_cli.lint.simulation import require_simulator
 
     if fixing:
         raise UsageError("--deep measures, and nothing that it finds can be fixed by a program; run it without --fix and --diff")

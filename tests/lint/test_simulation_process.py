@@ -18,8 +18,8 @@ from deepbots_cli import api
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
-from deepbots_cli.lint.process import measured
-from deepbots_cli.lint.simulation import Limits, Probe, probe
+from deepbots_cli.lint import Limits, Simulated, simulate
+from deepbots_cli.lint.simulation import measure
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 MODULE = """\
@@ -58,46 +58,46 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return make
 
 
-def only(probed: Probe) -> Finding:
+def only(probed: Simulated) -> Finding:
     (found,) = probed.findings
     return found
 
 
 def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None:
-    found = only(probe(checked("crash"), limits=TIGHT))
+    found = only(simulate(checked("crash"), limits=TIGHT))
     assert (found.code, found.span.text) == ("DB309", "cart")
     assert found.headline == "the physics engine crashes (SIGSEGV)"
     assert "in step 1 (0.032 s) of the episode with seed 0, random actions" in found.notes
 
 
 def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:
-    found = only(probe(checked("hang"), limits=TIGHT))
+    found = only(simulate(checked("hang"), limits=TIGHT))
     assert found.headline == "a step does not come back within 2 s of CPU time"
     assert found.notes[0].startswith("in step 3 ")
 
 
 def test_a_lack_of_memory_is_a_finding(checked) -> None:
-    found = only(probe(checked("hoard"), limits=TIGHT))
+    found = only(simulate(checked("hoard"), limits=TIGHT))
     assert (found.code, found.headline) == ("DB309", "the simulation needs more memory than 4096 MiB")
 
 
 def test_a_world_that_does_not_fit_into_the_memory_is_a_finding(checked) -> None:
     """So little that not even the libraries can be loaded."""
-    assert only(probe(checked(), limits=Limits(memory=120))).code == "DB309"
+    assert only(simulate(checked(), limits=Limits(memory=120))).code == "DB309"
 
 
 def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> None:
     """The system ends a process after whole seconds of CPU."""
-    probed = probe(checked("hang"), limits=Limits(cpu=1, step=60.0))
+    probed = simulate(checked("hang"), limits=Limits(cpu=1, step=60.0))
     assert probed.findings == []
     assert probed.left is not None
     assert "after 1 s of CPU time" in probed.left
-    probed = probe(checked(), limits=Limits(wall=0.01))
+    probed = simulate(checked(), limits=Limits(wall=0.01))
     assert (probed.findings, probed.left) == ([], "while the world was built, after 0.01 s")
 
 
 def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
-    found = only(probe(checked("fail"), limits=TIGHT))
+    found = only(simulate(checked("fail"), limits=TIGHT))
     assert (found.code, found.span.text) == ("DB707", "hostile:fail")
     assert "ZeroDivisionError" in found.notes[1]
 
@@ -105,13 +105,13 @@ def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
 def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked) -> None:
     """Here the process is given an empty scenario, which does not compile."""
     inputs = checked().inputs
-    report = measured(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
+    report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
     assert report.fault is not None
     assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault)
 
 
 def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> None:
-    assert [finding.code for finding in probe(checked("shout"), limits=TIGHT).findings] == []
+    assert [finding.code for finding in simulate(checked("shout"), limits=TIGHT).findings] == []
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found by way of /proc")
@@ -119,7 +119,7 @@ def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> N
 def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, said: str) -> None:
     """As the system does when memory runs out, or an engine that reads past its arrays."""
     scenario, found = checked("hang"), []
-    task = threading.Thread(target=lambda: found.append(only(probe(scenario, limits=Limits()))))
+    task = threading.Thread(target=lambda: found.append(only(simulate(scenario, limits=Limits()))))
     task.start()
     children = Path(f"/proc/self/task/{task.native_id}/children")
     while not (pids := children.read_text().split()):
@@ -149,4 +149,4 @@ def test_modules_in_the_working_directory_are_not_run(checked, tmp_path: Path, m
     monkeypatch.chdir(tmp_path / "elsewhere")
     for name in ("json", "numpy", "pybullet", "deepbots_cli"):
         Path(f"{name}.py").write_text("import os; os._exit(3)\n")
-    assert probe(scenario, limits=TIGHT).findings == []
+    assert simulate(scenario, limits=TIGHT).findings == []

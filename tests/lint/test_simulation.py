@@ -10,8 +10,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
-from deepbots_cli.lint.plan import idle, planned
-from deepbots_cli.lint.simulation import probe
+from deepbots_cli.lint import simulate
+from deepbots_cli.lint.simulation import idle, planned
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
@@ -25,7 +25,7 @@ def probed(tmp_path: Path) -> Probed:
     def run(sections: str) -> list[Finding]:
         file = tmp_path / "mine.yaml"
         file.write_text(f"deepbots: 1\nextends: cartpole.yaml\nname: Mine\n{sections}")
-        return list(probe(api.load(file), preview=True).findings)
+        return list(simulate(api.load(file), preview=True).findings)
 
     return run
 
@@ -53,10 +53,10 @@ def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> No
         "robots.panda.apply.hand=vector(0.6 m, 0.2 m, 0.3 m) + 2 m * reach",
         "scripts={away: {reach: 1, open: 0}, stay: {reach: 0, open: 1}}",
     ]
-    (found,) = probe(api.load(str(ARM), sets=far)).findings
+    (found,) = simulate(api.load(str(ARM), sets=far)).findings
     assert found.code == "DB315"
     assert "the script `away`" in found.notes[0]
-    assert probe(api.load(str(ARM), sets=[far[0], "scripts={stay: {reach: 0, open: 1}}"])).findings == []
+    assert simulate(api.load(str(ARM), sets=[far[0], "scripts={stay: {reach: 0, open: 1}}"])).findings == []
 
 
 def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(probed: Probed) -> None:
@@ -102,4 +102,4 @@ def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_ze
 def test_costly_scenarios_are_given_fewer_steps() -> None:
     usual, costly = (planned(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
     assert costly.enough < usual.enough
-    assert max(roll.steps for roll in costly.rolls) < max(roll.steps for roll in usual.rolls)
+    assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)

@@ -9,8 +9,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli.starters import templates
 from deepbots_cli.document import shipped
-from deepbots_cli.lint import review
-from deepbots_cli.lint.simulation import probe
+from deepbots_cli.lint import review, simulate
 
 CHEAP = ("cartpole_continuous", "balancer", "quadrotor", "find_ball_as_printed")
 """Without teams, pictures and arms; the others are marked as slow (1 to 7 s of CPU each)."""
@@ -19,7 +18,7 @@ CHEAP = ("cartpole_continuous", "balancer", "quadrotor", "find_ball_as_printed")
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in CHEAP else pytest.mark.slow) for name in shipped.scenario_names()])
 def test_a_shipped_scenario_is_silent_when_it_is_simulated(name: str) -> None:
     checked = api.load(name)
-    probed = probe(checked, preview=True)
+    probed = simulate(checked, preview=True)
     assert probed.left is None
     assert review(checked, preview=True, measured=probed.findings) == []
 
@@ -31,4 +30,4 @@ def test_a_template_is_silent_when_it_is_simulated(template: str, tmp_path: Path
     for name, data in templates.files(template, "mine").items():
         (tmp_path / name).write_bytes(data)
     checked = api.load(tmp_path / "mine.yaml")
-    assert review(checked, preview=True, measured=probe(checked, preview=True).findings) == []
+    assert review(checked, preview=True, measured=simulate(checked, preview=True).findings) == []
