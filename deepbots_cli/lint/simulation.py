@@ -332,7 +332,7 @@ def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Repo
         RuntimeError: The process failed by a fault of deepbots, and DEEPBOTS_DEBUG is 1; holds its traceback.
     """
     # -P, since modules in the working directory may be anyone's
-    command = [sys.executable, "-P", "-m", "deepbots_cli.lint.rollouts", *map(str, limits)]
+    command = [sys.executable, "-P", "-m", "deepbots_cli.lint.child", *map(str, limits)]
     ours = str(Path(deepbots_cli.__file__).parents[1])
     path = os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
