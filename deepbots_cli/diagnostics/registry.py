@@ -96,7 +96,6 @@ _CATALOGUE = (
     Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),
     Rule("DB312", "command-cut-off", "warning", "an actuator that cuts off most of what it is asked for", preview=True),
     Rule("DB313", "joint-driven-twice", "warning", "a joint that two actuators hold", preview=True),
-    Rule("DB314", "limp-at-start", "warning", "an arm that sinks before the first command reaches its motors", preview=True),
     Rule("DB315", "pose-out-of-reach", "warning", "an arm that is commanded to a pose that it cannot reach", deep="only"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
@@ -163,6 +162,7 @@ _CATALOGUE = (
 )
 
 _RETIRED = (
+    Retired("DB314", "limp-at-start", "torque motors exert nothing before their first command, as docs/actuators.md says"),
     Retired(
         "DB604", "action-dims-mismatch", "the space follows from `action`; a command of the wrong length is DB404, a choice left open DB102"
     ),

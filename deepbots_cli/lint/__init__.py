@@ -5,7 +5,7 @@ module of rules lists both kinds, `RULES` and `MEASURED`; the docstring of a rul
 is its page in the reference.
 
 names.py         unused definitions, equality of measurements, angles that jump      DB205, DB411, DB506
-robots.py        commands, actuators                                                 DB312 to DB315
+robots.py        commands, actuators                                                 DB312, DB313, DB315
 world.py         objects out of scale, worlds that cannot be simulated               DB309, DB507
 rays.py          rays that pass over everything                                      DB615
 observations.py  what the policy sees; saturation.py values at the end of their range   DB6

@@ -188,7 +188,7 @@ def timeout_as_termination(context: Context) -> Iterator[Finding]:
 
     A time limit is no part of the task: the world would have gone on. Told by `truncation`, the learner estimates what would have
     come; told by an ending, it learns that states are worthless for no reason that it can see. A limit that is part of the task, and
-    that the policy sees (`observation: {time: 0 .. 10 s}`), is not meant.
+    that the policy sees (`observation: {time: 0 .. 10 s}`), is not reported.
 
     Example::
 

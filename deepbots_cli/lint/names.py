@@ -118,7 +118,7 @@ def equality_of_measures(context: Context) -> Iterator[Finding]:
 
     A distance, an angle or a speed is a number of sixteen digits, new in every tick. It passes 20 cm without ever being 20 cm, so that
     `==` never holds, or holds by chance alone, and `!=` holds at the slightest change. What is counted, chosen or clamped can be equal to
-    a figure, and so can the place of what never moves: these are not meant.
+    a figure, and so can the place of what never moves: these are not reported.
 
     Example::
 

@@ -193,7 +193,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
 
     The policy reads the exact value there, in `achieved_goal` for instance, and learns nothing about noise. Two values are the
     same if one is the other times a fixed factor, plus a fixed offset. An exact value whose range covers less than a quarter of the
-    noisy one is not meant: it may stand for a sensor of short reach.
+    noisy one is not reported: it may stand for a sensor of short reach.
 
     Example::
 

@@ -37,7 +37,7 @@ def rays_meet_nothing(context: Context) -> Iterator[Finding]:
     Rays that look level from above the walls never meet them: every reading stays at the far end of the range, and the policy
     learns nothing from it. The walls of an arena are 10 cm high unless you say otherwise. The rule compares the height of the rays
     with the top of all that is solid. It needs a robot that stands level on flat ground, or has a fixed base, and a sensor that no
-    joint raises or tilts; rays that meet the ground within their range are not meant.
+    joint raises or tilts; rays that meet the ground within their range are not reported.
 
     Example::
 

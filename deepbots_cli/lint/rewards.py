@@ -46,7 +46,7 @@ def reward_unbounded(context: Context) -> Iterator[Finding]:
 
     One step in which a distance is a thousandth is then worth more than all others together, and the value that an agent learns
     follows that step. At zero itself there is no reward at all, and the run stops. Divisors that a `where` or an ending keeps away
-    from zero are not meant.
+    from zero are not reported.
 
     Example::
 
@@ -132,7 +132,7 @@ def term_dominates(context: Context) -> Iterator[Finding]:
 
     Whether the agent reaches the goal or fails then makes no difference that it could learn from: the return is that term and noise.
     What counts is the least that the term adds up to in an episode that runs to its limit; a term that is the same in every step,
-    such as `alive: 1`, is not meant.
+    such as `alive: 1`, is not reported.
 
     Example::
 
@@ -199,7 +199,7 @@ def inactive_term(context: Context) -> Iterator[Finding]:
 
     A condition that can never hold, a difference of two figures that never change, a factor of zero. The agent is not paid for
     what the term seems to pay for. A term that is written as 0 is one that someone has turned off, as is a parameter of 0: these
-    are not meant.
+    are not reported.
 
     Example::
 
@@ -471,7 +471,7 @@ def nothing_to_learn(context: Context) -> Iterator[Finding]:
 
     The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
     such as `alive: 1` pays for lasting, where a failure ends the episode; a constant cost such as `time: -1` pays for being quick,
-    where a success does. Scenarios without `train` are not meant.
+    where a success does. Scenarios without `train` are not reported.
 
     Example::
 

@@ -1,31 +1,22 @@
-"""Commands and actuators of robots (DB312 to DB315)."""
+"""Commands and actuators of robots (DB312, DB313, DB315)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from math import ceil, degrees, inf, radians
-from typing import TypeGuard
+from collections.abc import Iterator
+from math import degrees, radians
 
-from deepbots_cli import frames
-from deepbots_cli.compiler.robots import carries, joint_dimension
+from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label, Span
-from deepbots_cli.expressions.dimensions import TIME
-from deepbots_cli.expressions.intervals import NEVER, Interval, hull
+from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.footprint import link_frames
-from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.lint.analysis import Analysis
 from deepbots_cli.lint.context import Context
 from deepbots_cli.lint.ranges import range_text, with_unit
 from deepbots_cli.lint.simulation import Miss, Simulation, Where
 from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Thrust
-from deepbots_cli.program.world import RobotBody
-from deepbots_cli.robots.inertia import matrix
-from deepbots_cli.robots.model import Joint, RobotModel
+from deepbots_cli.robots.model import RobotModel
 
-_KNOWN_WITHIN = 0.2
-"""rad or m; the initial position of a joint counts as known if it is drawn from no more."""
 _MIN_SHARE = 0.25
 """Share of what the agent can ask for that an actuator must be able to do."""
 _OFTEN = 0.1
@@ -39,7 +30,7 @@ def command_cut_off(context: Context) -> Iterator[Finding]:
 
     A speed beyond the limit of the motor, a thrust beyond its range, a position beyond the stop of the joint: all of them are brought to
     the limit. Where less than a quarter of what an action can mean lies within, the agent has to find the few actions that make a
-    difference, and the noise of its exploration makes none. Commands that depend on what the robot senses are not meant.
+    difference, and the noise of its exploration makes none. Commands that depend on what the robot senses are not reported.
 
     Example::
 
@@ -100,7 +91,7 @@ def joint_driven_twice(context: Context) -> Iterator[Finding]:
     """DB313: two actuators hold the same joint at a speed or a position, so that what the first is told is lost.
 
     A joint has one motor, and the last command counts. Most often a line was copied, and the joint on the other side moves by nothing. A
-    torque or a spring (`stiffness`) beside a motor adds to it, and is not meant.
+    torque or a spring (`stiffness`) beside a motor adds to it, and is not reported.
 
     Example::
 
@@ -147,119 +138,6 @@ def _joints_span(values: Values, robot: str, actuator: str) -> Span:
     return values.span((*place, key)) if key else values.key_span(place)
 
 
-def limp_at_start(context: Context) -> Iterator[Finding]:
-    """DB314: an arm sinks at the start of an episode, since the first command reaches its torque motors late.
-
-    Until then a torque motor exerts nothing, while motors that are commanded a position or a speed hold. Told of joints of robots on a
-    fixed base that gravity moves by more than 2 deg or 5 mm in this time, against no more torque than the motor could hold them with.
-
-    Example::
-
-        messages: {to_robot: {latency: 100 ms}}
-        robots:
-          arm:
-            urdf: package://pybullet_data/kuka_iiwa/model.urdf
-            base: fixed
-            pose: {y: 2 m}
-            actuators: {shoulder: {type: torque_motor, joint: lbr_iiwa_joint_2}}
-            emit: []
-            apply: {shoulder: -60 N*m}
-        reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
-
-    Instead::
-
-        messages: {to_robot: {latency: 100 ms}}
-        robots:
-          arm:
-            urdf: package://pybullet_data/kuka_iiwa/model.urdf
-            base: fixed
-            pose: {y: 2 m}
-            actuators: {shoulder: {type: position_motor, joint: lbr_iiwa_joint_2}}
-            emit: []
-            apply: {shoulder: 60 deg}
-        reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
-    """
-    program, analysis, values = context.program, context.analysis, context.values
-    if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
-        return
-    for robot in program.robots:
-        held = {joint for command in robot.commands if not _is_limp(command.actuator) for joint in getattr(command.actuator, "joints", ())}
-        limp = [command.actuator for command in robot.commands if _is_limp(command.actuator)]
-        body = analysis.body(robot.name)
-        positions = _start_positions(analysis, body) if limp else None
-        ticks = int(program.timing == "paper")
-        if robot.to_route.latency is not None:
-            latency = analysis.ranges.of(analysis.scalars(robot.to_route.latency)[0]).low
-            ticks += ceil(latency / program.world.timestep - 1e-9) if latency > 0.0 else 0
-        for motor in limp:
-            wait = ticks * program.world.timestep + motor.response.delay
-            joints = {joint: limit for joint, limit in zip(motor.joints, motor.max_torque, strict=True) if joint not in held}
-            if positions is None or wait <= program.world.timestep:
-                continue
-            sunk = _sunk(body, positions, joints, program.world.gravity, wait)
-            if sunk is not None:
-                by = with_unit(sunk[1], joint_dimension(sunk[0]))
-                headline = f"`{motor.name}` exerts nothing for the first {with_unit(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
-                help = "hold the joint with a `position_motor`, or let the first command come sooner"
-                late = ("messages", "to_robot", "latency")
-                also = (Label(values.span(late), "what it waits for"),) if values.stands(late) else ()
-                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
-
-
-def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
-    """Whether it exerts nothing until its first command."""
-    return isinstance(actuator, Motor) and (actuator.kind == "torque_motor" or actuator.stiffness == 0.0)
-
-
-def _start_positions(analysis: Analysis, body: RobotBody) -> dict[str, float] | None:
-    """The initial positions of the joints of a robot with a fixed base, rad or m; None where they are not known."""
-    placements = analysis.program.reset.placements
-    is_tilted = any(place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in placements)
-    if not body.fixed_base or is_tilted:
-        return None
-    found = {joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or NEVER for joint in body.model.moving_joints}
-    if any(known.high - known.low > _KNOWN_WITHIN for known in found.values()):
-        return None
-    return {name: (known.low + known.high) / 2 for name, known in found.items()}
-
-
-def _sunk(
-    body: RobotBody, positions: Mapping[str, float], joints: Mapping[str, float | None], gravity: Triple, time: float
-) -> tuple[Joint, float] | None:
-    """The joint that gravity moves farthest in a time (s), and how far (rad or m); `joints` maps names to the torque limits of motors."""
-    where = link_frames(body.model, positions)
-    pull = frames.rotate_back(frames.frame(body.pose)[1], gravity)
-    moved = {name: _moved(body.model, where, body.model.joint(name), limit, pull, time) for name, limit in joints.items()}
-    name = max(moved, key=lambda joint: moved[joint], default="")
-    if not name:
-        return None
-    joint = body.model.joint(name)
-    return (joint, moved[name]) if moved[name] > (0.005 if joint.type == "prismatic" else radians(2.0)) else None
-
-
-def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: float | None, pull: Triple, time: float) -> float:
-    """How far gravity moves a joint while the other joints are still; 0 where its motor could not hold it."""
-    pivot, turned = where[joint.child]
-    axis = frames.rotate(turned, joint.axis)
-    load = inertia = 0.0
-    for link in model.links:
-        if link.inertial is None or not carries(model, joint, link.name):
-            continue
-        mass = link.inertial.mass
-        centre, own = frames.inside(where[link.name], frames.frame(link.inertial.origin))
-        if joint.type == "prismatic":
-            load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
-            continue
-        arm = frames.cross(axis, frames.subtract(centre, pivot))
-        local = frames.rotate_back(own, axis)
-        spin = sum(local[i] * row[j] * local[j] for i, row in enumerate(matrix(link.inertial)) for j in range(3))
-        load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
-    excess = abs(load) - joint.friction
-    if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):
-        return 0.0
-    return min(excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf)
-
-
 # Measured in a simulation
 
 
@@ -299,5 +177,5 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
     return Finding("DB315", span, headline, help=help, notes=notes)
 
 
-RULES = (command_cut_off, joint_driven_twice, limp_at_start)
+RULES = (command_cut_off, joint_driven_twice)
 MEASURED = (pose_out_of_reach,)

@@ -181,7 +181,7 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
 
     A parameter that is drawn, such as a target or a command, or a body that no entry of the observation speaks of, while no sensor
     that could meet it is seen either. The agent can do no better than to act for the average. Shaping by what only the supervisor
-    knows, such as a way around obstacles, is not meant: there the target is seen.
+    knows, such as a way around obstacles, is not reported: there the target is seen.
 
     Example::
 

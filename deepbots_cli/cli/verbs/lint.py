@@ -67,7 +67,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Say everything that is wrong with scenarios.
+    """Check scenarios and report every problem.
 
     Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed,
     but for --deep, which simulates what has no errors in a process of its own and tells what it measures.
