@@ -24,10 +24,10 @@ _MAX_SEEDS = 8
 
 
 def never_true(context: Context) -> Iterator[Finding]:
-    """DB801: an ending can never hold, whatever happens in an episode.
+    """DB801: an ending can never hold.
 
-    The joint has a stop before the limit, the distance cannot be negative, the angle is given in degrees and compared in radians.
-    The episodes that it should end run on to the time limit.
+    The joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in radians. Episodes
+    then run to the time limit.
 
     Example::
 
@@ -96,11 +96,11 @@ def always_true(context: Context) -> Iterator[Finding]:
 
 
 def shadowed_limit(context: Context) -> Iterator[Finding]:
-    """DB804: of two limits one always comes first, so the other has no effect.
+    """DB804: one of two limits always comes first, so the other has no effect.
 
-    `max_time` after `max_steps`, an ending that could hold only after the episode is cut short or after another one has ended it, or
-    one that is sure to hold before it is. The CartPole of the original collection ends an episode once its score exceeds 195, so that
-    the best one lasts 197 steps of the 200 that are allowed.
+    For example `max_time` comes after `max_steps`; or an ending can hold only after the truncation or after another ending, or is
+    certain to hold before the truncation. The CartPole of the original collection ends an episode once its score exceeds 195: its best
+    episode lasts 197 steps of the 200 that are allowed.
 
     Example::
 
@@ -184,11 +184,11 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
 
 
 def timeout_as_termination(context: Context) -> Iterator[Finding]:
-    """DB805: an ending that depends on the time alone, which the agent cannot see.
+    """DB805: an ending depends on the time alone, which the agent cannot see.
 
-    A time limit is no part of the task: the world would have gone on. Told by `truncation`, the learner estimates what would have
-    come; told by an ending, it learns that states are worthless for no reason that it can see. A limit that is part of the task, and
-    that the policy sees (`observation: {time: 0 .. 10 s}`), is not reported.
+    A time limit is no part of the task: the world would have gone on. After a truncation the learner estimates the return that would
+    have followed; after an ending it learns that states are worthless for no visible reason. A limit that the policy sees
+    (`observation: {time: 0 .. 10 s}`) is part of the task, and is not reported.
 
     Example::
 
@@ -209,7 +209,7 @@ def timeout_as_termination(context: Context) -> Iterator[Finding]:
 
 
 def ends_at_reset(context: Context) -> Iterator[Finding]:
-    """DB806: an ending already holds where every episode begins.
+    """DB806: an ending already holds at the start of every episode.
 
     Example::
 
@@ -253,10 +253,10 @@ def breaks_off(simulation: Simulation) -> Iterator[Finding]:
 
 
 def after_the_end(context: Context) -> Iterator[Finding]:
-    """DB811: a push, a reading or a message that would come only after every episode has been cut short.
+    """DB811: a push, a reading or a message would come only after every episode has ended.
 
-    The first push of a disturbance, the second reading of a sensor, the first message after that of the reset: later than `max_steps` or
-    `max_time`, in the scenario and in each of its cases and stages, so that there is none. Most often a time is in another unit.
+    The rule checks the first push of a disturbance, the second reading of a sensor and the first message after that of the reset
+    against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. Most often a time is in the wrong unit.
 
     Example::
 

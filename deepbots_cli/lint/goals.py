@@ -43,10 +43,10 @@ class Core(NamedTuple):
 
 
 def unreachable_goal(context: Context) -> Iterator[Finding]:
-    """DB807: a success asks for a distance that cannot be: bodies touch before their origins meet, or one lies beyond the walls.
+    """DB807: a success requires an impossible distance: bodies touch before their origins meet, or one lies beyond the walls.
 
-    `distance` and `ground_distance` count from origin to origin. A robot of 4 cm radius and a ball of 7 cm never come nearer than
-    11 cm. `gap` counts from surface to surface.
+    `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
+    than 11 cm. `gap` is measured between surfaces.
 
     Example::
 

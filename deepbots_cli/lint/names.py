@@ -23,11 +23,11 @@ _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origi
 
 
 def unused_definition(context: Context) -> Iterator[Finding]:
-    """DB205: something is defined and never used: a parameter, action variable, field, signal, sensor or actuator, or sent in vain.
+    """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
 
-    Most often it is a misspelling elsewhere, or what remains of an earlier version. A sensor is of use if it is sent or used on
-    board. An actuator without a command is left alone: the joint swings as if there were no motor. What an included robot file
-    offers besides may stay unused: it describes the robot, not the task. What a file writes and removes has no effect either.
+    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if it is sent or
+    used on board. An actuator without a command has no effect: the joint moves freely. Unused parts of an included robot file are not
+    reported, since it describes the robot and not the task; nor are definitions that a file removes again.
 
     Example::
 
@@ -114,11 +114,11 @@ _SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", 
 
 
 def equality_of_measures(context: Context) -> Iterator[Finding]:
-    """DB411: a condition asks a measure to be equal to a figure.
+    """DB411: a condition requires a measurement to be equal to a number.
 
-    A distance, an angle or a speed is a number of sixteen digits, new in every tick. It passes 20 cm without ever being 20 cm, so that
-    `==` never holds, or holds by chance alone, and `!=` holds at the slightest change. What is counted, chosen or clamped can be equal to
-    a figure, and so can the place of what never moves: these are not reported.
+    A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever being exactly 20 cm, so
+    that `==` holds by chance at best, and `!=` holds at the slightest change. Values that are counted, chosen or clamped can be equal
+    to a number, and so can the place of a fixed object; they are not reported.
 
     Example::
 
@@ -179,11 +179,11 @@ _PERIODIC = frozenset({"wrap", "sin", "cos", "tan"})
 
 
 def angle_jumps(context: Context) -> Iterator[Finding]:
-    """DB506: the change of a heading, or the difference of two, which jumps by a full turn where the heading passes 180 deg.
+    """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
 
-    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. Who turns on from 179 to -179 deg has turned by 2 deg, and
-    `delta` gives -358; a goal at 170 deg is 11 deg from there, and the difference 349. A reward or a policy that is made of that is
-    right for most of the circle. `wrap` gives the short way round; `sin` and `cos` do not mind.
+    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is one of 2 deg, and `delta` gives
+    -358; a goal at 170 deg is 11 deg from there, and the difference is 349. A reward or an observation that depends on it is wrong for
+    part of the circle. `wrap` gives the shorter way round; `sin` and `cos` need no `wrap`.
 
     Example::
 

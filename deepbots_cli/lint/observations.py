@@ -87,10 +87,10 @@ def replace_range(context: Context, number: RangedNumber, wide: Interval, dimens
 
 
 def privileged_observation(context: Context) -> Iterator[Finding]:
-    """DB609: the policy is shown a signal or a parameter that `augment` does not grant, and that is not made of what arrives anyway.
+    """DB609: the policy sees a signal or a parameter that `augment` does not grant.
 
-    The supervisor alone knows the world and what was drawn: on a real robot nothing would measure them. Granting them says
-    that this is meant. What robots send, when it came, what the agent did and the time need no grant.
+    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. Granting a value says that this
+    is intended. Values that robots send, their age, the actions of the agent and the time need no grant.
 
     Example::
 
@@ -129,11 +129,10 @@ def _is_privileged(node: Typed, privileged: set[str]) -> bool:
 
 
 def goal_in_observation(context: Context) -> Iterator[Finding]:
-    """DB614: with hindsight replay, an entry of the observation is made of where the agent shall get.
+    """DB614: with hindsight replay, an entry of the observation depends on the goal.
 
-    Hindsight stores each step once more, as if another goal had been desired. It replaces `desired`, which the policy sees anyway,
-    and recomputes the reward. What an entry of `observation` says of the goal stays, so that the agent learns from steps in which it
-    sees two goals at once.
+    Hindsight stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes the
+    reward. It cannot change an entry of `observation`, so the agent learns from steps in which it sees two goals at once.
 
     Example::
 
@@ -191,9 +190,9 @@ class Linear(NamedTuple):
 def noise_without_effect(context: Context) -> Iterator[Finding]:
     """DB616: a value has noise, and the policy sees the exact value elsewhere.
 
-    The policy reads the exact value there, in `achieved_goal` for instance, and learns nothing about noise. Two values are the
-    same if one is the other times a fixed factor, plus a fixed offset. An exact value whose range covers less than a quarter of the
-    noisy one is not reported: it may stand for a sensor of short reach.
+    The policy reads the exact value there, for example in `achieved_goal`, and learns nothing about noise. Two values are the same if
+    they differ by a constant factor and a constant offset. An exact value whose range covers less than a quarter of the noisy one is
+    not reported: it may be that of a sensor of short reach.
 
     Example::
 
@@ -304,10 +303,10 @@ def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) 
 
 
 def observation_unbounded(context: Context) -> Iterator[Finding]:
-    """DB601: an entry of the observation is not clipped, and nothing is known to bound it.
+    """DB601: an entry of the observation is not clipped, and nothing bounds it.
 
-    A network that was trained on numbers around 1 does anything at all when it meets 1000: a robot that is thrown, a
-    collision, a physics engine that blew up for a tick. Clipping costs one comparison.
+    The output of a network that was trained on numbers around 1 is arbitrary for 1000, which occurs when a robot is thrown, in a
+    collision, or when the physics becomes unstable for a step. Clipping costs one comparison.
 
     Example::
 
@@ -327,10 +326,10 @@ def observation_unbounded(context: Context) -> Iterator[Finding]:
 
 
 def bounds_mismatch(context: Context) -> Iterator[Finding]:
-    """DB602: a value can never lie in the range that the observation gives it.
+    """DB602: a value never lies within its range in the observation.
 
-    It is clipped to one end of the range in every step, so the policy sees a constant. Most often the range is in another
-    unit, has lost a sign, or is that of another value.
+    It is clipped to one end of the range in every step, so the policy sees a constant. Most often the range is in another unit, lacks a
+    sign, or belongs to another value.
 
     Example::
 

@@ -34,10 +34,10 @@ _LOWEST, _HIGHEST = 0, 1
 def rays_meet_nothing(context: Context) -> Iterator[Finding]:
     """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
 
-    Rays that look level from above the walls never meet them: every reading stays at the far end of the range, and the policy
-    learns nothing from it. The walls of an arena are 10 cm high unless you say otherwise. The rule compares the height of the rays
-    with the top of all that is solid. It needs a robot that stands level on flat ground, or has a fixed base, and a sensor that no
-    joint raises or tilts; rays that meet the ground within their range are not reported.
+    Level rays above the walls never meet them: every reading is the far end of the range, and the policy learns nothing from it. The
+    walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
+    robot that stands level on flat ground or has a fixed base, and a sensor that no joint raises or tilts; rays that meet the ground
+    within their range are not reported.
 
     Example::
 

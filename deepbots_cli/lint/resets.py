@@ -29,12 +29,12 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 
 
 def identical_episodes(context: Context) -> Iterator[Finding]:
-    """DB809: nothing is drawn, at the start or later, so that one episode is like the other.
+    """DB809: nothing is random, so that all episodes are the same.
 
-    Physics repeats itself to the last digit. A policy without noise then does the same in all hundred episodes of an evaluation: their
-    deviation is 0, and what they tell is how it fares from that one start. What it learns is often that one way, too. Draws, noise,
-    lost messages, free spots, layouts in shares and whatever is in Python count as different; so do several cases of the evaluation
-    and stages of a curriculum. Where one start is meant, one episode is enough: `evaluation: {episodes: 1}`.
+    Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: their standard deviation is 0,
+    and they show one start only. Draws, noise, lost messages, free spots, several layouts and Python code count as random; scenarios
+    with several cases of the evaluation or stages of a curriculum are not reported. If one start is intended, one episode is enough:
+    `evaluation: {episodes: 1}`.
 
     Example::
 
@@ -98,10 +98,10 @@ def _draws_coordinates(place: Placement) -> bool:
 
 
 def requirement_not_redrawn(context: Context) -> Iterator[Finding]:
-    """DB812: `reset.require` depends on parameters that are drawn, and on nothing that is drawn again where it does not hold.
+    """DB812: `reset.require` depends on drawn parameters, and on nothing that is drawn again when it does not hold.
 
-    Where a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the
-    episode, so that all attempts are the same, and the reset breaks off. Draw the parameter so that it fits, or draw under `place`.
+    When a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the
+    episode, so that all attempts are the same, and the reset fails. Draw the parameter so that it fits, or draw under `place`.
 
     Example::
 

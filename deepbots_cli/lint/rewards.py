@@ -42,11 +42,10 @@ class Pole(NamedTuple):
 
 
 def reward_unbounded(context: Context) -> Iterator[Finding]:
-    """DB701: a term of the reward grows beyond all bounds: it divides by what may be zero, or takes a power of what may be large.
+    """DB701: a term of the reward grows without bound: it divides by what may be zero, or takes the exponential of a large value.
 
-    One step in which a distance is a thousandth is then worth more than all others together, and the value that an agent learns
-    follows that step. At zero itself there is no reward at all, and the run stops. Divisors that a `where` or an ending keeps away
-    from zero are not reported.
+    One step in which a distance is a thousandth then outweighs all others, and so does its effect on the learned values. At zero there
+    is no reward at all, and the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
 
     Example::
 
@@ -130,9 +129,9 @@ class _PoleSearch:
 def term_dominates(context: Context) -> Iterator[Finding]:
     """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
 
-    Whether the agent reaches the goal or fails then makes no difference that it could learn from: the return is that term and noise.
-    What counts is the least that the term adds up to in an episode that runs to its limit; a term that is the same in every step,
-    such as `alive: 1`, is not reported.
+    The agent cannot learn to reach the goal or to avoid failure: in the return, both are noise beside that term. The rule uses the
+    smallest sum of the term over an episode that runs to its limit; a term that is the same in every step, such as `alive: 1`, is not
+    reported.
 
     Example::
 
@@ -195,11 +194,10 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
 
 
 def inactive_term(context: Context) -> Iterator[Finding]:
-    """DB704: a term of the reward is zero in every step, whatever happens.
+    """DB704: a term of the reward is zero in every step.
 
-    A condition that can never hold, a difference of two figures that never change, a factor of zero. The agent is not paid for
-    what the term seems to pay for. A term that is written as 0 is one that someone has turned off, as is a parameter of 0: these
-    are not reported.
+    Its condition never holds, it is a difference of constants, or it has a factor of zero. A term that is written as 0, or is
+    multiplied by a parameter of 0, is switched off on purpose, and is not reported.
 
     Example::
 
@@ -283,11 +281,11 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 
 
 def rewards_early_death(context: Context) -> Iterator[Finding]:
-    """DB705: every step costs, nothing is won at the end, and to fail costs less than to go on.
+    """DB705: every step costs, nothing is gained at the end, and failing costs less than going on.
 
-    The best that an agent can do is to fail at once, and that is what it learns first. Let success pay, let each step that goes
-    well pay, or let failing cost more than all the steps that are left. In a task with a goal the steps short of the goal count: where
-    each of them costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these costs.
+    The best policy is to fail at once, and the agent learns it first. Let success pay, let each good step pay, or let failing cost more
+    than all the steps that are left. In a task with a goal the steps short of the goal count: where each of them costs, as with `-1
+    when not goal_reached`, a failure that ends the episode ends these costs.
 
     Example::
 
@@ -348,10 +346,10 @@ class Staying(Ranges):
 
 
 def hovering_pays(context: Context) -> Iterator[Finding]:
-    """DB708: just outside of the goal every step pays so much that reaching it, which ends that, is worth less.
+    """DB708: every step just outside of the goal pays so much that reaching the goal, which ends the episode, is worth less.
 
     The agent learns to stay there. The arm of the original collection earned more at 5 to 10 mm from its target than by touching it.
-    Pay for what comes nearer (`-10 * delta(distance) / m`), or pay more for the end than the rest of an episode could.
+    Pay for coming nearer (`-10 * delta(distance) / m`), or pay more for the end than the rest of an episode could.
 
     Example::
 
@@ -496,11 +494,10 @@ def nothing_to_learn(context: Context) -> Iterator[Finding]:
 
 
 def return_out_of_reach(context: Context) -> Iterator[Finding]:
-    """DB810: a mean return is asked for that no episode can be worth, or that every episode is.
+    """DB810: no episode can reach the required mean return, or every episode does.
 
-    Training then never stops before its last step and nothing counts as solved, or all of it does at once; a stage of a curriculum
-    goes on for ever, or is over as it begins. An episode is worth what its steps pay, by intervals, and what its end does: 200 steps
-    of `alive: 1` come to 200.
+    Training then never stops early and nothing counts as solved, or everything does at once; a stage of a curriculum never ends, or
+    ends at once. The return is bounded by what steps and ends pay: 200 steps of `alive: 1` give 200.
 
     Example::
 

@@ -26,11 +26,11 @@ _SLIGHT_DISTANCE, _SLIGHT_ANGLE = 0.001, radians(0.5)
 
 
 def command_cut_off(context: Context) -> Iterator[Finding]:
-    """DB312: an actuator cuts off most of what the agent can ask it for, so that most actions do the same.
+    """DB312: an actuator cuts off most of the commands that the agent can give, so that most actions have the same effect.
 
-    A speed beyond the limit of the motor, a thrust beyond its range, a position beyond the stop of the joint: all of them are brought to
-    the limit. Where less than a quarter of what an action can mean lies within, the agent has to find the few actions that make a
-    difference, and the noise of its exploration makes none. Commands that depend on what the robot senses are not reported.
+    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where less
+    than a quarter of the range of commands can be followed, the agent has to find the few actions that make a difference, and the noise
+    of its exploration makes none. Commands that depend on sensors are not reported.
 
     Example::
 
@@ -88,9 +88,9 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
 
 
 def joint_driven_twice(context: Context) -> Iterator[Finding]:
-    """DB313: two actuators hold the same joint at a speed or a position, so that what the first is told is lost.
+    """DB313: two actuators drive the motor of the same joint, so that the command of the first is lost.
 
-    A joint has one motor, and the last command counts. Most often a line was copied, and the joint on the other side moves by nothing. A
+    A joint has one motor, and the last command counts. Most often a line was copied, and nothing moves the joint on the other side. A
     torque or a spring (`stiffness`) beside a motor adds to it, and is not reported.
 
     Example::

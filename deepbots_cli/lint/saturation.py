@@ -31,9 +31,9 @@ _HALVINGS = 40
 def saturates_before_termination(context: Context) -> Iterator[Finding]:
     """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
 
-    Between the end of the range and the limit every value looks the same to the policy, just where it would have to act. The
-    CartPole of the original collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. What is made of the value
-    counts as well, such as a share of it that is clamped; one entry that goes on changing up to the limit is enough.
+    Between the end of the range and the limit the policy sees a constant, just where it has to act. The CartPole of the original
+    collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. Values that depend on the quantity count as well, such as
+    a clamped share of it; one entry that changes up to the limit is enough.
 
     Example::
 
@@ -159,8 +159,8 @@ def _unseen(context: Context, analysis: Analysis, view: View, ending: Expression
 def observation_saturates(context: Context) -> Iterator[Finding]:
     """DB611: a value is at the end of its range in ordinary operation: an accelerometer at rest, or a start beyond the range.
 
-    An accelerometer at rest reads the acceleration of gravity, upwards. Where its range ends below that, its axis shows the
-    end of the range as long as the robot stands, and says nothing. The same is true of what begins beyond its range.
+    An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below that, the axis is constant as long as
+    the robot stands. The same is true of a value that begins beyond its range.
 
     Example::
 

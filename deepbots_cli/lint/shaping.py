@@ -28,13 +28,13 @@ _RATES = frozenset({"velocity", "angular_velocity"})
 
 
 def suspicious_sign(context: Context) -> Iterator[Finding]:
-    """DB703: a reward with the sign of its opposite: failing pays, success costs, or coming nearer to success costs.
+    """DB703: a reward has the wrong sign: failing pays, success costs, or coming nearer to success costs.
 
-    An agent learns what is written. With the reward that the paper prints for its pit, which is the difference of the metric the
-    wrong way round, it learns to sit still at the bottom.
+    The agent learns what is written: with the reward that the paper prints for its pit, whose sign is wrong, it learns to sit still at
+    the bottom.
 
-    A term is said to pay for the opposite of success where it falls as the quantity goes where the success asks it to, and no other
-    term rises with it. Distances between two bodies count as one quantity, however they are measured.
+    A term pays for the opposite of success if it falls as the quantity approaches what the success requires, and no other term rises.
+    All measures of the distance between two bodies count as one quantity.
 
     Example::
 
@@ -177,11 +177,11 @@ def _sum(slopes: list[float | None]) -> float | None:
 
 
 def hidden_state_reward(context: Context) -> Iterator[Finding]:
-    """DB706: the reward depends on something that differs between episodes and that nothing in the observation tells of.
+    """DB706: the reward depends on something that differs between episodes, and that the observation does not show.
 
-    A parameter that is drawn, such as a target or a command, or a body that no entry of the observation speaks of, while no sensor
-    that could meet it is seen either. The agent can do no better than to act for the average. Shaping by what only the supervisor
-    knows, such as a way around obstacles, is not reported: there the target is seen.
+    This is a drawn parameter, such as a target or a command, or a body that no entry of the observation concerns and no observed sensor
+    can perceive. The agent can only act for the average. Shaping by values that only the supervisor knows, such as a path around
+    obstacles to a visible target, is not reported.
 
     Example::
 
@@ -214,12 +214,12 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
 
 
 def pays_towards_failure(context: Context) -> Iterator[Finding]:
-    """DB710: a term pays the more the farther something is off, and too far off is a failure.
+    """DB710: a term pays more the farther a quantity is from its middle, and too far is a failure.
 
-    The agent learns to keep at the very edge of failing, or beyond it: most often a sign is missing. It is said of lengths and
-    angles that count from a middle (`abs(x)`, `tilt(robot)`, a distance), with a failure above a limit, where the term pays more just
-    before that limit than in the middle for certain, and where no other term and no success speaks of the same. To go as fast as is
-    allowed is a task of its own, and so is to come near without touching: neither is meant.
+    The agent learns to stay at the edge of failing, or beyond: most often a sign is missing. The rule concerns lengths and angles that
+    count from a middle (`abs(x)`, `tilt(robot)`, a distance) with a failure above a limit, where the term certainly pays more just
+    before that limit than in the middle, and no other term and no success concerns the same. Tasks that reward the highest allowed
+    speed, or coming near without touching, are not reported.
 
     Example::
 

@@ -36,12 +36,12 @@ _Robots = list[tuple[RobotBody, float]]
 
 
 def odd_scale(context: Context) -> Iterator[Finding]:
-    """DB507: the size or the mass of an object is out of all proportion: a unit has slipped.
+    """DB507: the size or the mass of an object is out of all proportion.
 
-    A bare number is a length in metres or a mass in kilograms, and a puck with `radius: 4` is 8 m across. The rule reports an object
-    within which a robot begins that is four times smaller or more; a movable object of less than 0.1 or more than 25 000 kg/m^3, where
-    air has 1.2 and osmium 22 600; and a movable object that is 100 000 times as heavy as all robots together. For an object that
-    nothing may move write `fixed: true` instead of a large mass.
+    A bare number is a length in metres or a mass in kilograms: a puck with `radius: 4` is 8 m across. The rule reports an object that
+    is at least four times as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air
+    has 1.2, osmium 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that nothing may
+    move, write `fixed: true` instead of a large mass.
 
     Example::
 
