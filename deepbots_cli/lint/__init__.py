@@ -10,11 +10,11 @@ world.py         objects out of scale, worlds that cannot be simulated          
 rays.py          rays that pass over everything                                      DB615
 observations.py  what the policy sees; saturation.py values at the end of their range   DB6
 rewards.py       the size of the reward; shaping.py its direction                    DB7, DB810
-endings.py       when episodes end; goals.py goals that cannot be reached            DB8
+endings.py       when episodes end, goals that cannot be reached                     DB8
 resets.py        how episodes begin                                                  DB310, DB809, DB812
 
 context.py       a scenario as rules see it; findings that follow from others
-analysis.py      definitions, equal quantities, rewards per step; conditions.py thresholds; ranges.py interval analysis
+analysis.py      definitions, equal quantities, rewards per step, thresholds; ranges.py interval analysis
 simulation.py    plan, process and report of a simulation; child.py and rollouts.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how; pages.py the page of each finding
 """
@@ -30,7 +30,7 @@ from deepbots_cli.diagnostics import MAX_FINDINGS, Finding, shielded
 from deepbots_cli.diagnostics import RULES as CATALOGUE
 from deepbots_cli.diagnostics.findings import fault
 from deepbots_cli.diagnostics.suppress import suppress
-from deepbots_cli.lint import endings, goals, names, observations, rays, resets, rewards, robots, saturation, shaping, world
+from deepbots_cli.lint import endings, names, observations, rays, resets, rewards, robots, saturation, shaping, world
 from deepbots_cli.lint.context import CascadeFilter, Context, Rule
 from deepbots_cli.lint.simulation import Limits, Simulation, measure
 
@@ -46,7 +46,6 @@ RULES: tuple[Rule, ...] = (
     *rewards.RULES,
     *shaping.RULES,
     *endings.RULES,
-    *goals.RULES,
     *resets.RULES,
 )
 MEASURED: tuple[MeasuredRule, ...] = (

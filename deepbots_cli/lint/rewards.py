@@ -11,8 +11,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, total
-from deepbots_cli.lint.conditions import Threshold, is_clock, thresholds
+from deepbots_cli.lint.analysis import Analysis, RewardTerms, Threshold, is_clock, thresholds, total
 from deepbots_cli.lint.context import Context
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation

@@ -12,8 +12,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
-from deepbots_cli.lint.analysis import Analysis, Comparison
-from deepbots_cli.lint.conditions import Threshold, thresholds
+from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, thresholds
 from deepbots_cli.lint.context import Context
 from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
 from deepbots_cli.lint.ranges import Ranges, between, range_text, with_unit

@@ -9,8 +9,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
 from deepbots_cli.expressions.unification import negated
-from deepbots_cli.lint.analysis import Analysis, Comparison, RewardTerms, Terms
-from deepbots_cli.lint.conditions import FOLLOWING, Threshold, is_clock, thresholds
+from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, Terms, Threshold, is_clock, thresholds
 from deepbots_cli.lint.context import Context
 from deepbots_cli.lint.ranges import Ranges, with_unit
 from deepbots_cli.program.task import Ending

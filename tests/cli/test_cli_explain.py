@@ -25,7 +25,7 @@ def test_a_code_is_explained_with_why_an_example_and_what_to_write_instead(deepb
     assert (ran.code, ran.err) == (0, "")
     head, _, rest = ran.out.partition("\n")
     assert head == "DB603 saturates-before-termination (warning)"
-    assert "every value looks the same to the policy" in " ".join(rest.split())
+    assert "the policy sees a constant" in " ".join(rest.split())
     assert "    observation: {cart.pole_angle: -0.23 .. 0.23 rad}\n" in rest.partition("Instead:")[0]
     assert "    observation: {cart.pole_angle: -20 .. 20 deg}\n" in rest.partition("Instead:")[2]
     assert "# deepbots: ignore[DB603]" in rest
