@@ -19,15 +19,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deepbots_cli import rules
 from deepbots_cli.compiler import Checked, check
-from deepbots_cli.diagnostics import MAX_FINDINGS, Finding
+from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import load as read
 from deepbots_cli.document import loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
+from deepbots_cli.lint import review
 from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -126,33 +125,6 @@ def lint(
         return review(checked, preview=preview)
     finally:
         checked.release()
-
-
-def review(checked: Checked, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
-    """What the passes and the rules found, without what comments suppress, and without warnings about robot files of packages.
-
-    Those are not the user's to mend; `inspect` of the robot file shows them. `measured` is what a simulation found, None where
-    there was none; what the rules say of the same place they say better.
-    """
-    robots = (checked.robots or {}).values()
-    sources = (*checked.document.sources, *(robot.file.source for robot in robots))
-    found = [*checked.findings, *rules.run(checked, preview=preview)]
-    told = {(finding.code, finding.span) for finding in found}
-    found += [finding for finding in measured or () if (finding.code, finding.span) not in told]
-    kept, unused = suppress(found, sources, preview=preview, deep=measured is not None)
-    packaged = {id(robot.file.source) for robot in robots if robot.spec.urdf.startswith("package://")}
-    ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
-    return _told([*ours, *unused])
-
-
-def _told(found: list[Finding]) -> list[Finding]:
-    """The findings in their order; of too many, errors before warnings and limits before both, with a note of how many more there are."""
-    most = MAX_FINDINGS + 1  # the last may be that there are too many
-    if len(found) > most:
-        by_weight = sorted(found, key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key))
-        *kept, last = by_weight[:most]
-        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - most:_} more findings are not told"))]
-    return sorted(found, key=lambda finding: finding.sort_key)
 
 
 def compile(

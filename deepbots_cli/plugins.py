@@ -4,7 +4,7 @@
     deepbots.actuators    a class of `scenario.actuators`, under the word of its `type`
     deepbots.functions    one or several `expressions.functions.Function`
     deepbots.formats      a `message_formats.MessageFormat`, under its name
-    deepbots.rules        one or several `rules.LintRule`
+    deepbots.rules        one or several `diagnostics.Rule`, each with a `check`
     deepbots.algorithms   a subclass of a model of `scenario.training`, under its name
     deepbots.engines      a `port.EngineFactory`, under its name
     deepbots.scenarios    a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`

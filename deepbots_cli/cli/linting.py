@@ -10,12 +10,12 @@ from pathlib import Path
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.folders import scenarios_in
-from deepbots_cli.cli.settings import Settings
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding, Source
 from deepbots_cli.diagnostics.findings import failure
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.lint import review
+from deepbots_cli.lint.settings import Settings, scenarios_in
 
 STDIN = "-"
 _NAMELESS = "<stdin>"
@@ -60,19 +60,19 @@ class Look:
 
     def _found(self, checked: Checked, called: str) -> list[Finding]:
         """What the text tells, and then what a simulation does; a scenario with errors cannot be simulated."""
-        found = api.review(checked, preview=self.preview)
+        found = review(checked, preview=self.preview)
         if not self.deep:
             return found
         if any(finding.severity == "error" and not finding.is_fault for finding in found):
             terminal.note(f"{called}: not simulated, since it has errors")
             return found
-        from deepbots_cli.probing import probe
+        from deepbots_cli.lint import simulate
 
         with terminal.passing(f"{called}: simulating"):
-            probed = probe(checked, preview=self.preview)
-        if probed.left:
-            terminal.note(f"{called}: the simulation was left {probed.left}; what it would have found is not told")
-        return api.review(checked, preview=self.preview, measured=probed.findings)
+            simulated = simulate(checked, preview=self.preview)
+        if simulated.left:
+            terminal.note(f"{called}: the simulation was left {simulated.left}; what it would have found is not told")
+        return review(checked, preview=self.preview, measured=simulated.findings)
 
     def called(self, name: str) -> str:
         """How findings call the scenario `name`."""

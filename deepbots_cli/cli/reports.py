@@ -6,9 +6,9 @@ import sys
 from collections.abc import Sequence
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.settings import Format
 from deepbots_cli.diagnostics import Finding, Severity, formats
 from deepbots_cli.diagnostics.render import inert, render
+from deepbots_cli.lint.settings import Format
 
 
 def report(findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]) -> str:
@@ -26,7 +26,7 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
 
 
 def _page(code: str) -> tuple[str, str]:
-    from deepbots_cli.rules.pages import pages_of
+    from deepbots_cli.lint.pages import pages_of
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)

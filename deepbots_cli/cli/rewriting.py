@@ -5,22 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from dataclasses import dataclass
 from io import StringIO
-from pathlib import Path
 
 from deepbots_cli.cli.terminal import printable
 from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
-
-
-@dataclass(frozen=True)
-class Rewrite:
-    """One file, by its resolved path: what it held when it was read, and what it shall hold."""
-
-    path: Path
-    before: bytes
-    after: bytes
+from deepbots_cli.lint.fixes import Rewrite
 
 
 def show(rewrite: Rewrite) -> None:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepbots_cli.cli.rewriting import Rewrite
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Mapping as Tree
 from deepbots_cli.document import Scalar, files
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.lint.fixes import Rewrite
 from deepbots_cli.scenario.scenario import VERSION
 
 Step = Callable[[str, Tree], str]

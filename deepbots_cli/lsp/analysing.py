@@ -8,8 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from deepbots_cli import api
-from deepbots_cli.cli.settings import Settings, settings
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.compiler.values import Reading
 from deepbots_cli.diagnostics import Finding, Source
@@ -17,6 +15,8 @@ from deepbots_cli.diagnostics.suppress import Selection
 from deepbots_cli.document import load, to_data
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.errors import UsageError
+from deepbots_cli.lint import review
+from deepbots_cli.lint.settings import Settings, settings
 from deepbots_cli.lsp.documents import Document
 
 
@@ -92,7 +92,7 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
     except UsageError:  # a folder, or a name that no file can have
         return Analysis(document, drafts)
     checked = check(replace(read, allow_code=allow_code))
-    found = api.review(checked, preview=preview)
+    found = review(checked, preview=preview)
     return Analysis(document, drafts, tuple(_wanted(found, selection)), checked, complaint, selection)
 
 

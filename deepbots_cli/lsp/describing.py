@@ -9,7 +9,7 @@ from deepbots_cli.expressions.functions import Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Shape as PictureShape
 from deepbots_cli.expressions.types import Symbol, Type, shown
-from deepbots_cli.rules.pages import pages_of
+from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.scenario.base import Section, Shape, fields, noun_of
 
 _LONGEST = 120

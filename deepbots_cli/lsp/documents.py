@@ -10,11 +10,11 @@ from zlib import crc32
 
 from pygls import uris
 
-from deepbots_cli.cli.folders import is_scenario
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import files
 from deepbots_cli.document.nodes import Node
 from deepbots_cli.document.parse import parse
+from deepbots_cli.lint.settings import is_scenario
 from deepbots_cli.lsp.positions import Encoding, Lines
 
 _BLANK = re.compile(r"\ufeff?(?:[ \t\r]*(?:#[^\n]*)?\n)*+[a-z]*\s*")

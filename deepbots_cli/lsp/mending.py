@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from functools import partial
 
 from lsprotocol import types
 
-from deepbots_cli.cli.mending import Mender
+from deepbots_cli import api
 from deepbots_cli.diagnostics import Edit, Finding, Source
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.errors import UsageError
+from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.analysing import Analysis
 from deepbots_cli.lsp.desk import Desk
 from deepbots_cli.lsp.diagnosing import Places, diagnostic
@@ -49,13 +51,8 @@ class Actions:
             return None
         known = analysis.checked.document
         try:
-            rewrites = Mender(
-                [str(self._document.path)],
-                wanted=analysis.selection.wants,
-                allow_paths=known.roots,
-                allow_code=known.allow_code,
-                drafts=self._desk.drafts,
-            ).mend()
+            load = partial(api.load, allow_paths=known.roots, allow_code=known.allow_code)
+            rewrites = Fixer([str(self._document.path)], load, wanted=analysis.selection.wants, drafts=self._desk.drafts).fix()
         except UsageError:  # a file that is not there yet, or has changed meanwhile
             return None
         open_paths = {document.path: document for document in self._desk.documents.values()}

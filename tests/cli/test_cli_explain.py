@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.cli.words import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
-from deepbots_cli.rules.pages import every_page
+from deepbots_cli.lint import review
+from deepbots_cli.lint.pages import every_page
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,7 +25,7 @@ def test_a_code_is_explained_with_why_an_example_and_what_to_write_instead(deepb
     assert (ran.code, ran.err) == (0, "")
     head, _, rest = ran.out.partition("\n")
     assert head == "DB603 saturates-before-termination (warning)"
-    assert "every value looks the same to the policy" in " ".join(rest.split())
+    assert "the policy sees a constant" in " ".join(rest.split())
     assert "    observation: {cart.pole_angle: -0.23 .. 0.23 rad}\n" in rest.partition("Instead:")[0]
     assert "    observation: {cart.pole_angle: -20 .. 20 deg}\n" in rest.partition("Instead:")[2]
     assert "# deepbots: ignore[DB603]" in rest
@@ -204,7 +204,7 @@ def test_words_of_a_concept_lead_to_it(deepbots):
 @pytest.mark.parametrize("topic", topics(), ids=lambda topic: topic.name)
 def test_the_example_of_a_concept_lints_clean_and_its_page_has_the_section(topic: Topic):
     text = f"deepbots: 1\nextends: cartpole.yaml\n{topic.example}\n"
-    assert [finding.headline for finding in api.review(check(loads(text, base=ROOT / "scenarios")))] == []
+    assert [finding.headline for finding in review(check(loads(text, base=ROOT / "scenarios")))] == []
     page, _, section = topic.read.partition("#")
     heads = re.findall(r"^#+ (.*)$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
     assert section in {"", *(re.sub(r"[^a-z0-9 _-]", "", head.lower()).replace(" ", "-") for head in heads)}

@@ -10,25 +10,25 @@ from xml.etree import ElementTree
 
 import pytest
 
-from deepbots_cli import api, probing
-from deepbots_cli.compiler import Checked
+from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding, Source
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.lsp.analysing import analyse
 from deepbots_cli.lsp.diagnosing import diagnostics
 from deepbots_cli.lsp.documents import Document
-from deepbots_cli.probing.probed import Probed
-from deepbots_cli.rules import endings
 
 
-def breaking(checked: Checked) -> Iterator[Finding]:
+def breaking(context: Context) -> Iterator[Finding]:
     """DB801: fails on the scenario that is named Broken."""
-    if checked.program is not None and checked.program.name == "Broken":
+    if context.program.name == "Broken":
         raise IndexError("tuple index\nout of range")
     yield from ()
 
 
-def breaking_too(probed: Probed) -> Iterator[Finding]:
-    raise KeyError(probed.checked.document.path.name)
+def breaking_too(simulation: Simulation) -> Iterator[Finding]:
+    """DB702: fails on every scenario."""
+    raise KeyError(simulation.checked.document.path.name)
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two scenarios, each with a warning; a rule fails on the first."""
     (tmp_path / "a.yaml").write_text(scenario("Broken"))
     (tmp_path / "b.yaml").write_text(scenario("Whole"))
-    monkeypatch.setattr(endings, "RULES", (breaking, *endings.RULES))
+    monkeypatch.setattr(lint, "RULES", (breaking, *lint.RULES))
     return tmp_path
 
 
@@ -55,7 +55,7 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
         [told[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
     ]
     assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
-    assert re.search(r" \(deepbots_cli\.rules:\d+\)", ran.out), "the innermost place in deepbots"
+    assert re.search(r" \(deepbots_cli\.lint:\d+\)", ran.out), "the innermost place in deepbots"
     assert "Traceback" not in ran.out + ran.err
 
 
@@ -107,7 +107,7 @@ def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) ->
 
 @pytest.mark.slow
 def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(deepbots, folder, monkeypatch) -> None:
-    monkeypatch.setitem(probing.RULES, "DB702", breaking_too)
+    monkeypatch.setattr(lint, "MEASURED", (breaking_too, *lint.MEASURED))
     ran = deepbots("lint", "b.yaml", "--deep", "--preview", "--set", "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}")
     assert ran.code == 3
     assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out

@@ -14,11 +14,10 @@ from deepbots_cli.diagnostics import Findings
 from deepbots_cli.diagnostics.findings import Source
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
-from deepbots_cli.probing import RULES as MEASURED
-from deepbots_cli.probing import probe
+from deepbots_cli.lint import MEASURED, RULES, code_of, run, simulate
+from deepbots_cli.lint.context import Rule
+from deepbots_cli.lint.pages import Page, every_page
 from deepbots_cli.robots.reader import read
-from deepbots_cli.rules import Rule, code_of, everything, run
-from deepbots_cli.rules.pages import Page, every_page
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
@@ -35,12 +34,12 @@ def codes(text: str, page: Page, folder: Path) -> set[str]:
     found = [*checked.findings, *run(checked, preview=True)]
     if page.deep:
         assert page.code not in {finding.code for finding in found}, "the text alone tells it"
-        found += probe(checked, preview=True).findings
+        found += simulate(checked, preview=True).findings
     kept, unused = suppress(found, checked.document.sources, preview=True, deep=page.deep)
     return {finding.code for finding in (*kept, *unused)}
 
 
-@pytest.mark.parametrize("rule", everything(), ids=lambda rule: rule.__name__)
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
 def test_the_docstring_of_a_rule_is_a_page(rule: Rule) -> None:
     assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
 
@@ -63,14 +62,14 @@ def test_every_finding_has_a_page_and_all_but_three_an_example() -> None:
 
 
 def test_a_rule_is_in_the_catalogue_under_the_name_of_its_function() -> None:
-    for rule in everything():
+    for rule in RULES:
         name = rule.__name__.replace("_", "-")
         assert CATALOGUE[code_of(rule)].name == name
 
 
 def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
     deep = {code for code, entry in CATALOGUE.items() if entry.deep != "no"}
-    assert deep == set(MEASURED) == {page.code for page in every_page() if page.deep}
+    assert deep == set(map(code_of, MEASURED)) == {page.code for page in every_page() if page.deep}
 
 
 def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:

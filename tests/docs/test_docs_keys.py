@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-from deepbots_cli import api, rules
+from deepbots_cli import api, lint
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
@@ -101,7 +101,7 @@ def with_example(place: Place, key: Key) -> Checked:
 
 def findings_of(checked: Checked) -> list[str]:
     """What lint says; that nothing uses a definition is said of examples that define something, and is no fault of theirs."""
-    found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *rules.run(checked)]]
+    found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *lint.run(checked)]]
     return [finding for finding in found if not finding.startswith("DB205")]
 
 

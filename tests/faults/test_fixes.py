@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.mending import Mender
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.lint.fixes import Fixer
 from tests.faults.injected import ROOT, everything, sources
 from tests.faults.trying import Project
 
@@ -67,12 +67,12 @@ def test_a_second_run_finds_nothing_to_do_and_comments_stay(folder: Path) -> Non
         if not any(finding.fix for finding in before):
             continue
         text = path.read_text(encoding="utf-8")
-        rewrites = Mender([str(path)], unsafe=True).mend()
+        rewrites = Fixer([str(path)], api.load, unsafe=True).fix()
         for rewrite in rewrites:
             rewrite.path.write_bytes(rewrite.after)
         mended += bool(rewrites)
-        again = Mender([str(path)], unsafe=True)
-        assert again.mend() == [], path.name
+        again = Fixer([str(path)], api.load, unsafe=True)
+        assert again.fix() == [], path.name
         assert len(errors(again.left)) <= len(errors(before)), path.name
         left = path.read_text(encoding="utf-8")
         assert re.findall("# remark.*", left) == re.findall("# remark.*", text), path.name
@@ -85,13 +85,13 @@ def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(folder: Path) -
     offered = 0
     for path in sorted(folder.glob("err/*.yaml")):
         found = {said(finding) for finding in api.lint(path, preview=True) if finding.fix}
-        together = Mender([str(path)], unsafe=True, preview=True)
-        together.mend()
+        together = Fixer([str(path)], api.load, unsafe=True, preview=True)
+        together.fix()
         assert found <= set(map(said, together.fixed)), path.name
         assert not [finding for finding in together.left if finding.fix], path.name
         for one in found if len(found) > 1 else ():
-            alone = Mender([str(path)], unsafe=True, preview=True, wanted=lambda finding, one=one: said(finding) == one)
-            alone.mend()
+            alone = Fixer([str(path)], api.load, unsafe=True, preview=True, wanted=lambda finding, one=one: said(finding) == one)
+            alone.fix()
             assert set(map(said, alone.fixed)) == {one}, path.name
         offered += len(found)
     assert offered > 50
@@ -99,7 +99,7 @@ def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(folder: Path) -
 
 @pytest.mark.parametrize("name", sorted(path.name for path in (ROOT / "scenarios").glob("*.yaml")))
 def test_a_shipped_scenario_has_nothing_to_fix(project: Project, name: str) -> None:
-    assert Mender([str(project.scenarios / name)], unsafe=True).mend() == []
+    assert Fixer([str(project.scenarios / name)], api.load, unsafe=True).fix() == []
 
 
 def said(finding: Finding) -> tuple[str, str]:

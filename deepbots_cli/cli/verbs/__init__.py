@@ -7,7 +7,7 @@ from collections.abc import Mapping
 VERBS: Mapping[str, str] = {
     "train": "Train a policy in a new run directory, and evaluate it.",
     "eval": "Evaluate the policy of a run on held-out episodes.",
-    "lint": "Say everything that is wrong with scenarios.",
+    "lint": "Check scenarios and report every problem.",
     "explain": "Say what a finding means, why it matters and what to write instead.",
     "fmt": "Put scenario files into the canonical layout.",
     "lsp": "Serve an editor: findings as you type, completion, fixes.",

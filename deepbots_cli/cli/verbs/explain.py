@@ -17,7 +17,7 @@ from deepbots_cli.diagnostics import Rule
 from deepbots_cli.diagnostics.registry import unknown as unknown_finding
 from deepbots_cli.diagnostics.registry import with_prefix
 from deepbots_cli.errors import UsageError
-from deepbots_cli.rules.pages import pages_of
+from deepbots_cli.lint.pages import pages_of
 
 _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
 """Begins a code, or has what only names of findings have."""

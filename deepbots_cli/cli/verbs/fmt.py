@@ -11,14 +11,14 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.folders import scenarios_in
-from deepbots_cli.cli.rewriting import Rewrite, show, write
-from deepbots_cli.cli.settings import settings
+from deepbots_cli.cli.rewriting import show, write
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import files
 from deepbots_cli.document.layout import tidy
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
+from deepbots_cli.lint.fixes import Rewrite
+from deepbots_cli.lint.settings import scenarios_in, settings
 
 _BOM = b"\xef\xbb\xbf"
 

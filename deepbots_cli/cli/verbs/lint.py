@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from deepbots_cli.cli import terminal
+from deepbots_cli import api
+from deepbots_cli.cli import rewriting, terminal
 from deepbots_cli.cli.exits import FAILED, FAULT
 from deepbots_cli.cli.linting import STDIN, Look, findings_of, named
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets, whole
 from deepbots_cli.cli.reports import report
-from deepbots_cli.cli.settings import settings
-from deepbots_cli.diagnostics import Finding, Severity, Source
+from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.diagnostics.suppress import Selection, Words
 from deepbots_cli.errors import UsageError
+from deepbots_cli.lint.fixes import Fixer
+from deepbots_cli.lint.settings import settings
 
 
 class Format(StrEnum):
@@ -64,7 +67,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Say everything that is wrong with scenarios.
+    """Check scenarios and report every problem.
 
     Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed,
     but for --deep, which simulates what has no errors in a process of its own and tells what it measures.
@@ -100,7 +103,7 @@ def command(
         _check_fixing(fix, diff, sets, names)
         if diff and (as_json or format):
             raise UsageError("--diff shows the change and no findings, so it takes no --format")
-        findings, changes = _mended(names, look, selection, unsafe=unsafe_fixes, show=diff)
+        findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
     shown = [*selection.inactive_rules(), *filter(selection.wants, findings)]
@@ -127,7 +130,7 @@ def _words(option: str, given: Codes) -> Words | None:
 
 
 def _check_simulator(fixing: bool) -> None:
-    from deepbots_cli.probing.process import require_simulator
+    from deepbots_cli.lint.simulation import require_simulator
 
     if fixing:
         raise UsageError("--deep measures, and nothing that it finds can be fixed by a program; run it without --fix and --diff")
@@ -143,13 +146,37 @@ def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence
         raise UsageError("standard input is no file that could be fixed; name the file")
 
 
-def _mended(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
-    """What is left after fixing, and whether anything changes."""
-    from deepbots_cli.cli.mending import Mender, mend
+def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
+    """The findings that are left after fixing, and whether a file changes; `show` prints the difference and writes nothing."""
+    load = partial(api.load, allow_paths=look.allow_paths, allow_code=look.allow_code)
+    fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.wants, preview=look.preview)
+    rewrites = fixer.fix()
+    for rewrite in rewrites:
+        if show:
+            rewriting.show(rewrite)
+        else:
+            rewriting.write(rewrite)
+    for finding in fixer.fixed:
+        edit = finding.fix.edits[0] if finding.fix else None
+        terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.where}: {finding.code}[{finding.name}] {_change(edit)}")
+    if fixer.fixed:
+        verb, files = "would be fixed" if show else "fixed", len(rewrites)
+        terminal.note(f"{len(fixer.fixed)} {verb} in {files} file{'s' if files > 1 else ''}")
+    return fixer.left, bool(rewrites)
 
-    wanted = selection.wants
-    mender = Mender(names, unsafe=unsafe, wanted=wanted, allow_paths=look.allow_paths, allow_code=look.allow_code, preview=look.preview)
-    return mend(mender, show=show)
+
+def _change(edit: Edit | None) -> str:
+    old, new = (" ".join(text.split())[:60] for text in (edit.span.text, edit.text)) if edit else ("", "")
+    return f"`{old}` -> `{new}`" if new else f"`{old}` removed"
+
+
+def _hint(findings: Sequence[Finding]) -> str | None:
+    """How many findings can be fixed, and by which option."""
+    safe = sum(finding.fix is not None and finding.fix.safe for finding in findings)
+    unsafe = sum(finding.fix is not None and not finding.fix.safe for finding in findings)
+    if not safe:
+        return f"{unsafe} may be fixed by --fix --unsafe-fixes; see what they would do with --diff --unsafe-fixes" if unsafe else None
+    return f"{safe} can be fixed by --fix" + (f", {unsafe} more by --unsafe-fixes" if unsafe else "")
 
 
 def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, deep: bool) -> None:
@@ -161,16 +188,12 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
         return
     terminal.say(summary(findings))
     if fixable and any(finding.fix for finding in findings):
-        from deepbots_cli.cli.mending import hint
-
-        terminal.note(hint(findings) or "")
+        terminal.note(_hint(findings) or "")
 
 
 def _explain_empty_diff(left: list[Finding]) -> None:
     """Say that there is no difference to show, and which option would show the good guesses among the fixes that are `left`."""
-    from deepbots_cli.cli.mending import hint
-
-    guesses = hint([finding for finding in left if finding.fix and not finding.fix.safe])
+    guesses = _hint([finding for finding in left if finding.fix and not finding.fix.safe])
     terminal.note("there is no difference to show" + (f"; {guesses}" if guesses else ""))
 
 

@@ -1,0 +1,79 @@
+"""The entry point of the process that simulates a scenario for `lint --deep`.
+
+    echo '{"folder": ..., "allow_code": false}' | python -m deepbots_cli.lint.child CPU STEP MEMORY WALL
+
+It writes lines to stdout: `~17` before step 17, and JSON objects, which `simulation.Report` reads. It limits itself before it imports a
+simulator or reads the scenario. On Windows, which has no such limits, the clock of the parent remains.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import traceback
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Limits
+
+_MIB = 2**20
+
+
+def main(limits: Limits) -> None:
+    out = FileIO(os.dup(sys.stdout.fileno()), "wb")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for fd in (1, 2):  # whatever engines and scenarios print
+        os.dup2(nowhere, fd)
+    _limit(limits)
+    request = json.loads(sys.stdin.buffer.read())
+    try:
+        _simulate(request, out, limits.step)
+    except MemoryError:
+        os._exit(OUT_OF_MEMORY)
+    except Exception as error:  # noqa: BLE001  # a fault of deepbots, which the parent reports
+        from deepbots_cli.diagnostics.findings import described
+
+        if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library for which there is no memory
+            os._exit(OUT_OF_MEMORY)
+        out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
+
+
+def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
+    """Each line grants further `seconds` of CPU time; after these SIGPROF ends the process."""
+
+    def write(line: bytes) -> None:
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_PROF, seconds)
+        out.write(line)
+
+    write(b"")
+    from deepbots_cli.lint.rollouts import Simulator, compiled
+
+    program = compiled(Path(request["folder"]), allow_code=request["allow_code"])
+    simulator = Simulator(
+        program,
+        write=lambda entry: write(json.dumps(entry).encode() + b"\n"),
+        begin_step=lambda number: write(b"~%d\n" % number),
+        allow_code=request["allow_code"],
+    )
+    simulator.run()
+    write(b'{"done": true}\n')
+
+
+def _limit(limits: Limits) -> None:
+    """Limit this process and all that it starts."""
+    try:
+        import resource
+    except ImportError:
+        return
+    for what, limit in ((resource.RLIMIT_CPU, limits.cpu), (resource.RLIMIT_AS, limits.memory * _MIB), (resource.RLIMIT_CORE, 0)):
+        hard = resource.getrlimit(what)[1]
+        resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+
+
+if __name__ == "__main__":
+    cpu, step, memory, wall = sys.argv[1:]
+    main(Limits(int(cpu), float(step), int(memory), float(wall)))

@@ -1,0 +1,462 @@
+"""When episodes end, and goals that cannot be reached (family DB8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil, sqrt
+from typing import NamedTuple
+
+from deepbots_cli import footprint
+from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, TIME
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
+from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, has_choice, thresholds, total
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.ranges import Ranges, between, with_unit
+from deepbots_cli.lint.simulation import Simulation
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Thrust
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
+
+_TOLERANCE = 0.98
+"""Engines let bodies penetrate each other a little."""
+_CLOCK = frozenset({"time", "step"})
+_MAX_SEEDS = 8
+"""Seeds listed in a note."""
+
+
+def never_true(context: Context) -> Iterator[Finding]:
+    """DB801: an ending can never hold.
+
+    The joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in radians. Episodes
+    then run to the time limit.
+
+    Example::
+
+        termination: {failure: {fallen: abs(cart.pole_angle) > 90 deg}}
+
+    Instead::
+
+        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
+    """
+    silent = [
+        {ending.value.name for ending in analysis.program.endings if _ever(analysis, ending) == NEVER} for analysis in context.versions
+    ]
+    for ending in context.program.endings:
+        if all(ending.value.name in names for names in silent):
+            headline = f"`{ending.value.name}` can never hold"
+            notes = tuple(_reasons(context.analysis, ending))
+            yield Finding("DB801", ending.value.span, headline, help="give a limit that can be met, or take it out", notes=notes)
+
+
+def _ever(analysis: Analysis, ending: Ending) -> Interval:
+    """Whether an ending holds in an episode without time limit; 0 .. 1 where that depends."""
+    return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending.value)[0])
+
+
+def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
+    """Comparisons that never hold, with the ranges of their sides; or why the parts never hold together."""
+    ranges = analysis.ranges_in(0.0, INF)
+    never = [
+        entry
+        for entry in analysis.comparisons(ending.value)
+        if all(ranges.of(part) == NEVER for part in analysis.lowered(entry.node, entry.value.owner))
+    ]
+    for entry in never:
+        yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
+    (node,) = analysis.scalars(ending.value)
+    touched = (part for part in analysis.unfold(node) if isinstance(part, World) and part.function in ("contact", "collided"))
+    intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
+    yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
+    if not never and not intangible and isinstance(meaning := analysis.meaning(node), Op) and meaning.op == "and":
+        yield "its parts exclude each other"
+
+
+def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
+    """The text, the range and the range in words of both sides of a comparison, except constants."""
+    for arg in entry.node.args:
+        known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
+        if not known.single:
+            yield entry.value.text[arg.start : arg.end], known, between(known, arg.type.dimension)
+
+
+def always_true(context: Context) -> Iterator[Finding]:
+    """DB802: an ending holds in every step, so that no episode can run.
+
+    Example::
+
+        termination: {failure: {fallen: abs(cart.pole_angle) > -15 deg}}
+
+    Instead::
+
+        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
+    """
+    for ending in context.program.endings:
+        if _ever(context.analysis, ending) == ALWAYS:
+            headline = f"`{ending.value.name}` holds in every step"
+            yield Finding("DB802", ending.value.span, headline, help="give a limit that an episode can keep within")
+
+
+def shadowed_limit(context: Context) -> Iterator[Finding]:
+    """DB804: one of two limits always comes first, so the other has no effect.
+
+    For example `max_time` comes after `max_steps`; or an ending can hold only after the truncation or after another ending, or is
+    certain to hold before the truncation. The CartPole of the original collection ends an episode once its score exceeds 195: its best
+    episode lasts 197 steps of the 200 that are allowed.
+
+    Example::
+
+        termination: {failure: {enough: episode_return > 195}}
+        truncation: {max_steps: 200}
+
+    Instead::
+
+        truncation: {max_steps: 200}
+    """
+    yield from _later_limit(context)
+    yield from _later_ending(context)
+    analysis, last = context.analysis, context.analysis.last
+    for ending in context.program.endings:
+        if _ever(analysis, ending).single or ending.foreign:
+            continue  # DB801, DB802
+        (node,) = analysis.scalars(ending.value)
+        limit = f"an episode is cut short, after {last} steps"
+        if _with_return(analysis, 0, last).of(node) == NEVER:
+            headline = f"`{ending.value.name}` cannot hold before {limit}"
+            help = "raise the limit under `truncation`, or take the ending out"
+            yield Finding(
+                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "cut short here"),)
+            )
+        elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
+            headline = f"`{ending.value.name}` is sure to hold before {limit}"
+            help = "take it out: the limit under `truncation` ends an episode, and `solved` says what a good one is"
+            yield Finding(
+                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
+            )
+
+
+def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
+    """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
+    reward = analysis.reward
+    step = total(reward.terms, reward.running())
+    ticks = float((last - bool(first)) * analysis.program.agent.repeat)
+    known = Interval()
+    if reward.is_complete and not first:
+        known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
+    elif reward.is_complete and step.finite:
+        known = Interval(step.low * ticks, step.high * ticks)
+    return Ranges(analysis, {"episode_return": known}, (float(first), float(last)))
+
+
+def _later_limit(context: Context) -> Iterator[Finding]:
+    """The later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
+    later = {_later(analysis.program) for analysis in context.versions}
+    if len(later) == 1 and (name := later.pop()):
+        other = "max_steps" if name == "max_time" else "max_time"
+        headline = f"`{name}` comes after `{other}`, which always ends an episode before"
+        also = (Label(context.values.span(("truncation", other)), "comes first"),)
+        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="keep the one that is meant", also=also)
+
+
+def _later(program: Program) -> str:
+    limits, timestep = program.truncation, program.world.timestep
+    if limits.max_steps is None or limits.max_time is None:
+        return ""
+    steps, time = limits.max_steps * program.agent.repeat, ceil(limits.max_time / timestep - 1e-9)
+    return "max_time" if time > steps else "max_steps" if steps > time else ""
+
+
+def _later_ending(context: Context) -> Iterator[Finding]:
+    """Endings that come too late in every case and every stage."""
+    found = context.analysis.shadowed
+    later = [{late.value.name for late in analysis.shadowed} for analysis in context.versions] if found else []
+    for late, first in found.items():
+        if all(late.value.name in names for names in later):
+            headline = f"`{late.value.name}` comes after `{first.value.name}`, which always ends an episode before"
+            help = "give it a limit that is met first" if late.outcome != first.outcome else "keep the one that is meant"
+            yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "comes first"),))
+
+
+def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
+    """The names without definition that a value depends on, except parameters; facts of the world by their function."""
+    parameters = {value.name for value in analysis.program.parameters}
+    nodes = list(analysis.unfold(node))
+    names = {part.name for part in nodes if isinstance(part, Name)} - parameters
+    return names | {f"{part.function}()" for part in nodes if isinstance(part, World)}
+
+
+def timeout_as_termination(context: Context) -> Iterator[Finding]:
+    """DB805: an ending depends on the time alone, which the agent cannot see.
+
+    A time limit is no part of the task: the world would have gone on. After a truncation the learner estimates the return that would
+    have followed; after an ending it learns that states are worthless for no visible reason. A limit that the policy sees
+    (`observation: {time: 0 .. 10 s}`) is part of the task, and is not reported.
+
+    Example::
+
+        termination: {failure: {late: time > 5 s}}
+
+    Instead::
+
+        truncation: {max_steps: 156}
+    """
+    analysis = context.analysis
+    shown = {name for entry in context.program.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)}
+    for ending in context.program.endings if not shown & _CLOCK else ():
+        names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
+        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).single:
+            headline = f"`{ending.value.name}` ends the task by the clock, which the policy does not see"
+            kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
+            yield Finding("DB805", ending.value.span, headline, help=f"let `truncation` cut the episode short: {kept}")
+
+
+def ends_at_reset(context: Context) -> Iterator[Finding]:
+    """DB806: an ending already holds at the start of every episode.
+
+    Example::
+
+        reset: {set: {cart.pole_hinge: uniform(20 .. 30 deg)}}
+
+    Instead::
+
+        reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
+    """
+    analysis, start = context.analysis, context.analysis.start
+    for ending in context.program.endings:
+        if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _ever(analysis, ending):
+            headline = f"`{ending.value.name}` already holds when an episode begins"
+            sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
+            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.finite)
+            help = "let the episode begin clear of it, under `reset`, widen it, or turn its comparison round"
+            yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
+
+
+def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
+    """DB806: an ending holds when an episode begins, with some seeds at least."""
+    for ending in simulation.program.endings:
+        seeds = simulation.report.early.get(ending.value.name, [])
+        if seeds:
+            headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
+            more = ", ..." if len(seeds) > _MAX_SEEDS else ""
+            notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
+            help = "let the episode begin clear of it, under `reset`, or widen it"
+            yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
+
+
+def breaks_off(simulation: Simulation) -> Iterator[Finding]:
+    """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
+    stop, failed = simulation.report.stop or {}, simulation.failed
+    if failed is not None and failed.section == "other":
+        help = "keep it defined everywhere, as `x / max(y, 1 cm)` does"
+        yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
+    elif failed is None and stop.get("kind") == "value":
+        span = simulation.values.key_span(("reset",) if simulation.report.where.doing == "reset" else ("robots",))
+        yield Finding("DB808", span, "an episode breaks off", notes=(simulation.when(), str(stop.get("text", ""))))
+
+
+def after_the_end(context: Context) -> Iterator[Finding]:
+    """DB811: a push, a reading or a message would come only after every episode has ended.
+
+    The rule checks the first push of a disturbance, the second reading of a sensor and the first message after that of the reset
+    against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. Most often a time is in the wrong unit.
+
+    Example::
+
+        disturbances:
+          knock: {body: cart, force: 5 0 0 N, at: 20 s, lasts: 50 ms}
+
+    Instead::
+
+        disturbances:
+          knock: {body: cart, force: 5 0 0 N, at: 2 s, lasts: 50 ms}
+    """
+    times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
+    end = max(analysis.last * analysis.period for analysis in context.versions)  # s
+    for what, time, path in _delays(context.analysis):
+        if time >= end and all(known.get(path, time) >= end for known in times):
+            headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
+            yield Finding("DB811", context.values.span(path), headline, help="let it come earlier, or episodes last longer")
+
+
+def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:
+    """Events that come with a delay, the smallest delay (s), and its place."""
+    program = analysis.program
+
+    def low(time: Expression) -> float:
+        return analysis.ranges.of(analysis.scalars(time)[0]).low
+
+    for push in program.disturbances:
+        key, first = ("at", push.first) if push.first is not None else ("every", push.every)
+        if first is not None:
+            yield f"`{push.name}` begins after", low(first), ("disturbances", push.name, key)
+    for robot in program.robots:
+        for sensor in robot.sensors:
+            if sensor.faults is not None and sensor.faults.period > 1:
+                period = sensor.faults.period * program.world.timestep
+                yield f"`{sensor.name}` is read again after", period, ("robots", robot.name, "sensors", sensor.name, "period")
+    for robot in program.robots[:1]:  # all have the same routes
+        for key, route in (("to_robot", robot.to_route), ("from_robot", robot.from_route)):
+            if route.latency is not None:
+                yield "a message takes", low(route.latency), ("messages", key, "latency")
+
+
+# Goals that cannot be reached
+
+
+class Core(NamedTuple):
+    """A solid part around the vertical through the origin of a body: a disc of some radius (m) at each height from `low` to `high` (m).
+
+    A `ball` has its full radius in the middle.
+    """
+
+    low: float
+    high: float
+    radius: float
+    ball: bool = False
+
+    def width(self, low: float, high: float) -> float:
+        """The largest radius between two heights."""
+        if not self.ball:
+            return self.radius
+        middle = (self.low + self.high) / 2
+        off = max(0.0, low - middle, middle - high)
+        return sqrt(max(0.0, self.radius**2 - off**2))
+
+
+def unreachable_goal(context: Context) -> Iterator[Finding]:
+    """DB807: a success requires an impossible distance: bodies touch before their origins meet, or one lies beyond the walls.
+
+    `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
+    than 11 cm. `gap` is measured between surfaces.
+
+    Example::
+
+        objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
+        augment:
+          left: ground_distance(cart, ball)
+        observation: {left: 0 .. 1 m}
+        termination: {success: {there: left < 5 cm}}
+
+    Instead::
+
+        objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
+        augment:
+          left: gap(cart, ball)
+        observation: {left: 0 .. 1 m}
+        termination: {success: {there: left < 2 cm}}
+    """
+    if context.program.world.terrain is not None:
+        return
+    analysis = context.analysis
+    for ending in context.program.endings:
+        if ending.outcome != "success" or ending.foreign is not None or has_choice(analysis, ending.value):
+            continue
+        for entry in analysis.comparisons(ending.value):
+            asked = (asked for asked in thresholds(entry, analysis.ranges) if not asked.above)
+            reason = next((reason for reason in (_unreachable(analysis, threshold) for threshold in asked) if reason is not None), None)
+            if reason is not None:
+                words, help = reason
+                also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` is made of it"),)
+                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, also=also)
+                break
+
+
+def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None:
+    """Why two bodies cannot come so near, and a help; None where they can, or where that is unknown."""
+    pair = analysis.pair(asked.quantity)
+    if pair is None or len(pair) != 2 or isinstance(analysis.meaning(asked.quantity), World):
+        return None
+    a, b = sorted(pair)
+    limit = asked.bound.high
+    if limit <= 0.0 or any(_may_be_above(analysis, body) for body in pair):  # below zero it is DB801
+        return None
+    touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
+    if limit < _TOLERANCE * touching:
+        apart = with_unit(round(touching, 4), LENGTH)
+        words = f"asks for {with_unit(limit, LENGTH)} between origins that are {apart} apart when `{a}` and `{b}` touch"
+        return words, "ask for more than that, or for the `gap` between surfaces"
+    outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
+    if outside and any(robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots):
+        words = f"asks to come to `{outside}`, which lies beyond the walls of the arena"
+        return words, f"place `{outside}` within the walls, or make the arena larger"
+    return None
+
+
+def _may_be_above(analysis: Analysis, body: str) -> bool:
+    """Whether a body may be above another: a robot with rotors, or an arm."""
+    is_fixed = any(robot.name == body and robot.fixed_base for robot in analysis.program.world.robots)
+    flying = (robot.name for robot in analysis.program.robots if any(isinstance(actuator, Thrust) for actuator in robot.actuators))
+    return is_fixed or body in flying
+
+
+def _touching_distance(first: list[Core], second: list[Core]) -> float:
+    """The distance of two origins, seen from above, at which the first parts touch; 0 where none do."""
+    found = 0.0
+    for a in first:
+        for b in second:
+            low, high = max(a.low, b.low), min(a.high, b.high)
+            if high > low:
+                found = max(found, a.width(low, high) + b.width(low, high))
+    return found
+
+
+def _cores(analysis: Analysis, body: str) -> list[Core]:
+    """The solid parts around the vertical through the origin of a body in its initial attitude."""
+    world = analysis.program.world
+    for thing in world.objects:
+        if thing.name == body:
+            height = _height(analysis, body, thing.shape)
+            is_known = thing.solid and not thing.pooled and not thing.variants and height is not None
+            return _core(thing.shape, height or 0.0, upright=thing.fixed) if is_known else []
+    model = next((robot.model for robot in world.robots if robot.name == body), None)
+    if model is None or (height := _height(analysis, f"{body}.{model.root}", model)) is None:
+        return []
+    parts = model.link(model.root).collisions
+    centred = [part for part in parts if part.origin.rpy == (0.0, 0.0, 0.0) and abs(part.origin.xyz[0]) + abs(part.origin.xyz[1]) < 1e-6]
+    return [core for part in centred for core in _core(part.shape, height + part.origin.xyz[2], upright=True)]
+
+
+def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> float | None:
+    """The initial height of the origin, m; None where it is drawn or unknown, or where the body is tilted."""
+    start = analysis.start
+    if any(start.initial(World("orientation", (subject,), axis)) != NEVER for axis in "xy"):
+        return None
+    known = start.initial(World("position", (subject,), "z"))
+    if known is None:
+        return None
+    if known.single:
+        return known.low
+    return footprint.resting(shape) if not known.finite else None
+
+
+def _core(shape: Shape, height: float, *, upright: bool) -> list[Core]:
+    """The part of a shape that is solid for certain; of a shape that may topple, the sphere within it."""
+    match shape:
+        case Sphere(radius):
+            return [Core(height - radius, height + radius, radius, ball=True)]
+        case Box(size) if upright:
+            return [Core(height - size[2] / 2, height + size[2] / 2, min(size[0], size[1]) / 2)]
+        case Cylinder(radius, length) | Capsule(radius, length) if upright:
+            return [Core(height - length / 2, height + length / 2, radius)]
+        case _:
+            return []
+
+
+def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
+    """Whether an object begins farther than `near` (m) beyond the walls of the arena."""
+    arena = analysis.program.world.arena
+    if arena is None or not any(thing.name == body for thing in analysis.program.world.objects):
+        return False
+    for axis, size in zip("xy", arena.size, strict=True):
+        known = analysis.start.initial(World("position", (body,), axis))
+        if known is not None and (known.low > size / 2 + near or known.high < -size / 2 - near):
+            return True
+    return False
+
+
+RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
+MEASURED = (sometimes_ends_at_reset, breaks_off)

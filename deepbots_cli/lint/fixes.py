@@ -1,0 +1,247 @@
+"""Fixes, for `deepbots lint --fix` and for editors.
+
+As in ruff, all fixes that do not overlap are applied at once and the scenario is linted again, until no fix is left. Fixes that
+together bring a new error are halved until the harmful ones are found and left out. An error within an edited entry is accepted: it
+was hidden as long as the entry could not be read.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
+from deepbots_cli.document import files, shipped
+from deepbots_cli.document.load import NO_DRAFTS, Drafts
+from deepbots_cli.document.nodes import Mapping, around, to_data
+from deepbots_cli.document.parse import parse
+from deepbots_cli.errors import UsageError
+from deepbots_cli.lint import review
+
+_ROUNDS = 10
+_EFFORT = 150
+"""How often a scenario of usual size is linted at most; a larger one less often."""
+_USUAL_SIZE = 6_000
+"""Characters; the largest shipped scenario has 5 219."""
+_BOM = b"\xef\xbb\xbf"
+_BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
+"""A duplicate concerns two entries: correcting the name of one makes the conflict, and does not uncover it."""
+_PER_SCENARIO = frozenset({"DB205", "DB901"})
+"""A definition that this scenario does not use may be used by another one that includes the same file."""
+
+Load = Callable[..., Checked]
+"""`api.load`, or a partial of it; called with a name and `drafts`."""
+
+
+@dataclass(frozen=True)
+class Rewrite:
+    """A file by its resolved path, with its contents before and after."""
+
+    path: Path
+    before: bytes
+    after: bytes
+
+
+@dataclass(frozen=True)
+class Linted:
+    """The findings of a scenario and the files that it was read from, its own first.
+
+    `root` is None where the text is no YAML; `compiled` says whether lint rules have run.
+    """
+
+    findings: Sequence[Finding]
+    files: dict[Path, Source]
+    root: Mapping | None
+    compiled: bool
+
+    @cached_property
+    def editable(self) -> dict[Source, Path]:
+        """The files of the project; shipped ones are not edited."""
+        project = files.project_root(next(iter(self.files)).parent)
+        shipped_data = [root.resolve() for root in shipped.data_roots()]
+        return {
+            source: path
+            for path, source in self.files.items()
+            if path.is_relative_to(project) and not any(path.is_relative_to(root) for root in shipped_data)
+        }
+
+    @property
+    def errors(self) -> list[Finding]:
+        return [finding for finding in self.findings if finding.severity == "error"]
+
+    @property
+    def first_error(self) -> int:
+        """Its line."""
+        return min((finding.span.begin.line for finding in self.errors), default=0)
+
+
+class Fixer:
+    """Applies the fixes of scenarios to drafts of their files. `fixed` lists the findings that are gone.
+
+    Args:
+        load: Reads and checks a scenario by its name.
+        unsafe: Whether to apply unsafe fixes too.
+        wanted: Which findings to fix.
+        drafts: The contents of files that are open in an editor.
+    """
+
+    def __init__(
+        self,
+        names: Iterable[str],
+        load: Load,
+        *,
+        unsafe: bool = False,
+        wanted: Callable[[Finding], bool] = lambda _finding: True,
+        preview: bool = False,
+        drafts: Drafts = NO_DRAFTS,
+    ) -> None:
+        self._load = load
+        self._unsafe = unsafe
+        self._wanted = wanted
+        self._preview = preview
+        self._originals: dict[Path, bytes] = dict(drafts)
+        self.drafts: dict[Path, bytes] = dict(drafts)
+        self.fixed: list[Finding] = []
+        self._linted = {name: self._lint(name, self.drafts) for name in names}
+
+    def fix(self) -> list[Rewrite]:
+        """Apply all fixes that do no harm; returns the files that change."""
+        for name in self._linted:
+            self._effort = _EFFORT
+            for _ in range(_ROUNDS):
+                if not self._round(name):
+                    break
+        return [Rewrite(path, self._originals[path], data) for path, data in self.drafts.items() if data != self._originals[path]]
+
+    @property
+    def left(self) -> list[Finding]:
+        """The findings of the drafts."""
+        return [finding for linted in self._linted.values() for finding in linted.findings]
+
+    def _lint(self, name: str, drafts: Drafts) -> Linted:
+        checked = self._load(name, drafts=drafts)
+        document = checked.document
+        return Linted(review(checked, preview=self._preview), document.files, document.root, checked.program is not None)
+
+    def _round(self, name: str) -> bool:
+        """Whether any fix of a scenario was applied."""
+        before, drafts = dict(self._linted), dict(self.drafts)
+        applied: list[Finding] = []
+        waiting = [self._applicable(before[name])]
+        while waiting and self._effort > 0:
+            group = waiting.pop()
+            if group and self._try(name, [*applied, *group], before, drafts):
+                applied += group
+            elif len(group) > 1:
+                middle = len(group) // 2
+                waiting += [group[middle:], group[:middle]]
+        self.fixed += applied
+        return bool(applied)
+
+    def _applicable(self, linted: Linted) -> list[Finding]:
+        """Findings whose fixes do not overlap. Errors first: a warning may follow from an error that keeps rules from running."""
+        chosen: list[Finding] = []
+        ends: dict[Source, int] = {}
+        for finding in sorted(linted.findings if linted.compiled else linted.errors, key=lambda finding: finding.sort_key):
+            edits = finding.fix.edits if finding.fix and self._is_applicable(finding, linted) else ()
+            if edits and all(edit.span.start >= ends.get(edit.span.source, 0) for edit in edits):
+                chosen.append(finding)
+                ends |= {edit.span.source: edit.span.end for edit in edits}
+        return chosen
+
+    def _is_applicable(self, finding: Finding, linted: Linted) -> bool:
+        if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._wanted(finding):
+            return False
+        if any(edit.span.source not in linted.editable for edit in finding.fix.edits):
+            return False
+        if finding.code in _PER_SCENARIO and finding.span.source is not next(iter(linted.files.values())):
+            return False
+        return finding.code != "DB901" or _keeps_values(finding.span.source, finding.fix.edits)
+
+    def _try(self, name: str, fixes: list[Finding], before: dict[str, Linted], drafts: Drafts) -> bool:
+        """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
+        self._effort -= 1 + sum(len(source.text) for source in before[name].files.values()) // _USUAL_SIZE
+        edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
+        edited = self._edited(before[name], edits)
+        after: dict[str, Linted] = {}
+        for other, known in before.items():
+            if other != name and known.files.keys().isdisjoint(edited):
+                continue
+            linted = after[other] = self._lint(other, {**drafts, **edited})
+            if known.root is None:
+                if linted.root is None and linted.first_error <= known.first_error:
+                    return False
+                continue
+            added = _added(linted, known)
+            if linted.root is None or (_outside(added, linted.root, edits) if other == name else added):
+                return False
+        if before[name].root is not None:
+            others = _counted(before[name].findings) - _counted(fixes)
+            if _counted(fixes) & (_counted(after[name].findings) - others):
+                return False  # a finding is still there
+        self.drafts, self._linted = {**drafts, **edited}, {**before, **after}
+        return True
+
+    def _edited(self, linted: Linted, edits: Iterable[Edit]) -> dict[Path, bytes]:
+        by_source: dict[Source, list[Edit]] = {}
+        for edit in edits:
+            by_source.setdefault(edit.span.source, []).append(edit)
+        paths = linted.editable
+        return {paths[source]: self._mark(paths[source], source) + _apply(source, edits).encode() for source, edits in by_source.items()}
+
+    def _mark(self, path: Path, source: Source) -> bytes:
+        """The byte order mark of a file, or nothing; keeps the original contents."""
+        if path not in self._originals:
+            data = files.read(path)
+            if files.decode(data, source.name, Findings())[0].text != source.text:
+                raise UsageError(f"{source.name} was changed by someone else meanwhile")
+            self._originals[path] = data
+        return _BOM if self._originals[path].startswith(_BOM) else b""
+
+
+def _apply(source: Source, edits: Iterable[Edit]) -> str:
+    text = source.text
+    for edit in sorted(edits, key=lambda edit: edit.span.start, reverse=True):
+        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
+    return text
+
+
+def _keeps_values(source: Source, edits: Iterable[Edit]) -> bool:
+    """Whether edits change comments alone: text that looks like a comment may be part of a value."""
+    before, after = (parse(text, Findings()) for text in (source, Source(source.name, _apply(source, edits))))
+    return before is not None and after is not None and to_data(before) == to_data(after)
+
+
+def _outside(added: Iterable[Finding], root: Mapping, edits: Iterable[Edit]) -> list[Finding]:
+    """The new errors that are not within an edited entry of the document `root`."""
+    entries = []
+    shift: Counter[Source] = Counter()
+    for edit in sorted(edits, key=lambda edit: edit.span.start):
+        source, start = edit.span.source, edit.span.start + shift[edit.span.source]
+        shift[source] += len(edit.text) - (edit.span.end - edit.span.start)
+        entries.append(around(root, source.name, start, start + len(edit.text)))
+    return [
+        finding
+        for finding in added
+        if finding.code in _BETWEEN_ENTRIES
+        or not any(entry and finding.span.source is entry.source and entry.start <= finding.span.start <= entry.end for entry in entries)
+    ]
+
+
+def _key(finding: Finding) -> tuple[str, str, str]:
+    """Identifies a finding without its place, which other fixes move."""
+    return finding.span.source.name, finding.code, finding.headline
+
+
+def _counted(findings: Iterable[Finding]) -> Counter[tuple[str, str, str]]:
+    return Counter(map(_key, findings))
+
+
+def _added(after: Linted, before: Linted) -> list[Finding]:
+    """The errors that were not there before."""
+    added = _counted(after.errors) - _counted(before.errors)
+    return [finding for finding in after.errors if added[_key(finding)]]

@@ -1,0 +1,263 @@
+"""Names and expressions: definitions that nothing uses (DB205), equality of measurements (DB411), angles that jump (DB506)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import pi
+
+from deepbots_cli.compiler.namespace import Origin
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document.layout import removing
+from deepbots_cli.expressions.dimensions import ANGLE
+from deepbots_cli.expressions.scalar import Op, Scalar, World
+from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, walk
+from deepbots_cli.lint.analysis import Analysis
+from deepbots_cli.lint.context import Context, names_in
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot
+from deepbots_cli.program.values import Expression
+
+# ---- names.py
+
+_COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
+
+
+def unused_definition(context: Context) -> Iterator[Finding]:
+    """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
+
+    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if it is sent or
+    used on board. An actuator without a command has no effect: the joint moves freely. Unused parts of an included robot file are not
+    reported, since it describes the robot and not the task; nor are definitions that a file removes again.
+
+    Example::
+
+        signals: {away: abs(x)}
+        robots: {cart: {sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}}}
+
+    Instead::
+
+        signals: {away: abs(x)}
+        reward: {centred: -away / m}
+        robots:
+          cart:
+            sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}
+            emit: [pole_angle, rolling]
+        observation: {cart.rolling: -10 .. 10 rad/s}
+    """
+    yield from _unused_names(context)
+    yield from _unused_parts(context)
+
+
+def _unused_names(context: Context) -> Iterator[Finding]:
+    used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
+    for name, definition in context.namespace.definitions.items():
+        if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
+            headline = f"`{name}` is {definition.origin.value} that nothing uses"
+            fix = removing(context.values.root, definition.path)
+            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
+
+
+def _unused_parts(context: Context) -> Iterator[Finding]:
+    """Sensors and actuators of a robot, and what it receives."""
+    read = {
+        subject.name
+        for value in _computed(context.program)
+        for node in walk(value.typed)
+        if isinstance(node, Invocation)
+        for subject in node.subjects
+        if subject.kind in (Kind.SENSOR, Kind.CAMERA)
+    }
+    for robot in context.program.robots:
+        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in names_in(value.typed)}
+        driven = {command.actuator.name for command in robot.commands}
+        unused = [
+            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or take it out")
+            for sensor in robot.sensors
+            if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
+        ]
+        unused += [
+            (("receive", value.name), "sent to a robot that does not use it", "use it under `apply`, or take it out")
+            for value in robot.receive
+            if value.name not in used
+        ]
+        unused += [
+            (("actuators", actuator.name), "an actuator that nothing drives", "give it a command under `apply`, or take it out")
+            for actuator in robot.actuators
+            if actuator.name not in driven
+        ]
+        for place, what, help in unused:
+            path = ("robots", robot.name, *place)
+            span = context.values.key_span(path)
+            if span.source is context.checked.document.source:  # an included robot file may offer more than the task needs
+                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removing(context.values.root, path))
+
+
+def _computed(program: Program) -> Iterator[Expression]:
+    """What the supervisor computes."""
+    yield from program.signals
+    yield from program.reward
+    if program.goal is not None:
+        yield from (program.goal.achieved, program.goal.desired)
+    yield from (ending.value for ending in program.endings)
+    for script in program.scripts:
+        for part in script.parts:
+            yield from part.values
+    for robot in program.robots:
+        yield from robot.receive
+
+
+# ---- equality.py
+
+_MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
+_SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
+"""Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met exactly."""
+
+
+def equality_of_measures(context: Context) -> Iterator[Finding]:
+    """DB411: a condition requires a measurement to be equal to a number.
+
+    A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever being exactly 20 cm, so
+    that `==` holds by chance at best, and `!=` holds at the slightest change. Values that are counted, chosen or clamped can be equal
+    to a number, and so can the place of a fixed object; they are not reported.
+
+    Example::
+
+        reward: {alive: 1, there: 5 when x == 20 cm}
+
+    Instead::
+
+        reward: {alive: 1, there: 5 when abs(x - 20 cm) < 1 cm}
+    """
+    analysis = context.analysis.ideal
+    for value in _written(context.program):
+        for node in walk(value.typed):
+            if not isinstance(node, Operation) or node.operator not in ("equal", "not_equal") or node.args[0].type.boolean:
+                continue
+            pair = next((pair for pair in (node.args, node.args[::-1]) if _equal_by_chance(analysis, value, *pair)), None)
+            if pair is not None:
+                text = context.text(value.owner)
+                measure, constant, written = (text.text[part.start : part.end] for part in (*pair, node))
+                outcome, sign = ("holds by chance alone", "<") if node.operator == "equal" else ("holds at the slightest change", ">")
+                is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
+                difference = measure if is_zero else f"{measure} - {constant}"
+                help = f"ask how near it is, as `abs({difference}) {sign} ...` does"
+                yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help=help)
+
+
+def _written(program: Program) -> Iterator[Expression]:
+    """The signals, reward terms and endings that are not functions of Python."""
+    values = (*program.signals, *program.reward, *(ending.value for ending in program.endings))
+    return (value for value in values if value.foreign is None)
+
+
+def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, other: Typed) -> bool:
+    is_settled = other.type.stage is not Stage.STEP
+    return is_settled and all(_is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner))
+
+
+def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) -> bool:
+    """`known` holds the answers for quantities that were asked before."""
+    number = analysis.identity(node)
+    if number not in known:
+        match analysis.meaning(node):
+            case World(function, subjects):
+                fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
+                known[number] = function in _MEASURED and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
+            case Op(op, args):
+                known[number] = op in _SMOOTH and any(_is_measurement(analysis, arg, known) for arg in args)
+            case _:
+                known[number] = False
+    return known[number]
+
+
+# ---- turns.py
+
+_WRAPPING = frozenset({"yaw", "bearing", "atan2", "wrap"})
+"""Functions that go from 180 deg to -180 deg within a step."""
+_PERIODIC = frozenset({"wrap", "sin", "cos", "tan"})
+"""Functions for which a full turn makes no difference."""
+
+
+def angle_jumps(context: Context) -> Iterator[Finding]:
+    """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
+
+    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is one of 2 deg, and `delta` gives
+    -358; a goal at 170 deg is 11 deg from there, and the difference is 349. A reward or an observation that depends on it is wrong for
+    part of the circle. `wrap` gives the shorter way round; `sin` and `cos` need no `wrap`.
+
+    Example::
+
+        signals: {turned: delta(yaw(cart))}
+        reward: {still: -abs(turned) / rad}
+
+    Instead::
+
+        signals: {turned: wrap(delta(yaw(cart)))}
+        reward: {still: -abs(turned) / rad}
+    """
+    values: list[tuple[Expression, Robot | None]] = [(value, None) for value in _written(context.program)]
+    for robot in context.program.robots:
+        values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]
+    known: dict[str, bool] = {}
+    for value, on in values:
+        for node in _Wrapping(context.analysis, on, known).jumps(value.typed):
+            text = context.text(f"robots.{value.owner}" if on else value.owner)
+            written, place = text.text[node.start : node.end], text.part(node.start, node.end)
+            yield Finding("DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"go the short way round: `wrap({written})`")
+
+
+class _Wrapping:
+    """Which angles wrap around at 180 deg, in expressions of the supervisor or of a robot controller.
+
+    `known` holds the answers for names of the supervisor.
+    """
+
+    def __init__(self, analysis: Analysis, robot: Robot | None, known: dict[str, bool]) -> None:
+        self._analysis = analysis
+        self._robot = robot
+        self._known = known
+
+    def jumps(self, node: Typed) -> Iterator[Typed]:
+        """The parts of an expression that jump."""
+        match node:
+            case Invocation(function=function) if function in _PERIODIC:
+                return
+            case Invocation(function="delta", args=(inner, *_)) if self._wraps(inner):
+                yield node
+                return
+            case Operation(operator="sub", args=(a, b)) if self._differ(a, b) or self._differ(b, a):
+                yield node
+                return
+        for part in children(node):
+            yield from self.jumps(part)
+
+    def _differ(self, heading: Typed, other: Typed) -> bool:
+        """Whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
+        known = other.type.interval
+        return self._wraps(heading) and (self._wraps(other) or (known.finite and max(-known.low, known.high) > pi / 2 + 1e-9))
+
+    def _wraps(self, node: Typed) -> bool:
+        if node.type.dimension != ANGLE or node.type.stage is not Stage.STEP:
+            return False
+        match node:
+            case Invocation(function=function):
+                return function in _WRAPPING
+            case Operation(operator="add" | "sub" | "neg", args=args):
+                return any(self._wraps(arg) for arg in args)
+            case Reference(symbol=symbol) if self._robot is not None:
+                return any(sensor.name == symbol.name and sensor.kind == "compass" for sensor in self._robot.sensors)
+            case Reference(symbol=symbol):
+                return self._name_wraps(symbol.name)
+            case _:
+                return False
+
+    def _name_wraps(self, name: str) -> bool:
+        if name not in self._known:
+            robot = next((robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None)
+            meant = self._analysis.named(name)
+            inner = _Wrapping(self._analysis, robot, self._known)
+            self._known[name] = meant is not None and meant.foreign is None and inner._wraps(meant.typed)
+        return self._known[name]
+
+
+RULES = (unused_definition, equality_of_measures, angle_jumps)

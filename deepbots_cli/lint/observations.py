@@ -1,0 +1,438 @@
+"""What the policy sees (family DB6)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from itertools import groupby
+from typing import NamedTuple
+
+from deepbots_cli.compiler.namespace import Origin
+from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
+from deepbots_cli.document.layout import removing
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.scalar import children as parts_of
+from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
+from deepbots_cli.lint.analysis import Analysis
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.ranges import between, range_text, with_unit
+from deepbots_cli.lint.simulation import MeasuredNumber, Simulation
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Observation
+from deepbots_cli.program.values import Expression, Noise
+
+# ---- observation.py
+
+_ROUNDING = 1e-6
+"""Relative difference that rounding alone may cause."""
+_SHARE = 0.25
+"""Share of the range of a noisy value that an exact value covers at least."""
+_MIN_STEPS = 100
+"""Fewer simulated steps allow no conclusion."""
+_OFTEN = 0.5
+"""Share of the steps of every policy in which a value is at the end of its range."""
+
+
+class RangedNumber(NamedTuple):
+    """One number of the observation: its entry, its tree and its range in SI units."""
+
+    entry: Observation
+    node: Scalar
+    low: float
+    high: float
+
+    @property
+    def name(self) -> str:
+        return self.entry.value.name
+
+    @property
+    def dimension(self) -> Dimension:
+        return self.entry.value.typed.type.dimension
+
+    @property
+    def slack(self) -> float:
+        return _ROUNDING * (self.high - self.low)
+
+    def is_outside(self, known: Interval) -> bool:
+        """Whether values of this range never lie in the range of the observation (DB602)."""
+        return known.low >= self.high or known.high <= self.low
+
+
+def ranged_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
+    """All numbers of the observation, without pictures and truth values."""
+    for entry in analysis.program.observation:
+        known = entry.value.typed.type
+        if not known.picture and not known.boolean:
+            for node, low, high in zip(analysis.scalars(entry.value), entry.low, entry.high, strict=True):
+                yield RangedNumber(entry, node, low, high)
+
+
+def clipped_once(analysis: Analysis) -> Iterator[RangedNumber]:
+    """The first component of each clipped entry, and further components whose range differs."""
+    met = set()
+    for number in ranged_numbers(analysis):
+        key = (id(number.entry), number.low, number.high)
+        if number.entry.clip and key not in met:
+            met.add(key)
+            yield number
+
+
+def replace_range(context: Context, number: RangedNumber, wide: Interval, dimension: Dimension) -> Fix | None:
+    """A fix that writes another range; None where the components have ranges of their own."""
+    is_one = len({*zip(number.entry.low, number.entry.high, strict=True)}) == 1
+    return Fix((Edit(context.range_span(number.entry), range_text(wide, dimension)),), safe=False) if is_one else None
+
+
+def privileged_observation(context: Context) -> Iterator[Finding]:
+    """DB609: the policy sees a signal or a parameter that `augment` does not grant.
+
+    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. Granting a value says that this
+    is intended. Values that robots send, their age, the actions of the agent and the time need no grant.
+
+    Example::
+
+        signals: {height: position(cart.tip).z}
+        observation: {height: 0 .. 2 m}
+
+    Instead::
+
+        augment: {height: position(cart.tip).z}
+        observation: {height: 0 .. 2 m}
+    """
+    privileged = _privileged(context.program)
+    for observed in context.program.observation:
+        head = observed.value.name.partition(".")[0]
+        if head in privileged:
+            origin = context.namespace.origin(head)
+            helps = "move it to `augment`" if origin is Origin.SIGNAL else f"grant it: `augment: [{head}]`"
+            what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
+            headline = f"the policy sees `{observed.value.name}`, {what} that it is not granted"
+            yield Finding("DB609", observed.value.span, headline, help=helps)
+
+
+def _privileged(program: Program) -> set[str]:
+    """Drawn parameters, and signals that depend on them or on the world, except those that `augment` grants."""
+    found = {value.name for value in program.parameters} - program.augmented
+    for value in program.signals:
+        if value.name not in program.augmented and any(_is_privileged(node, found) for node in walk(value.typed)):
+            found.add(value.name)
+    return found
+
+
+def _is_privileged(node: Typed, privileged: set[str]) -> bool:
+    if isinstance(node, Reference):
+        return node.symbol.name in privileged
+    return isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.WORLD
+
+
+def goal_in_observation(context: Context) -> Iterator[Finding]:
+    """DB614: with hindsight replay, an entry of the observation depends on the goal.
+
+    Hindsight stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes the
+    reward. It cannot change an entry of `observation`, so the agent learns from steps in which it sees two goals at once.
+
+    Example::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        augment: {left: mark - x}
+        observation: {left: -0.8 .. 0.8 m}
+        reward: {alive: 1 when goal_reached}
+        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
+
+    Instead::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        reward: {alive: 1 when goal_reached}
+        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
+    """
+    program = context.program
+    if program.goal is None or program.training is None or program.training.replay is None:
+        return
+    analysis = context.analysis.ideal
+
+    def sources(value: Expression) -> set[str]:
+        return {name for node in analysis.scalars(value) for name in analysis.sources(node)}
+
+    bodies = {thing.name for thing in program.world.objects} | {robot.name for robot in program.world.robots}
+    goal_sources = sources(program.goal.desired) - sources(program.goal.achieved)
+    goal_sources &= bodies | {value.name for value in program.parameters}
+    for entry in program.observation:
+        shared = sources(entry.value) & goal_sources
+        if shared:
+            headline = f"`{entry.value.name}` tells of the goal, which hindsight replaces in `desired` alone"
+            help = "take it out: the policy sees `achieved` and `desired` beside the observation"
+            also = (Label(program.goal.desired.span, f"made of `{min(shared)}` too"),)
+            yield Finding("DB614", entry.value.span, headline, help=help, also=also)
+
+
+class SeenNumber(NamedTuple):
+    """A number that the policy sees, in the observation or as a goal; `noise` is what this place adds to it."""
+
+    name: str
+    span: Span
+    node: Scalar
+    range: Interval
+    noise: Noise | None
+
+
+class Linear(NamedTuple):
+    """A sum of measurements, each by its identity, with fixed coefficients, and a fixed offset."""
+
+    terms: Mapping[int, float]
+    offset: float = 0.0
+
+
+def noise_without_effect(context: Context) -> Iterator[Finding]:
+    """DB616: a value has noise, and the policy sees the exact value elsewhere.
+
+    The policy reads the exact value there, for example in `achieved_goal`, and learns nothing about noise. Two values are the same if
+    they differ by a constant factor and a constant offset. An exact value whose range covers less than a quarter of the noisy one is
+    not reported: it may be that of a sensor of short reach.
+
+    Example::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        observation: {x: {range: -0.4 .. 0.4 m, noise: 5 mm}}
+        reward: {alive: 1 when goal_reached}
+
+    Instead::
+
+        parameters: {mark: uniform(-0.3 .. 0.3 m)}
+        augment: {x: {value: position(cart).x, noise: 5 mm}}
+        goal: {achieved: x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        reward: {alive: 1 when goal_reached}
+    """
+    program, analysis = context.program, context.analysis
+    if not any((*(entry.noise for entry in program.observation), *(value.noise for value in may_be_noisy(program)))):
+        return
+    seen = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
+    known: dict[int, Linear] = {}
+    exact = [(number, _linear(analysis, number.node, known)) for number, noises in seen if not noises]
+    reported: set[int] = set()
+    for number, noises in seen:
+        hidden = _linear(analysis, number.node, known)
+        shown = next((other for other, form in exact if noises and _shows(other, form, number, hidden)), None)
+        if shown is not None and id(noises[0]) not in reported:
+            reported.add(id(noises[0]))
+            headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
+            help = "give the value its noise once, under `augment`, as `{value: ..., noise: ...}`, and use that name in both places"
+            also = (Label(shown.span, "seen exactly"),)
+            yield Finding("DB616", noises[0].std.span, headline, help=help, also=also)
+
+
+def may_be_noisy(program: Program) -> tuple[Expression, ...]:
+    """The values that may have noise of their own, whether the policy sees them or not."""
+    return (*program.signals, *([program.goal.achieved] if program.goal else []))
+
+
+def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
+    """The numbers of the observation and of the goal, without those from messages that may be late."""
+    program = analysis.program
+    is_late = program.timing == "paper" or any(robot.from_route.settings for robot in program.robots)
+    found = [
+        SeenNumber(number.name, number.entry.value.span, number.node, Interval(number.low, number.high), number.entry.noise)
+        for number in ranged_numbers(analysis)
+    ]
+    if program.goal is not None:
+        for value in (program.goal.achieved, program.goal.desired):
+            for node, low, high in zip(analysis.scalars(value), program.goal.low, program.goal.high, strict=False):
+                found.append(SeenNumber(value.name, value.span, node, Interval(low, high), value.noise))
+    return (number for number in found if not (is_late and any("." in name for name in analysis.names_behind(number.node))))
+
+
+def _noises(analysis: Analysis, number: SeenNumber) -> list[Noise]:
+    """The noise that a number has, its own first."""
+    names = [part.name for part in analysis.unfold(number.node) if isinstance(part, Name) and analysis.is_noisy(part.name)]
+    measured = [value for name in names if (value := analysis.named(name)) is not None]
+    return [noise for noise in (number.noise, *(value.noise for value in measured)) if noise is not None]
+
+
+def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linear:
+    """The value without noise; anything but a sum of products with fixed factors is one measurement. `known` is a cache."""
+    node = analysis.meaning(node)
+    number = analysis.identity(node)
+    if number not in known:
+        exact = analysis.exact(node) if isinstance(node, Name) and analysis.is_noisy(node.name) else None
+        parts = [_linear(analysis, part, known) for part in ((exact,) if exact is not None else parts_of(node))]
+        match node:
+            case Name() if exact is not None:
+                known[number] = parts[0]
+            case Const(value):
+                known[number] = Linear({}, float(value))
+            case Op("neg"):
+                known[number] = _scaled(parts[0], -1.0)
+            case Op("add"):
+                known[number] = reduce(_sum, parts)
+            case Op("sub"):
+                known[number] = _sum(parts[0], _scaled(parts[1], -1.0))
+            case Op("mul", (Const(factor), _)) | Op("mul", (_, Const(factor))):
+                known[number] = _scaled(parts[1] if isinstance(node.args[0], Const) else parts[0], float(factor))
+            case Op("div", (_, Const(divisor))) if divisor:
+                known[number] = _scaled(parts[0], 1.0 / float(divisor))
+            case _:
+                known[number] = Linear({number: 1.0})
+    return known[number]
+
+
+def _scaled(value: Linear, factor: float) -> Linear:
+    return Linear({term: factor * of for term, of in value.terms.items() if factor * of}, factor * value.offset)
+
+
+def _sum(one: Linear, other: Linear) -> Linear:
+    terms = {term: one.terms.get(term, 0.0) + other.terms.get(term, 0.0) for term in (*one.terms, *other.terms)}
+    return Linear({term: of for term, of in terms.items() if of}, one.offset + other.offset)
+
+
+def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) -> bool:
+    """Whether `shown` is an affine function of what noise hides in `noisy`, over a good part of its range."""
+    if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
+        return False
+    factors = [exact.terms[term] / of for term, of in hidden.terms.items()]
+    if any(abs(factor - factors[0]) > _ROUNDING * abs(factors[0]) for factor in factors):
+        return False
+    offset = exact.offset - factors[0] * hidden.offset
+    ends = sorted((end - offset) / factors[0] for end in shown.range)
+    common = min(ends[1], noisy.range.high) - max(ends[0], noisy.range.low)
+    return common >= _SHARE * (noisy.range.high - noisy.range.low)
+
+
+def observation_unbounded(context: Context) -> Iterator[Finding]:
+    """DB601: an entry of the observation is not clipped, and nothing bounds it.
+
+    The output of a network that was trained on numbers around 1 is arbitrary for 1000, which occurs when a robot is thrown, in a
+    collision, or when the physics becomes unstable for a step. Clipping costs one comparison.
+
+    Example::
+
+        observation: {speed: {range: -0.8 .. 0.8 m/s, clip: false}}
+
+    Instead::
+
+        observation: {speed: -0.8 .. 0.8 m/s}
+    """
+    analysis = context.analysis
+    loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).finite]
+    for entry in {id(number.entry): number.entry for number in loose}.values():
+        headline = f"`{entry.value.name}` is not clipped, and nothing bounds it"
+        fix = removing(context.values.root, ("observation", entry.value.name, "clip"))
+        help = "take `clip: false` out, or `clamp` the value under `augment`"
+        yield Finding("DB601", context.range_span(entry), headline, help=help, fix=fix)
+
+
+def bounds_mismatch(context: Context) -> Iterator[Finding]:
+    """DB602: a value never lies within its range in the observation.
+
+    It is clipped to one end of the range in every step, so the policy sees a constant. Most often the range is in another unit, lacks a
+    sign, or belongs to another value.
+
+    Example::
+
+        observation: {cart.pole_angle: 80 .. 100 deg}
+
+    Instead::
+
+        observation: {cart.pole_angle: -20 .. 20 deg}
+    """
+    analysis = context.analysis
+    for number in clipped_once(analysis):
+        known = analysis.ranges.of(number.node)
+        if number.is_outside(known):
+            headline = f"`{number.name}` is {between(known, number.dimension)}, and never within its range"
+            is_known = known.finite and not known.single
+            help = "give the range that it has" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
+            fix = replace_range(context, number, known, number.dimension) if is_known else None
+            yield Finding("DB602", context.range_span(number.entry), headline, help=help, fix=fix)
+
+
+# Measured in a simulation
+
+
+def outside_space(simulation: Simulation) -> Iterator[Finding]:
+    """DB607: a number of the observation is NaN, or outside of the observation space."""
+    stop = simulation.report.stop or {}
+    if stop.get("kind") == "space":
+        for entry in simulation.program.observation:
+            names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
+            if names:
+                headline = f"`{names[0]}` is outside of the observation space"
+                yield Finding("DB607", entry.value.span, headline, help="`clamp` it, or let it be clipped", notes=(simulation.when(),))
+    failed = simulation.failed
+    if failed is not None and failed.section == "observation":
+        help = "keep it defined everywhere, as `x / max(y, 1 cm)` does"
+        yield Finding("DB607", failed.span, f"`{failed.name}`, which the policy sees, has no value", help=help, notes=failed.notes)
+
+
+def constant_observation(simulation: Simulation) -> Iterator[Finding]:
+    """DB608: a number was the same in every step. A number at an end of its range is not reported: a sonar may have met nothing."""
+    if not simulation.is_complete or simulation.steps < _MIN_STEPS:
+        return
+    still = [
+        number for number in simulation.numbers if number.place in simulation.report.still and not number.entry.value.typed.type.boolean
+    ]
+    still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
+    for _, group in groupby(still, key=lambda number: number.entry.value.name):
+        numbers = list(group)
+        entry, parts = numbers[0].entry, max(1, len(numbers[0].entry.value.components))
+        is_whole = len(numbers) == parts
+        name = entry.value.name if is_whole and parts > 1 else ", ".join(number.name for number in numbers)
+        value = with_unit(_in_units(simulation, numbers[0]), entry.value.typed.type.dimension)
+        headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
+        help = ("take it out" if is_whole else "show the other components alone") + ", or add a script that changes it under `scripts`"
+        yield Finding("DB608", entry.value.span, headline, help=help, notes=(simulation.summary,))
+    pictures = [entry for entry in simulation.program.observation if entry.value.typed.type.picture]
+    for place, entry in enumerate(pictures, start=len(simulation.numbers)):
+        if place in simulation.report.still:
+            help = "look at where its camera stands and what it sees, or add a script that changes it under `scripts`"
+            yield Finding(
+                "DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help=help, notes=(simulation.summary,)
+            )
+
+
+def _constant(simulation: Simulation, number: MeasuredNumber) -> float:
+    """The value that it had in every step, from -1 to 1."""
+    return next(iter(simulation.measured.values())).numbers[number.place].low
+
+
+def _in_units(simulation: Simulation, number: MeasuredNumber) -> float:
+    value = number.low + (_constant(simulation, number) + 1.0) / 2.0 * (number.high - number.low)
+    return value if abs(value) > _ROUNDING * (number.high - number.low) else 0.0
+
+
+def often_saturated(simulation: Simulation) -> Iterator[Finding]:
+    """DB611: under every policy a number is at the same end of its range in most steps, and could lie beyond."""
+    if not simulation.is_complete or simulation.steps < _MIN_STEPS:
+        return
+    analysis, met = simulation.analysis, set()
+    for number in simulation.numbers:
+        entry = number.entry
+        if not entry.clip or entry.value.typed.type.boolean or id(entry) in met:
+            continue
+        known = analysis.ranges.of(analysis.scalars(entry.value)[number.component])
+        slack = _ROUNDING * (number.high - number.low)
+        for end, is_beyond in ((number.high, known.high > number.high + slack), (number.low, known.low < number.low - slack)):
+            rows = {by: (row.numbers[number.place], row.rows) for by, row in simulation.measured.items()}
+            shares = {by: (seen.at_high if end == number.high else seen.at_low) / count for by, (seen, count) in rows.items()}
+            if is_beyond and min(shares.values()) >= _OFTEN:
+                met.add(id(entry))
+                at = with_unit(end, entry.value.typed.type.dimension)
+                headline = f"`{number.name}` is at the end of its range, {at}, in at least {100 * min(shares.values()):.0f} % of all steps"
+                notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
+                help = "widen its range, until it holds what is ordinary"
+                yield Finding("DB611", simulation.range_span(entry), headline, help=help, notes=notes)
+                break
+
+
+RULES = (
+    noise_without_effect,
+    observation_unbounded,
+    bounds_mismatch,
+    privileged_observation,
+    goal_in_observation,
+)
+MEASURED = (outside_space, constant_observation, often_saturated)

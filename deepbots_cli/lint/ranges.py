@@ -1,0 +1,329 @@
+"""Value ranges: intervals of scalar trees, sharper than the intervals of their types.
+
+The type of an expression is known without its context. Here names are followed to their definitions, component by component, and
+leaves are narrowed by what the scenario says of an episode: joint limits, the start, which endings hold. Truth values are 0 and 1:
+[0, 0] is never true and [1, 1] always true. An infinite bound means that nothing is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
+from deepbots_cli.expressions.functions import FUNCTIONS, operation
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, exact, hull
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.program.resets import Placement, Region, Top
+
+if TYPE_CHECKING:
+    from deepbots_cli.lint.analysis import Analysis
+
+_MAX_CONDITIONS = 64
+"""Conditions of a conjunction that are compared with each other."""
+_NOTHING: Mapping[str, Interval] = MappingProxyType({})
+
+
+class Ranges:
+    """The ranges of values in some steps of an episode."""
+
+    def __init__(
+        self,
+        analysis: Analysis,
+        given: Mapping[str, Interval] = _NOTHING,
+        steps: tuple[float, float] | None = None,
+        kept: tuple[int, Interval] | None = None,
+    ) -> None:
+        """The names in `given` have these values; the quantity with the identity `kept[0]` stays within `kept[1]`.
+
+        `steps` are the first and the last step, by default all steps of an episode.
+        """
+        self.analysis = analysis
+        first, last = self.steps = steps or (0.0, float(analysis.last))
+        before = max(0.0, first - 1.0) * analysis.period + (analysis.program.world.timestep if first else 0.0)
+        self._time = Interval(before, last * analysis.period)
+        self.given = {"step": Interval(first, last), "time": self._time, **given}
+        self._kept = kept
+        self._base = analysis.ranges if steps and not kept and type(self) is Ranges else None
+        self._known: dict[int, tuple[Scalar, Interval]] = {}
+        self._names: dict[Name, Interval] = {}
+
+    def where(self, quantity: int, kept: Interval) -> Ranges:
+        """The same where the quantity of this identity stays within `kept`."""
+        return type(self)(self.analysis, self.given, self.steps, (quantity, kept))
+
+    def of(self, node: Scalar) -> Interval:
+        """The range of a value. Trees are looked up by their id: hashing a tree walks it."""
+        known = self._known.get(id(node))
+        if known is None:
+            known = self._known[id(node)] = (node, self._of(node))  # a tree that is kept keeps its id
+        return known[1]
+
+    def _of(self, node: Scalar) -> Interval:  # one case per kind of node
+        if self._base is not None and self.analysis.names_behind(node).isdisjoint(self.given):
+            return self._base.of(node)  # worked out once for all steps
+        if self._kept is not None and self.analysis.identity(node) == self._kept[0]:
+            return self._kept[1]
+        match node:
+            case Op(op, args):
+                return self._op(op, args)
+            case Const(value):
+                return exact(float(value))
+            case Name():
+                return self._name(node)
+            case World():
+                return self._world(node)
+            case State():
+                return self._state(node)
+            case Draw(distribution, args):
+                return FUNCTIONS[distribution].interval(*(self.of(arg) for arg in args))
+
+    def _name(self, node: Name) -> Interval:
+        if node.name in self.given:
+            return self.given[node.name]
+        if node not in self._names:
+            meaning = self.analysis.meaning(node)
+            known = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
+            goal = self.analysis.program.goal
+            if goal is not None and node.name in ("achieved", "desired"):  # both are clipped to the range of the goal
+                names = goal.achieved.components or (None,)
+                at = names.index(node.component) if node.component in names else 0
+                known = iv.clamped(known, exact(goal.low[at]), exact(goal.high[at]))
+            self._names[node] = known
+        return self._names[node]
+
+    def _leaf(self, node: Name) -> Interval:
+        if node.name in self.given:
+            return self.given[node.name]
+        if self.analysis.is_noisy(node.name):
+            return EVERYTHING
+        foreign = self.analysis.named(node.name)
+        return foreign.typed.type.interval if foreign is not None else self.analysis.leaves.get(node.name, EVERYTHING)
+
+    def _world(self, node: World) -> Interval:
+        if node.function == "joint_position":
+            robot, _, name = node.subjects[0].partition(".")
+            limit = self.analysis.body(robot).model.joint(name).limit
+            return EVERYTHING if limit.lower is None or limit.upper is None else Interval(limit.lower, limit.upper)
+        if node.function in ("contact", "collided") and not self.analysis.intangible.isdisjoint(node.subjects):
+            return NEVER
+        function = FUNCTIONS.get(node.function)
+        return TRUTH if function is None or function.boolean else function.interval()
+
+    def _state(self, node: State) -> Interval:
+        args = [self.of(arg) for arg in node.args]
+        match node.function:
+            case "duration":
+                return NEVER if args[0] == NEVER else Interval(0.0, self._time.high)
+            case "integral":
+                return hull((NEVER, iv.multiply(args[0], Interval(0.0, self._time.high))))
+            case "rising":
+                return NEVER if args[0] == NEVER else TRUTH
+            case function:
+                return FUNCTIONS[function].interval(*args)
+
+    def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
+        if op == "where":
+            condition = self.of(args[0])
+            chosen = args[1:2] if condition.low > 0.0 else args[2:] if condition.high <= 0.0 else args[1:]
+            return hull([self.of(arg) for arg in chosen])
+        if op == "mul" and args[0] == args[1]:
+            return iv.power(self.of(args[0]), exact(2.0))
+        if op == "sub" and self.analysis.identity(args[0]) == self.analysis.identity(args[1]):
+            return NEVER
+        if op == "and" and self._is_contradictory(args):
+            return NEVER
+        return operation(op).interval(*[self.of(arg) for arg in args])
+
+    def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
+        """Whether a quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
+        within: dict[int, Interval] = {}
+        for quantity, required in self._required(conditions):
+            known = within.get(quantity, EVERYTHING)
+            low, high = max(known.low, required.low), min(known.high, required.high)
+            if low > high:
+                return True
+            within[quantity] = Interval(low, high)
+        return False
+
+    def _required(self, conditions: Sequence[Scalar]) -> Iterator[tuple[int, Interval]]:
+        """The range of each quantity in which all these conditions can hold; of very many conditions only the first count."""
+        analysis = self.analysis
+        met: set[int] = set()
+        waiting = list(conditions)
+        while waiting and len(met) < _MAX_CONDITIONS:
+            condition = analysis.meaning(waiting.pop())
+            if analysis.identity(condition) in met:
+                continue
+            met.add(analysis.identity(condition))
+            match condition:
+                case Op("and", args):
+                    waiting += args
+                case Op("less" | "less_equal", (small, large)) | Op("greater" | "greater_equal", (large, small)):
+                    high = self.of(large).high
+                    high = math.nextafter(high, -INF) if condition.op in ("less", "greater") else high
+                    yield analysis.identity(small), Interval(-INF, high)
+                    if isinstance(inner := analysis.meaning(small), Op) and inner.op == "abs":
+                        yield analysis.identity(inner.args[0]), Interval(-high, high)
+                    yield analysis.identity(large), Interval(self.of(small).low, INF)
+
+
+_PLANE = ("x", "y")
+_TURNS = ("roll", "pitch", "yaw")
+
+
+class StartRanges(Ranges):
+    """The ranges of values right after a reset.
+
+    Positions are unknown where the world settles, and for copies of a robot.
+    """
+
+    def __init__(self, analysis: Analysis) -> None:
+        super().__init__(analysis, {"episode_return": NEVER, "previous_reward": NEVER}, (0.0, 0.0))
+        program = analysis.program
+        self._is_placed = not program.reset.settle and program.agent.each is None
+        self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
+        self._bodies |= {thing.name: thing.name for thing in program.world.objects}
+
+    def _world(self, node: World) -> Interval:
+        found = self.initial(node)
+        return super()._world(node) if found is None else found
+
+    def initial(self, node: World) -> Interval | None:
+        """The initial range of a fact, no wider than what it is drawn from; None where the scenario does not say it."""
+        if not self._is_placed:
+            return None
+        subject = node.subjects[0]
+        match node.function:
+            case "joint_position":
+                return self.joint(subject)
+            case "position":
+                places = list(self._placements(self._bodies.get(subject, "")))
+                return hull([self._coordinate(place, node.component or "") for place in places]) if places else None
+            case "joint_velocity":
+                return self.joint(subject, "velocity") or NEVER
+            case "velocity" | "angular_velocity" as function:
+                return self._velocity(subject, function, "xyz".index(node.component or "x"))
+            case "orientation":
+                places = list(self._placements(self._bodies.get(subject, "")))
+                return hull([self._quaternion(place)["xyzw".index(node.component or "")] for place in places]) if places else None
+            case _:
+                return None
+
+    def joint(self, joint: str, what: str = "position") -> Interval | None:
+        """The initial position (rad or m) or velocity of a joint; None where the reset does not set it."""
+        robot, _, name = joint.partition(".")
+        for start in self.analysis.program.reset.joint_starts:
+            value = start.position if what == "position" else start.velocity
+            if start.robot == robot and name in start.joints and value is not None:
+                return self.of(value.scalars[start.joints.index(name)])
+        return None
+
+    def _velocity(self, subject: str, function: str, axis: int) -> Interval | None:
+        """Zero unless the scenario says otherwise; None where the origin moves because the body turns or its joints move."""
+        body = self._bodies.get(subject)
+        places = list(self._placements(body or subject.partition(".")[0].partition("#")[0]))
+        is_moved = any(place.velocity is not None or place.angular_velocity is not None for place in places)
+        starts = self.analysis.program.reset.joint_starts
+        swings = any(start.robot == subject.partition(".")[0] and start.velocity is not None for start in starts)
+        if not is_moved and (body is not None or not swings):
+            return NEVER
+        if body is None or (function == "velocity" and any(place.angular_velocity is not None for place in places)):
+            return None
+        given = [place.velocity if function == "velocity" else place.angular_velocity for place in places]
+        trees = [() if value is None else value.scalars for value in given]
+        return hull([self.of(parts[axis if len(parts) > 1 else 0]) if parts else NEVER for parts in trees])
+
+    def _placements(self, body: str) -> Iterator[Placement]:
+        return (place for place in self.analysis.placements if place.body == body)
+
+    def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
+        """Each placement of a body or of the copies of a group, before the world settles: x, y, z in m, roll, pitch, yaw in rad.
+
+        The z of a body that rests on the ground is unknown.
+        """
+        for place in self._placements(body.partition("#")[0]):
+            yield place, {key: self._coordinate(place, key) for key in (*_PLANE, "z", *_TURNS)}
+
+    def _coordinate(self, place: Placement, key: str) -> Interval:
+        if key == "z" and isinstance(place.spot, Top):
+            return EVERYTHING
+        if key in _PLANE and place.spot is not None:
+            axis = _PLANE.index(key)
+            region = place.spot.region if isinstance(place.spot, Top) else place.spot
+            if region is None:
+                return EVERYTHING
+            if isinstance(region, Region):
+                return Interval(region.low[axis], region.high[axis])
+            return hull([exact(spot[axis]) for spot in region.spots])
+        coordinate = place.coordinates.get(key)
+        if coordinate is None:
+            return EVERYTHING if key == "z" and place.rests else exact(0.0)
+        return self.of(coordinate.scalar)
+
+    def _quaternion(self, place: Placement) -> tuple[Interval, ...]:
+        """(x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
+        halves = [iv.multiply(self._coordinate(place, key), exact(0.5)) for key in _TURNS]
+        halves[2] = iv.add(halves[2], exact(place.heading / 2))
+        (cr, cp, cy), (sr, sp, sy) = map(iv.cosine, halves), map(iv.sine, halves)
+        return (
+            iv.subtract(_product(sr, cp, cy), _product(cr, sp, sy)),
+            iv.add(_product(cr, sp, cy), _product(sr, cp, sy)),
+            iv.subtract(_product(cr, cp, sy), _product(sr, sp, cy)),
+            iv.add(_product(cr, cp, cy), _product(sr, sp, sy)),
+        )
+
+    def _state(self, node: State) -> Interval:
+        args = [self.of(arg) for arg in node.args]
+        match node.function:
+            case "delta" | "integral" | "duration" | "rising":
+                return NEVER
+            case "previous":
+                return args[-1]
+            case "accumulate":
+                return args[3]
+            case _:
+                return args[0]
+
+
+def is_level(pose: Mapping[str, Interval]) -> bool:
+    """Whether a pose of `StartRanges.poses` is neither rolled nor pitched."""
+    return pose["roll"] == pose["pitch"] == exact(0.0)
+
+
+def _product(a: Interval, b: Interval, c: Interval) -> Interval:
+    return iv.multiply(iv.multiply(a, b), c)
+
+
+# Values and ranges in findings, in the units that people write
+
+
+def with_unit(value: float, dimension: Dimension) -> str:
+    """`15 deg`, `0.4 m`, `195`."""
+    return f"{_number(value, dimension)}{_unit(dimension)}"
+
+
+def range_text(interval: Interval, dimension: Dimension) -> str:
+    """A range as the language writes it: `-18 .. 18 deg`."""
+    return f"{_number(interval.low, dimension)} .. {_number(interval.high, dimension)}{_unit(dimension)}"
+
+
+def between(interval: Interval, dimension: Dimension) -> str:
+    """`between 0 and 15 deg`, `at least 2 m`."""
+    if interval.single:
+        return f"always {with_unit(interval.low, dimension)}"
+    if interval.finite:
+        return f"between {_number(interval.low, dimension)} and {with_unit(interval.high, dimension)}"
+    known = interval.low if interval.low > -math.inf else interval.high
+    return f"{'at least' if interval.low > -math.inf else 'at most'} {with_unit(known, dimension)}"
+
+
+def _number(value: float, dimension: Dimension) -> str:
+    return f"{math.degrees(value) if dimension == ANGLE else value:.4g}"
+
+
+def _unit(dimension: Dimension) -> str:
+    return "" if dimension == NUMBER else " deg" if dimension == ANGLE else f" {dimension}"

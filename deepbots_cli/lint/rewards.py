@@ -1,0 +1,553 @@
+"""The size of the reward: terms without bound, terms that dominate or never pay, and what an episode is worth (family DB7, DB810)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import nextafter
+from typing import NamedTuple
+
+from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.lint.analysis import Analysis, RewardTerms, Threshold, is_clock, thresholds, total
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.ranges import Ranges
+from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
+
+_DOMINATES = 100.0
+"""A term that is so many times what an ending pays makes that invisible."""
+_DISCOUNT = 0.99
+"""The default of every algorithm."""
+_ROUNDING = 1e-9
+_MIN_STEPS = 200
+"""Fewer simulated steps allow no conclusion."""
+_PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising", "hold"})
+"""Functions that pay for getting somewhere, and nothing for staying."""
+
+
+# Without bound
+
+
+class Pole(NamedTuple):
+    """The part of an expression that makes a term unbounded: a divisor that may be zero, or the argument of an exponential."""
+
+    value: Expression
+    node: Typed
+    is_divisor: bool
+
+
+def reward_unbounded(context: Context) -> Iterator[Finding]:
+    """DB701: a term of the reward grows without bound: it divides by what may be zero, or takes the exponential of a large value.
+
+    One step in which a distance is a thousandth then outweighs all others, and so does its effect on the learned values. At zero there
+    is no reward at all, and the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
+
+    Example::
+
+        reward: {near: 1 / (abs(x) / m)}
+
+    Instead::
+
+        reward: {near: exp(-abs(x) / 10 cm)}
+    """
+    analysis = context.analysis
+    search = _PoleSearch(analysis)
+    for term in context.program.reward:
+        if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).finite:
+            found = search.pole(term, term.typed)
+            search.met.clear()
+            if found is not None:
+                yield _unbounded(context, term, found)
+
+
+def _unbounded(context: Context, term: Expression, found: Pole) -> Finding:
+    text = context.text(found.value.owner)
+    place, part = text.part(found.node.start, found.node.end), text.text[found.node.start : found.node.end]
+    also = () if found.value is term else (Label(term.span, f"`{term.name}` is made of it"),)
+    if found.is_divisor:
+        headline = f"`{term.name}` grows without bound as `{part}` comes near zero"
+        return Finding("DB701", place, headline, help="keep it away from zero, as in `max(x, 1 cm)`, or take `exp(-x / 10 cm)`", also=also)
+    headline = f"`{term.name}` grows as the exponential of `{part}`, which nothing bounds"
+    return Finding("DB701", place, headline, help="keep it below, as in `min(x, 3)`", also=also)
+
+
+class _PoleSearch:
+    """Searches a term and the values that it refers to. Branches of `where` are left alone."""
+
+    def __init__(self, analysis: Analysis) -> None:
+        self._analysis = analysis
+        self.ranges = analysis.ranges_in(1.0, float(analysis.last))
+        self.met: set[str] = set()
+        compared = [entry for ending in analysis.program.endings for entry in analysis.comparisons(ending.value)]
+        asked = [asked for entry in compared for asked in thresholds(entry, self.ranges)]
+        self._guarded = {
+            analysis.identity(entry.quantity) for entry in asked if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
+        }
+        """Quantities that end the episode before they come near zero."""
+
+    def pole(self, value: Expression, node: Typed) -> Pole | None:
+        """The first part that is infinite because of a pole or an exponential."""
+        if node.type.boolean or all(known.finite for known in self._known(value, node)):
+            return None
+        match node:
+            case Operation(operator="div", args=(_, below)) if self._may_be_zero(value, below):
+                return Pole(value, below, True)
+            case Operation(operator="pow", args=(base, exponent)) if exponent.type.interval.high < 0.0:
+                return Pole(value, base, True) if self._may_be_zero(value, base) else None
+            case Invocation(function="log", args=(inner,)) if self._may_be_zero(value, inner):
+                return Pole(value, inner, True)
+            case Invocation(function="exp", args=(inner,)):
+                grows = any(known.low > -INF and known.high == INF for known in self._known(value, inner))
+                return Pole(value, inner, False) if grows else None
+            case Invocation(function="where"):
+                return None
+            case Reference(symbol=symbol) if (meant := self._analysis.named(symbol.name)) is not None and symbol.name not in self.met:
+                self.met.add(symbol.name)
+                return None if "." in symbol.name or meant.foreign else self.pole(meant, meant.typed)
+        return next((found for part in children(node) if (found := self.pole(value, part)) is not None), None)
+
+    def _known(self, value: Expression, node: Typed) -> list[Interval]:
+        return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
+
+    def _may_be_zero(self, value: Expression, node: Typed) -> bool:
+        """Whether a divisor may be zero; one between two finite bounds is DB405."""
+        for part in self._analysis.lowered(node, value.owner):
+            known = self.ranges.of(part)
+            if 0.0 in known and not known.finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
+                return True
+        return False
+
+
+# Too large, too small
+
+
+def term_dominates(context: Context) -> Iterator[Finding]:
+    """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
+
+    The agent cannot learn to reach the goal or to avoid failure: in the return, both are noise beside that term. The rule uses the
+    smallest sum of the term over an episode that runs to its limit; a term that is the same in every step, such as `alive: 1`, is not
+    reported.
+
+    Example::
+
+        reward: {time: -200 / step, fallen_over: -1 when fallen}
+
+    Instead::
+
+        reward: {time: -1 / 200, fallen_over: -1 when fallen}
+    """
+    reward = context.analysis.reward
+    ordinary, final = reward.split()
+    prize = reward.largest_final(final)
+    if not 0.0 < prize < INF:
+        return
+    for term, node in ordinary:
+        known = reward.running().of(node)
+        high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.agent.repeat
+        if known.single or high <= _DOMINATES * prize:
+            continue
+        low = _smallest_sum(reward, node)
+        if low > _DOMINATES * prize:
+            headline = f"`{term.name}` adds up to {low:.4g} or more over an episode, and the most that an ending pays is {prize:.4g}"
+            also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
+            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or let the endings pay more", also=also)
+
+
+def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
+    """The smallest size of the sum over an episode: block by block, since a term may depend on the number of the step."""
+    first, last, found, sign = 1, reward.analysis.last, 0.0, 0.0
+    while first <= last:
+        end = min(last, 2 * first - 1)
+        known = reward.running((float(first), float(end))).of(node)
+        side = 1.0 if known.low > 0.0 else -1.0 if known.high < 0.0 else 0.0
+        if side == 0.0 or side == -sign:
+            return 0.0
+        sign = side
+        found += min(abs(known.low), abs(known.high)) * (end - first + 1) * reward.program.agent.repeat
+        first = end + 1
+    return found
+
+
+def dominating_term(simulation: Simulation) -> Iterator[Finding]:
+    """DB702: under every policy a term adds up to more than a hundred times all other terms, including what endings pay."""
+    if not simulation.is_complete or not simulation.measured:
+        return
+    reward = simulation.analysis.reward
+    prize = reward.largest_final(reward.split()[1])
+    prize = prize if prize < INF else 0.0
+    for term, rows in simulation.terms():
+        ratios, notes = [], []
+        for by, row in rows.items():
+            episodes = max(1, sum(episode.by == by for episode in simulation.report.episodes))
+            others = sum(other[by].size for name, other in simulation.terms() if name is not term) / episodes
+            size, rival = row.size / episodes, max(others, prize)
+            ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
+            notes.append(f"{by}: {size:.3g} in an episode, all others {others:.3g}" + (f", an ending {prize:.3g}" if prize else ""))
+        if min(ratios) > _DOMINATES:
+            headline = f"`{term.name}` adds up to {min(ratios):.3g} times all other terms together, or more"
+            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the others up", notes=tuple(notes))
+
+
+def inactive_term(context: Context) -> Iterator[Finding]:
+    """DB704: a term of the reward is zero in every step.
+
+    Its condition never holds, it is a difference of constants, or it has a factor of zero. A term that is written as 0, or is
+    multiplied by a parameter of 0, is switched off on purpose, and is not reported.
+
+    Example::
+
+        reward: {alive: 1, upright: 1 when abs(cart.pole_angle) > 90 deg}
+
+    Instead::
+
+        reward: {alive: 1, upright: 1 when abs(cart.pole_angle) < 5 deg}
+    """
+    inactive = [_always_zero(analysis) for analysis in context.versions]
+    for term in context.program.reward:
+        if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
+            headline = f"`{term.name}` is zero in every step"
+            yield Finding("DB704", term.span, headline, help="take it out, or mend its condition")
+
+
+def _always_zero(analysis: Analysis) -> set[str]:
+    given = {ending.value.name: TRUTH for ending in analysis.program.endings}  # an ending that never holds is DB801
+    ranges = Ranges(analysis, given, (1.0, float(analysis.last)))
+    return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
+
+
+def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
+    """Whether an expression is 0, or has a factor 0, as a number or as a parameter."""
+
+    def is_off(part: Typed) -> bool:
+        return _is_turned_off(part, analysis)
+
+    match node:
+        case Constant(values=values):
+            return not any(values)
+        case Reference(symbol=symbol):
+            meant = analysis.named(symbol.name)
+            return (symbol.value is not None and not any(symbol.value)) or (meant is not None and is_off(meant.typed))
+        case Invocation(function="where", args=(_, paid, *_)):
+            return is_off(paid)
+        case Operation(operator="div", args=(above, _)):
+            return is_off(above)
+        case Operation(operator="add" | "sub", args=args):
+            return all(map(is_off, args))
+        case Invocation(args=args) if len(args) > 1:  # the 0 in `min(x, 0)` is no factor
+            return any(is_off(part) for part in args if not isinstance(part, Constant))
+    return any(map(is_off, children(node)))
+
+
+def silent_term(simulation: Simulation) -> Iterator[Finding]:
+    """DB704: a term without a condition was 0 in every step. One with a condition may wait for a rare event, such as a collision."""
+    if not simulation.is_complete or simulation.steps < _MIN_STEPS:
+        return
+    analysis = simulation.analysis
+    final = {term.name for term, _ in analysis.reward.split()[1]}
+    for place, term in enumerate(simulation.program.reward):
+        if place not in simulation.report.silent or term.name in final or term.foreign is not None:
+            continue
+        if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
+            headline = f"`{term.name}` was zero in all {simulation.steps} steps that were simulated"
+            help = "mend its condition, or add a script that is paid it under `scripts`"
+            yield Finding("DB704", term.span, headline, help=help, notes=(simulation.summary,))
+
+
+def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
+    """Whether a value depends on a condition, through any names."""
+    if node.type.boolean:
+        return True
+    if isinstance(node, Reference) and node.symbol.name not in met:
+        met.add(node.symbol.name)
+        meant = analysis.named(node.symbol.name)
+        return meant is not None and (meant.foreign is not None or _is_conditional(meant.typed, analysis, met))
+    return any(_is_conditional(part, analysis, met) for part in children(node))
+
+
+def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
+    """DB707: a term is NaN or infinite."""
+    failed = simulation.failed
+    if failed is not None and failed.section == "reward":
+        help = "keep it away from zero, as `1 / max(x, 1 cm)` does, and from overflow, as `exp(min(x, 3))`"
+        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
+
+
+# What pays
+
+
+def rewards_early_death(context: Context) -> Iterator[Finding]:
+    """DB705: every step costs, nothing is gained at the end, and failing costs less than going on.
+
+    The best policy is to fail at once, and the agent learns it first. Let success pay, let each good step pay, or let failing cost more
+    than all the steps that are left. In a task with a goal the steps short of the goal count: where each of them costs, as with `-1
+    when not goal_reached`, a failure that ends the episode ends these costs.
+
+    Example::
+
+        reward: {time: -1, crash: -10 when off_track}
+        remove: [reward.alive]
+
+    Instead::
+
+        reward: {alive: 1, crash: -10 when off_track}
+    """
+    program, reward = context.program, context.analysis.reward
+    ordinary, final = reward.split()
+    running = _short_of_the_goal(reward)
+    step = total(ordinary, running)
+    if not reward.is_complete or step.high >= 0.0:
+        return
+    if any(total(final, reward.at(ending)).high > 0.0 for ending in program.endings if ending.outcome == "success"):
+        return
+    if program.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
+        if total(ordinary, reward.running()).high > 0.0:
+            return
+        final = [*ordinary, *final]
+    ahead = step.high * program.agent.repeat * (reward.analysis.last - 1)
+    failures = [(ending, total(final, reward.at(ending)).low) for ending in program.endings if ending.outcome == "failure"]
+    ending, cost = next(((ending, cost) for ending, cost in failures if cost > ahead), (None, 0.0))
+    if ending is None:
+        return
+    price = "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
+    headline = f"an episode that goes on costs {-ahead:.3g} or more, and `{ending.value.name}` {price}"
+    help = "let a good step pay instead, such as `alive: 1`, or let failing cost more than all steps together"
+    if program.goal is not None:
+        headline = f"an episode short of the goal costs {-ahead:.3g} or more, and one that ends by `{ending.value.name}` {price} or less"
+        help = f"pay for the goal instead, as `1 when goal_reached` does, or take `{ending.value.name}` out"
+    dearest = min(ordinary, key=lambda term: running.of(term[1]).high)[0]
+    yield Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the way out"),))
+
+
+def _short_of_the_goal(reward: RewardTerms) -> Ranges:
+    """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
+    goal, running = reward.program.goal, reward.running()
+    reached = reward.analysis.meaning(Name("goal_reached"))
+    if goal is None or not isinstance(reached, Op):
+        return running
+    return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.within, INF), INF))
+
+
+class Staying(Ranges):
+    """The same, where values that are compared with the step before do not change."""
+
+    def _state(self, node: State) -> Interval:
+        match node.function:
+            case "delta" | "rising":
+                return NEVER
+            case "previous":
+                return self.of(node.args[0])
+            case _:
+                return super()._state(node)
+
+
+def hovering_pays(context: Context) -> Iterator[Finding]:
+    """DB708: every step just outside of the goal pays so much that reaching the goal, which ends the episode, is worth less.
+
+    The agent learns to stay there. The arm of the original collection earned more at 5 to 10 mm from its target than by touching it.
+    Pay for coming nearer (`-10 * delta(distance) / m`), or pay more for the end than the rest of an episode could.
+
+    Example::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {near: 1 when left < 10 cm, there: 5 when arrived}
+        termination: {success: {arrived: left < 5 cm}}
+        remove: [reward.alive]
+
+    Instead::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {nearer: -10 * delta(left) / m, there: 5 when arrived}
+        termination: {success: {arrived: left < 5 cm}}
+        remove: [reward.alive]
+    """
+    analysis, reward = context.analysis, context.analysis.reward
+    ordinary, _ = reward.split()
+    successes = [ending for ending in context.program.endings if ending.outcome == "success"]
+    if not reward.is_complete or len(successes) != 1 or not ordinary:
+        return
+    success, running = successes[0], reward.running()
+    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last)).of(analysis.scalars(success.value)[0])
+    if possible == NEVER or success in analysis.shadowed:
+        return  # DB801, DB804
+    for entry in analysis.comparisons(success.value):
+        for asked in thresholds(entry, running):
+            if is_clock(analysis, asked.quantity):
+                continue
+            pay = total(reward.terms, _staying_outside(running, asked)).low
+            prize = total(reward.terms, _staying_outside(reward.at(success), asked)).high if pay > 0.0 else INF
+            if pay * discounted_ticks(reward) > prize:
+                headline = f"staying just short of `{success.value.name}` pays {pay:.3g} in every step, and reaching it {prize:.3g} once"
+                best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
+                yield Finding("DB708", best.span, headline, help=_PAY_FOR_PROGRESS, also=(Label(success.value.span, "ends what pays"),))
+                return
+
+
+def _staying_outside(ranges: Ranges, asked: Threshold) -> Ranges:
+    """The same within a fifth of a threshold, on the side where the episode goes on."""
+    low, high = asked.bound
+    kept = Interval(low - 0.2 * abs(low), low) if asked.above else Interval(high, high + 0.2 * abs(high))
+    return Staying(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(asked.quantity), kept))
+
+
+def discounted_ticks(reward: RewardTerms) -> float:
+    """The timesteps that count: half an episode, or as far as the discount of the training reaches."""
+    training = reward.program.training
+    found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
+    gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
+    seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
+    return min(reward.analysis.last / 2, seen) * reward.program.agent.repeat
+
+
+def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
+    """DB708: another behaviour pays more over a whole episode than the success that was seen, or that could be."""
+    successes = [ending for ending in simulation.program.endings if ending.outcome == "success"]
+    if not successes or not simulation.is_complete:
+        return
+    found = _better_than_success(simulation.report.episodes)
+    if found:
+        best, success = found
+        also = (Label(successes[0].value.span, "ends what pays"),)
+        headline = f"{best.by} to the time limit is worth {best.worth:.3g}, and the success by {success.by} {success.worth:.3g}"
+        notes = (f"discounted returns, both in the episode with seed {best.seed}",)
+        yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
+    elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
+        yield from _idle_pays(simulation, successes[0])
+
+
+_PAY_FOR_PROGRESS = "pay for coming nearer, as `-10 * delta(distance) / m` does, or let the success pay more than the steps that it ends"
+
+
+def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | None:
+    """The best episode that lasted to its limit and the best success, with the same seed, if each seed with both says the same."""
+    pairs = []
+    for seed in sorted({episode.seed for episode in episodes}):
+        lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
+        reached = [episode for episode in episodes if episode.seed == seed and episode.end == "success"]
+        if lasting and reached:
+            pairs.append((max(lasting, key=lambda episode: episode.worth), max(reached, key=lambda episode: episode.worth)))
+    return pairs[0] if pairs and all(best.worth > success.worth for best, success in pairs) else None
+
+
+def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
+    """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
+    reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
+    ordinary, _ = reward.split()
+    if row is None or not reward.is_complete:
+        return
+    if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.by == IDLE):
+        return
+    trees = [node for _, tree in ordinary for node in walk(simulation.analysis.meaning(tree))]
+    if any(isinstance(node, State) and node.function in _PROGRESS for node in trees):
+        return
+    pay = sum(term.total for term in row.terms) / row.steps
+    prize = total(reward.terms, reward.at(success)).high
+    ticks = discounted_ticks(reward)
+    if pay > 0.0 and pay * ticks > prize:
+        headline = f"doing nothing is paid {pay:.3g} in every step, and `{success.value.name}` {prize:.3g} once"
+        notes = (f"in {row.steps} steps; some {ticks:.0f} steps count, by the discount of the training and the time limit",)
+        also = (Label(success.value.span, "ends what pays"),)
+        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
+
+
+def _most_paid(simulation: Simulation, by: str) -> Expression:
+    """The term that pays most under a policy."""
+    return max(simulation.terms(), key=lambda entry: entry[1][by].total)[0]
+
+
+# Returns
+
+
+def nothing_to_learn(context: Context) -> Iterator[Finding]:
+    """DB711: every episode is worth the same, whatever the policy does.
+
+    The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
+    such as `alive: 1` pays for lasting, where a failure ends the episode; a constant cost such as `time: -1` pays for being quick,
+    where a success does. Scenarios without `train` are not reported.
+
+    Example::
+
+        reward: {alive: 1}
+        remove: [termination, parameters.fall_angle, parameters.track]
+
+    Instead::
+
+        reward: {alive: 1}
+        termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
+    """
+    if context.program.training is None or not all(_worth(analysis).single for analysis in context.versions):
+        return
+    worth = _worth(context.analysis).low
+    headline = f"every episode is worth {worth:.4g}, whatever the policy does"
+    help = "pay for the goal, as `1 when goal_reached` does" if context.program.goal else "pay for what the policy shall do"
+    if worth > 0.0:
+        help += ", or let a failure end a bad episode early"
+    elif worth < 0.0:  # a failure would end the costs (DB705)
+        help += ", or let a success end a good episode early"
+    yield Finding("DB711", context.program.reward[0].span, headline, help=help)
+
+
+def return_out_of_reach(context: Context) -> Iterator[Finding]:
+    """DB810: no episode can reach the required mean return, or every episode does.
+
+    Training then never stops early and nothing counts as solved, or everything does at once; a stage of a curriculum never ends, or
+    ends at once. The return is bounded by what steps and ends pay: 200 steps of `alive: 1` give 200.
+
+    Example::
+
+        solved: {mean_return: 500, episodes: 100}
+
+    Instead::
+
+        solved: {mean_return: 195, episodes: 100}
+    """
+    for analysis, wanted, path in _wanted_returns(context):
+        known = _worth(analysis)
+        if wanted > known.high + _ROUNDING * abs(known.high):
+            headline, help = f"no episode is worth {wanted:g}: it comes to {known.high:.4g} at most", "ask for less"
+            yield Finding("DB810", context.values.span(path), headline, help=help)
+        elif wanted <= known.low:
+            headline, help = f"every episode is worth {wanted:g}: it comes to {known.low:.4g} at least", "ask for more"
+            yield Finding("DB810", context.values.span(path), headline, help=help)
+
+
+def _wanted_returns(context: Context) -> Iterator[tuple[Analysis, float, Path]]:
+    """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
+    program = context.program
+    if program.solved is not None and program.solved.mean_return is not None:
+        yield context.analysis, program.solved.mean_return, ("solved", "mean_return")
+    stages = context.versions[1 + len(program.cases) :]
+    for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
+        if stage.until is not None and stage.until.metric == "mean_return":
+            yield analysis, stage.until.threshold, ("curriculum", place, "until")
+
+
+def _worth(analysis: Analysis) -> Interval:
+    """The range of the return of an episode, from the ranges of what a step and an end pay."""
+    reward = analysis.reward
+    if not reward.is_complete:
+        return Interval(-INF, INF)
+    step = total(reward.terms, reward.running())
+    end = total(reward.terms, analysis.ranges_in(1.0, float(analysis.last)))  # whichever endings hold, also several at once
+    ticks = analysis.last * analysis.program.agent.repeat - 1
+    fewest = 0 if analysis.program.endings else ticks
+    high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
+    low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
+    return Interval(low, high)
+
+
+RULES = (
+    reward_unbounded,
+    term_dominates,
+    inactive_term,
+    rewards_early_death,
+    hovering_pays,
+    nothing_to_learn,
+    return_out_of_reach,
+)
+MEASURED = (dominating_term, silent_term, non_finite_reward, other_policy_pays_more)

@@ -1,0 +1,597 @@
+"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own (`child`).
+
+Every result is written at once: if an engine crashes, the last line tells how far the simulation had got.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, replace
+from functools import partial
+from itertools import count
+from math import atan2, dist, hypot, inf, radians
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import api, footprint, frames
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
+from deepbots_cli.frames import Triple
+from deepbots_cli.lint.simulation import (
+    ARENA,
+    HELD,
+    HOLD,
+    IDLE,
+    RANDOM,
+    SINK,
+    Clearance,
+    Miss,
+    Rollout,
+    casts_rays,
+    idle,
+    planned,
+    planned_for_variant,
+)
+from deepbots_cli.port import Engine, JointReader, MotionReader
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Cartesian as CartesianActuator
+from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.task import Choices, viewed
+from deepbots_cli.program.world import ObjectBody
+from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.actuation import Cartesian
+from deepbots_cli.runtime.team import populated
+
+_DEFAULT_DISCOUNT = 0.99
+_ROUNDING = 1e-6
+"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
+_NOTHING = 1e-9
+"""The same for a term of the reward."""
+_FIRST_EPISODES, _FIRST_STEPS = 2, 10
+"""Episodes in which the first command of each arm is checked, and the steps within which it must arrive."""
+_VARIANTS = "cases and stages"
+
+
+class StoppedError(Exception):
+    """The rest of the plan is impossible; the reason has been written."""
+
+
+def compiled(folder: Path, *, allow_code: bool) -> Program:
+    """Compile the scenario whose files were copied into a folder."""
+    return api.compile(api.load(folder / RESOLVED, allow_code=allow_code, project=folder)).ir
+
+
+class Simulator:
+    """Carries out the plan of a scenario. `write` takes a result, `begin_step` the number of the next step."""
+
+    def __init__(
+        self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], *, allow_code: bool
+    ) -> None:
+        self._program = program
+        self._write = write
+        self._begin_step = begin_step
+        self._allow_code = allow_code
+        self._plan = planned(program)
+        self._counters: dict[str, Counter] = {}
+        self._rays = RayWatch(program)
+
+    def run(self) -> None:
+        """Carry out the plan, until something stops it."""
+        try:
+            self._check_starts()
+            with closing(self._build(self._program)) as environment:
+                for seed in range(self._plan.resets if self._program.reset.settle else 0):
+                    self._reset(environment, seed, report=True)
+                arms = ArmWatch(environment)
+                if arms.actuators:
+                    self._check_first_commands(environment, arms)
+                self._run_episodes(environment, self._plan.rollouts, arms)
+            self._run_variants()
+        except StoppedError:
+            return
+        self._write({"measured": {by: counter.rows_by_part() for by, counter in self._counters.items() if by != _VARIANTS}})
+        self._write({"still": self._still(), "silent": self._silent()})
+        self._write({"clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()]})
+
+    def _build(self, program: Program) -> Supervisor:
+        self._write({"at": ["build", 0]})
+        try:
+            return api.build(program, allow_code=self._allow_code)
+        except DeepbotsError as error:
+            self._write({"stop": {"kind": "build", "text": str(error)}})
+            raise StoppedError from None
+
+    # Starts
+
+    def _check_starts(self) -> None:
+        """Find bodies that overlap before anything moves, thus before the world settles."""
+        deepest: dict[tuple[str, str], dict[str, Any]] = {}
+        program = replace(self._program, reset=replace(self._program.reset, settle=0.0))
+        with closing(self._build(program)) as environment:
+            for seed in range(self._plan.resets):
+                self._reset(environment, seed, report=not self._program.reset.settle)
+                for found in environment.engine.overlaps():
+                    known = deepest.setdefault((found.one[0], found.other[0]), {"depth": 0.0})
+                    if found.depth > known["depth"]:
+                        known |= {"one": list(found.one), "other": list(found.other), "depth": found.depth, "seed": seed}
+        for overlap in deepest.values():
+            self._write({"overlap": overlap})
+
+    def _reset(self, environment: Supervisor, seed: int, *, report: bool) -> None:
+        """Reset; with `report`, write whether an ending already holds."""
+        self._write({"at": ["reset", seed]})
+        try:
+            environment.reset(seed=seed)
+        except DeepbotsError as error:
+            if not (isinstance(error, EvaluationError) and environment.terminated):
+                raise self._stopped(environment, error) from None
+            if report:
+                self._write({"early": [environment.ended_by, seed]})
+
+    def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
+        """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
+        by = IDLE if idle(self._program) is not None else RANDOM
+        if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.action):
+            return
+        for seed in range(_FIRST_EPISODES):
+            arms.is_watching = True
+            self._write({"at": [by, seed]})
+            actions = _actions(environment, Rollout(by, seed, _FIRST_STEPS))
+            try:
+                environment.reset(seed=seed)
+                for number in range(1, _FIRST_STEPS + 1):
+                    self._begin_step(number)
+                    _, _, terminated, truncated, _ = environment.step(next(actions))
+                    if arms.commands or terminated or truncated:
+                        break
+            except DeepbotsError:  # reported by the episodes that follow
+                pass
+            self._write_misses(arms, by, seed)
+
+    def _write_misses(self, arms: ArmWatch, by: str, seed: int) -> None:
+        arms.is_watching = False
+        for miss in arms.take_misses(by, seed):
+            self._write({"miss": asdict(miss)})
+
+    # Episodes
+
+    def _run_episodes(
+        self, environment: Supervisor, rollouts: tuple[Rollout, ...], arms: ArmWatch | None = None, counted_as: str | None = None
+    ) -> None:
+        for rollout in rollouts:
+            if counted_as is None and rollout.by in (RANDOM, HELD) and self._random_steps() >= self._plan.enough:
+                continue
+            counter = self._counters.setdefault(counted_as or rollout.by, Counter(self._program))
+            self._write({"at": [rollout.by, rollout.seed]})
+            if arms is not None:
+                arms.is_watching = rollout.script is not None
+            try:
+                self._episode(environment, rollout, counter, report=counted_as is None)
+            except DeepbotsError as error:
+                if isinstance(error, EvaluationError) and environment.step_count == 0 and environment.terminated:
+                    continue  # reported by its reset
+                raise self._stopped(environment, error) from None
+            finally:
+                if arms is not None:
+                    self._write_misses(arms, rollout.by, rollout.seed)
+
+    def _random_steps(self) -> int:
+        return sum(self._counters[by].steps for by in (RANDOM, HELD) if by in self._counters)
+
+    def _episode(self, environment: Supervisor, rollout: Rollout, counter: Counter, *, report: bool) -> None:
+        environment.reset(seed=rollout.seed)
+        actions, speeds, check_rays = _actions(environment, rollout), SpeedWatch(environment), self._rays.watch(environment.engine)
+        rewards: list[float] = []
+        for number in range(1, rollout.steps + 1):
+            self._begin_step(number)
+            observation, reward, terminated, truncated, info = environment.step(next(actions))
+            rewards.append(reward)
+            counter.add(observation, info["reward_terms"])
+            check_rays()
+            violation = speeds.check(number * environment.scenario.period)
+            if speeds.news:
+                self._write({"fast": speeds.news})
+            if violation:
+                self._write({"stop": {"kind": "speed", **violation}})
+                raise StoppedError
+            if not environment.observation_space.contains(observation):
+                self._write({"stop": {"kind": "space", "entries": _outside(environment, observation)}})
+                raise StoppedError
+            if terminated or truncated:
+                break
+        if report:
+            worth = float(np.dot(rewards, _discount(self._program) ** np.arange(len(rewards))))
+            end = "success" if environment.is_success else "failure" if environment.terminated else None
+            end = end or ("limit" if environment.truncated else "left")
+            self._write({"episode": {"by": rollout.by, "seed": rollout.seed, "steps": len(rewards), "worth": worth, "end": end}})
+
+    # What has been constant so far
+
+    def _still(self) -> list[int]:
+        """The places of the numbers of the observation that were the same in every step of every episode; pictures after them."""
+        whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
+        return [place for place in range(len(self._program.numbers) + len(self._program.images)) if not whole.varies(place)]
+
+    def _silent(self) -> list[int]:
+        """The places of the terms of the reward that were always 0."""
+        return [place for place in range(len(self._program.reward)) if not any(counter.fired[place] for counter in self._counters.values())]
+
+    def _run_variants(self) -> None:
+        """Run cases and stages, which may vary what is constant in the scenario itself."""
+        own = self._program
+        for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
+            if not self._still() and not self._silent():
+                return
+            sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own, program)]
+            if sizes[0] == sizes[1]:
+                with closing(self._build(program)) as environment:
+                    self._run_episodes(environment, planned_for_variant(program), counted_as=_VARIANTS)
+
+    def _stopped(self, environment: Supervisor, error: DeepbotsError) -> StoppedError:
+        """Write what stopped an episode; returns the exception to raise."""
+        entry: dict[str, Any] = {"text": str(error), "step": environment.step_count}
+        lost = SpeedWatch(environment).lost()
+        if lost:
+            entry |= {"kind": "lost", "body": lost[0]}
+        elif isinstance(error, EngineError):
+            entry |= {"kind": "engine"}
+        else:
+            entry |= {"kind": "value", "lines": _lines(error), "terms": _infinite(environment)}
+        self._write({"stop": entry})
+        return StoppedError()
+
+
+class Counter:
+    """Statistics over the episodes of one policy, per number of the observation and per term of the reward."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        ages = viewed(program.numbers, program.agent.stack)
+        self._columns = [ages.index((place, 0)) for place in range(len(program.numbers))]
+        self._pictures = [entry.key for entry in program.images]
+        self._first: dict[str, NDArray[np.uint8]] = {}
+        self._changed: set[str] = set()
+        numbers, terms = len(program.numbers), len(program.reward)
+        self.steps = 0
+        self.rows = 0
+        self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
+        self.at_low, self.at_high = np.zeros(numbers, int), np.zeros(numbers, int)
+        self.sums, self.sizes, self.fired = np.zeros(terms), np.zeros(terms), np.zeros(terms, int)
+        self.least, self.greatest = np.full(terms, np.inf), np.full(terms, -np.inf)
+
+    def add(self, observation: Any, terms: dict[str, float]) -> None:
+        """Count one step; of a team there is a row for each copy."""
+        self.steps += 1
+        self._add_terms(np.array(list(terms.values())))
+        if isinstance(observation, dict):
+            self._add_pictures(observation)
+            observation = observation.get("observation", np.zeros((1, 0)))
+        for row in np.atleast_2d(observation)[:, self._columns]:
+            self.rows += 1
+            np.minimum(self.low, row, out=self.low)
+            np.maximum(self.high, row, out=self.high)
+            self.at_low += row <= -1.0
+            self.at_high += row >= 1.0
+
+    def _add_terms(self, values: NDArray[np.float64]) -> None:
+        self.sums += values
+        self.sizes += np.abs(values)
+        self.fired += np.abs(values) > _NOTHING
+        np.minimum(self.least, values, out=self.least)
+        np.maximum(self.greatest, values, out=self.greatest)
+
+    def _add_pictures(self, observation: dict[str, Any]) -> None:
+        for key in self._pictures:
+            if key not in self._changed and (observation[key] != self._first.setdefault(key, observation[key])).any():
+                self._changed.add(key)
+
+    def joined(self, other: Counter) -> Counter:
+        """What the observation was over both: it moved, too, if it was not the same in one as in the other."""
+        both = Counter(self._program)
+        both.low, both.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        both._changed = self._changed | other._changed
+        return both
+
+    def varies(self, place: int) -> bool:
+        """Whether an entry was not the same throughout."""
+        numbers = len(self._columns)
+        return bool(self.high[place] - self.low[place] > _ROUNDING) if place < numbers else self._pictures[place - numbers] in self._changed
+
+    def rows_by_part(self) -> list[Any]:
+        """Steps, rows, and the statistics of numbers and terms, as `simulation.Statistics` takes them."""
+        if not self.steps:
+            return [0, 0, [], []]
+        numbers = zip(*(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True)
+        terms = zip(*(part.tolist() for part in (self.sums, self.sizes, self.fired, self.least, self.greatest)), strict=True)
+        return [self.steps, self.rows, list(numbers), list(terms)]
+
+
+def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
+    """An endless sequence of actions, none of them forbidden."""
+    if rollout.script is not None:
+        return (environment.script(rollout.script) for _ in count())
+    if rollout.by == IDLE:
+        return _idle(environment)
+    return _random(environment, HOLD if rollout.by == HELD else 1)
+
+
+def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
+    scenario = environment.scenario
+    masked = scenario.agent.each is None and any(option.forbidden for part in scenario.action for option in getattr(part, "options", ()))
+    for number in count():
+        if number % hold == 0 or masked:
+            action = environment.action_space.sample(environment.action_mask()) if masked else environment.action_space.sample()
+        yield action
+
+
+def _idle(environment: Supervisor) -> Iterator[Any]:
+    wanted = idle(environment.scenario)
+    assert wanted is not None  # or it would not be in the plan
+    copies = environment.scenario.agent.each
+    one = getattr(environment, "members", [environment])[0].acting(*wanted)
+    if copies is not None:
+        one = (
+            {key: np.stack([part] * copies.count) for key, part in one.items()} if isinstance(one, dict) else np.array([one] * copies.count)
+        )
+    while True:
+        yield one
+
+
+def _discount(program: Program) -> float:
+    found = [entry.value for entry in program.training.hyperparameters if entry.name == "gamma"] if program.training else []
+    return found[0] if found and isinstance(found[0], float) else _DEFAULT_DISCOUNT
+
+
+def _outside(environment: Supervisor, observation: Any) -> list[str]:
+    """The numbers of an observation that are outside of its space, by name."""
+    numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
+    entries = [environment.scenario.numbers[place] for place, _ in viewed(environment.scenario.numbers, environment.scenario.agent.stack)]
+    return [
+        entry.full_name
+        for entry, column in zip(entries, numbers.T, strict=True)
+        if not np.isfinite(column).all() or (entry.clip and (np.abs(column) > 1.0).any())
+    ]
+
+
+def _infinite(environment: Supervisor) -> list[str]:
+    """The terms of the reward that are not finite."""
+    if not environment.step_count:
+        return []
+    return [name for name, value in environment.get_info()["reward_terms"].items() if not math.isfinite(value)]
+
+
+def _lines(error: BaseException) -> list[str]:
+    """The lines of the generated module in which an expression had no value, the innermost first."""
+    raised = [error.__cause__, error] if error.__cause__ else [error]
+    frames = [frame for each in raised for frame in reversed(traceback.extract_tb(each.__traceback__))]
+    return [frame.line or "" for frame in frames if frame.filename.startswith("<deepbots")]
+
+
+# Speeds
+
+_MAX_SPEED = 300.0
+"""m/s; near the speed of sound. A falling body may become faster."""
+_HALF_TURN = math.pi
+"""rad in one physics step; beyond it, an engine cannot tell the direction of a turn."""
+_MAX_SPIN = 1000.0
+"""rad/s; slower turns are plausible, however long the physics step."""
+_GROWN = 4.0
+
+
+class _Moving(NamedTuple):
+    body: str
+    motion: MotionReader
+    joints: tuple[str, ...]
+    revolute: tuple[bool, ...]
+    states: JointReader | None
+
+
+class SpeedWatch:
+    """Checks the speeds of robots and of movable objects. `news` holds the fastest body so far, whenever its speed has grown a lot."""
+
+    def __init__(self, environment: Supervisor) -> None:
+        scenario, engine = environment.scenario, environment.engine
+        world = populated(scenario.world, scenario.agent.each) if scenario.agent.each else scenario.world
+        self._substep = world.timestep / world.substeps
+        self._fall = math.hypot(*engine.gravity)
+        self._watched = []
+        for robot in world.robots:
+            moving = robot.model.moving_joints
+            names = tuple(joint.name for joint in moving)
+            reader = engine.joint_states(robot.name, names) if names else None
+            turns = tuple(joint.type != "prismatic" for joint in moving)
+            self._watched.append(_Moving(robot.name, engine.motion(robot.name), names, turns, reader))
+        self._watched += [_Moving(thing.name, engine.motion(thing.name), (), (), None) for thing in world.objects if not thing.fixed]
+        self._fastest = 1.0
+        self.news: list[Any] = []
+
+    def check(self, time: float) -> dict[str, Any]:
+        """The first implausible speed after `time` seconds; empty if there is none."""
+        self.news = []
+        for watched in self._watched:
+            velocity, spin = (math.hypot(*part) for part in watched.motion()[1])
+            if not math.isfinite(velocity + spin):
+                return {"body": watched.body, "what": "nan"}
+            if velocity > self._fastest * _GROWN:
+                self._fastest, self.news = velocity, [watched.body, velocity]
+            if velocity > _MAX_SPEED + self._fall * time:
+                return {"body": watched.body, "what": "velocity", "figure": velocity}
+            if spin > _MAX_SPIN and spin * self._substep > _HALF_TURN:
+                return {"body": watched.body, "what": "spin", "figure": spin}
+            found = self._joint(watched)
+            if found:
+                return found
+        return {}
+
+    def _joint(self, watched: _Moving) -> dict[str, Any]:
+        states: Sequence[Sequence[float]] = watched.states() if watched.states else ()
+        for name, turns, state in zip(watched.joints, watched.revolute, states, strict=True):
+            speed = abs(state[1])
+            if not math.isfinite(state[0] + speed):
+                return {"body": watched.body, "joint": name, "what": "nan"}
+            if speed > (max(_MAX_SPIN, _HALF_TURN / self._substep) if turns else _MAX_SPEED):
+                return {"body": watched.body, "joint": name, "what": "joint", "figure": speed}
+        return {}
+
+    def lost(self) -> list[str]:
+        """The bodies whose motion is no longer a number."""
+        return [watched.body for watched in self._watched if not math.isfinite(sum(map(sum, (*watched.motion()[0], *watched.motion()[1]))))]
+
+
+# Arms
+
+_DISTANCE = 0.005  # m
+_ANGLE = radians(1.0)
+"""Tolerance of a pose. A search that succeeds ends within 0.1 um."""
+_TURN = radians(90.0)
+_IN_PLACE = 0.2
+"""m; an arm that starts farther away, such as stretched out, turns on its way."""
+_AT_LIMIT = 1e-6  # rad or m; the search clips positions to the limits exactly
+
+
+class ArmWatch:
+    """Watches the commands to the `cartesian` actuators of an environment."""
+
+    def __init__(self, environment: Supervisor) -> None:
+        self.is_watching = False
+        self.commands: dict[tuple[str, str], int] = {}
+        """The number of commands since the last `take_misses`, by robot and actuator."""
+        self._misses: dict[tuple[str, str], Miss] = {}
+        self.actuators = [arm for world in getattr(environment, "members", [environment]) for arm in self._watched(world)]
+
+    def _watched(self, world: Supervisor) -> Iterator[str]:
+        """Watch the commands of a supervisor; yields the names of the actuators."""
+        models = {body.name: body.model for body in world.scenario.world.robots}
+        for robot in world.scenario.robots:
+            for actuator in robot.actuators:
+                drive = getattr(getattr(world, f"robot_{robot.name}"), f"drive_{actuator.name}", None)
+                if isinstance(actuator, CartesianActuator) and isinstance(drive, Cartesian):
+                    drive.watch = partial(self._check, world, robot.name, models[robot.name], actuator, drive)
+                    yield actuator.name
+
+    def take_misses(self, by: str, seed: int) -> list[Miss]:
+        """The first miss of each actuator since the last call; later misses start from where it brought the arm."""
+        found = [replace(miss, by=by, seed=seed, commands=self.commands[key]) for key, miss in self._misses.items()]
+        self.commands.clear()
+        self._misses.clear()
+        return found
+
+    def _check(
+        self,
+        world: Supervisor,
+        robot: str,
+        model: RobotModel,
+        actuator: CartesianActuator,
+        drive: Cartesian,
+        target: Triple,
+        solution: Sequence[float],
+    ) -> None:
+        if not self.is_watching:
+            return
+        key = (robot, actuator.name)
+        self.commands[key] = self.commands.get(key, 0) + 1
+        found = dict(zip(actuator.joints, solution, strict=True))
+        others = [joint.name for joint in model.moving_joints if joint.name not in found]
+        now = {name: state[0] for name, state in zip(others, world.engine.joint_states(robot, others)(), strict=True)} if others else {}
+        place, turned = frames.inside(world.engine.pose(robot)(), footprint.link_frames(model, now | found)[actuator.link])
+        distance = dist(place, target)
+        angle = 0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
+        if distance <= _DISTANCE and angle <= _ANGLE:
+            self._check_turn(world, key, actuator, drive, target)
+            return
+        if key not in self._misses:
+            limits = {name: model.joint(name).limit for name in found}
+            ends = {name: [end for end in (limit.lower, limit.upper) if end is not None] for name, limit in limits.items()}
+            at_limit = {name: end for name, known in ends.items() for end in known if abs(found[name] - end) < _AT_LIMIT}
+            self._misses[key] = Miss(robot, actuator.name, distance, angle, at_limit, step=world.step_count)
+        self._misses[key] = replace(self._misses[key], out=self._misses[key].out + 1)
+
+    def _check_turn(self, world: Supervisor, key: tuple[str, str], actuator: CartesianActuator, drive: Cartesian, target: Triple) -> None:
+        """Check whether the first command of an episode turns a link in place."""
+        if drive.attitude is None or self.commands[key] > 1 or key in self._misses:
+            return
+        place, attitude = world.engine.pose(key[0], actuator.link)()
+        turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
+        if turn > _TURN and dist(place, target) < _IN_PLACE:
+            start = frames.roll_pitch_yaw(attitude)
+            self._misses[key] = Miss(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
+
+
+def _angle(q: frames.Quaternion) -> float:
+    """The angle of a rotation, rad from 0 to half a turn."""
+    return 2.0 * atan2(hypot(q[0], q[1], q[2]), abs(q[3]))
+
+
+# Rays
+
+
+class RayWatch:
+    """Watches sensors whose rays have been above everything solid in all steps so far, and have met nothing.
+
+    `clearances` maps robot and sensor to where their rays pass; it is empty for teams and above terrain.
+    """
+
+    def __init__(self, scenario: Program) -> None:
+        self._world = scenario.world
+        is_asked = scenario.world.terrain is None and scenario.agent.each is None
+        found = [(robot.name, sensor) for robot in scenario.robots for sensor in robot.sensors if is_asked and casts_rays(sensor)]
+        self._sensors = {(robot, sensor.name): sensor for robot, sensor in found}
+        self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(self._sensors, Clearance(inf, -inf, ""))
+
+    def watch(self, engine: Engine) -> Callable[[], None]:
+        """A function that checks the world of an engine, to be called in each step."""
+        if not self.clearances:
+            return lambda: None
+        tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
+        tops |= {body.name: _top_of_robot(engine, body.name, footprint.bounds(body.model)) for body in self._world.robots}
+        if self._world.arena is not None:
+            wall = self._world.arena.wall_height
+            tops[ARENA] = lambda: wall
+        lowest = {both: _lowest(engine, both[0], self._sensors[both]) for both in self.clearances}
+
+        def check() -> None:
+            known = [(top(), name) for name, top in tops.items()] if self.clearances else []
+            for both, before in list(self.clearances.items()):
+                highest = max((top for top in known if top[1] != both[0]), default=(inf, ""))
+                low = lowest[both]()
+                if low > highest[0] + SINK:
+                    self.clearances[both] = Clearance(min(low, before.lowest), *max(highest, (before.top, before.tallest)))
+                else:
+                    del self.clearances[both]
+
+        return check
+
+
+def _top_of(engine: Engine, thing: ObjectBody) -> Callable[[], float]:
+    shapes = [variant.shape for variant in thing.variants] or [thing.shape]
+    pose = engine.pose(thing.name)
+    return lambda: max(footprint.bounds_of_shape(shape, pose())[1][2] for shape in shapes)
+
+
+def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[[], float]:
+    """An upper bound in any attitude of the root, m."""
+    pose, reach = engine.pose(name), hypot(*(max(-low, high) for low, high in zip(*box, strict=True)))
+    return lambda: pose()[0][2] + reach
+
+
+def _lowest(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], float]:
+    """The lowest point of any ray within its range, m above the ground; -inf while a ray meets something."""
+    assert sensor.beams is not None  # it casts rays
+    mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
+    rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
+    ends = [end for ray in rays for end in (ray[0], frames.inside(ray, ((reach, 0.0, 0.0), frames.UPRIGHT))[0])]
+    pose, cast = engine.pose(*part), engine.rays(part, rays, reach)
+
+    def lowest() -> float:
+        (_, _, height), turn = pose()
+        return height + min(frames.rotate(turn, end)[2] for end in ends) if min(cast()) >= reach else -inf
+
+    return lowest

@@ -1,0 +1,244 @@
+"""Values at the end of their range in the observation, before a failure (DB603) and in ordinary operation (DB611)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import isnan, nan
+from typing import NamedTuple
+
+from deepbots_cli import footprint, frames
+from deepbots_cli.compiler.robots import held
+from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.expressions.dimensions import ACCELERATION
+from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
+from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
+from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, thresholds
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
+from deepbots_cli.lint.ranges import Ranges, between, range_text, with_unit
+from deepbots_cli.program.values import Expression
+
+_ROUNDING = 1e-6
+"""Relative difference that rounding alone may cause."""
+_ROOM = 1.2
+"""Suggested ranges are larger than needed by this factor."""
+_NEAR = 0.05
+"""Share of the way to a limit, before the limit, in which the policy must see it come."""
+_HALVINGS = 40
+
+
+def saturates_before_termination(context: Context) -> Iterator[Finding]:
+    """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
+
+    Between the end of the range and the limit the policy sees a constant, just where it has to act. The CartPole of the original
+    collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. Values that depend on the quantity count as well, such as
+    a clamped share of it; one entry that changes up to the limit is enough.
+
+    Example::
+
+        observation: {cart.pole_angle: -0.23 .. 0.23 rad}
+        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
+
+    Instead::
+
+        observation: {cart.pole_angle: -20 .. 20 deg}
+        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
+    """
+    analysis = context.analysis.ideal
+    ranges = analysis.ranges
+    shown = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
+    met = set()
+    for ending in context.program.endings:
+        if ending.outcome != "failure" or ending in context.analysis.shadowed:
+            continue
+        for comparison in analysis.comparisons(ending.value):
+            asked = [threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)]
+            for view in _blind(shown, asked, ranges):
+                if (id(view.number.entry), ending.value.name) not in met:
+                    met.add((id(view.number.entry), ending.value.name))
+                    yield _unseen(context, analysis, view, ending.value, comparison)
+
+
+class View(NamedTuple):
+    """A number of the observation, and the value of a threshold's quantity from which on the number is constant; NaN if it never is."""
+
+    number: RangedNumber
+    threshold: Threshold
+    edge: float
+
+    @property
+    def is_blind(self) -> bool:
+        return not isnan(self.edge)
+
+
+def _parts(analysis: Analysis, node: Scalar) -> set[int]:
+    """The identities of a value and of everything that it is made of."""
+    found: set[int] = set()
+    waiting = [node]
+    while waiting:
+        node = waiting.pop()
+        if analysis.identity(node) not in found:
+            found.add(analysis.identity(node))
+            waiting += children(analysis.meaning(node))
+    return found
+
+
+def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
+    known = ranges.of(threshold.quantity)
+    return known.high > threshold.limit if threshold.above else known.low < threshold.limit
+
+
+def _blind(shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges) -> Iterator[View]:
+    """For each threshold of a comparison that no number shows, the first number that should."""
+    views: list[tuple[int, list[View]]] = []
+    for threshold in asked:
+        quantity = ranges.analysis.identity(threshold.quantity)
+        views.append(
+            (quantity, [View(number, threshold, _edge(number, threshold, ranges)) for number, parts in shown if quantity in parts])
+        )
+    for quantity, found in views:
+        # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
+        others = [view for other, there in views if other != quantity for view in there]
+        if found and all(view.is_blind for view in (*found, *others)):
+            yield found[0]
+
+
+def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
+    """For the quantity itself the end of its range; for a value that depends on it, the point where it stops changing."""
+    analysis, bound, limit = ranges.analysis, threshold.bound, threshold.limit
+    known, quantity = ranges.of(threshold.quantity), analysis.identity(threshold.quantity)
+    if not number.entry.clip:
+        return nan
+    if quantity == analysis.identity(number.node):
+        slack = _ROUNDING * max(abs(bound.low), abs(bound.high))
+        edge = number.high if threshold.above else number.low
+        is_short = edge < limit - slack if threshold.above else edge > limit + slack
+        return edge if is_short and not number.is_outside(known) else nan
+
+    def is_constant(start: float) -> bool:
+        """Whether the number is constant from `start` to the limit."""
+        shown = ranges.where(quantity, Interval(min(start, limit), max(start, limit))).of(number.node)
+        return min(max(shown.low, number.low), number.high) == min(max(shown.high, number.low), number.high)
+
+    safe = -1.0 if threshold.above else 1.0
+    far = 0.0 if safe * limit < 0.0 else limit + safe * (abs(limit) or 1.0)
+    far = min(max(far, known.low), known.high)
+    near = limit + _NEAR * (far - limit)
+    if not is_constant(near) or is_constant(far):
+        return nan
+    for _ in range(_HALVINGS):
+        half = (near + far) / 2.0
+        near, far = (half, far) if is_constant(half) else (near, half)
+    return near
+
+
+def _unseen(context: Context, analysis: Analysis, view: View, ending: Expression, comparison: Comparison) -> Finding:
+    number, name, limit = view.number, view.number.name, view.threshold.limit
+    help, fix = "let it go on beyond the limit: widen its range, or what it is clamped to", None
+    if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
+        headline = f"`{name}` is seen no further than {with_unit(view.edge, number.dimension)}, and the episode fails"
+        headline += f" at {with_unit(limit, number.dimension)}"
+        beyond = limit + (_ROOM - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
+        other = -beyond if number.low == -number.high else beyond
+        wide = Interval(min(number.low, beyond, other), max(number.high, beyond, other))
+        help = f"let its range go beyond the limit, as `{range_text(wide, number.dimension)}` does"
+        fix = replace_range(context, number, wide, number.dimension)
+    elif (dimension := view.threshold.dimension) is not None:
+        headline = f"`{name}` stays the same from {with_unit(view.edge, dimension)} on, and the episode fails"
+        headline += f" at {with_unit(limit, dimension)}"
+    else:
+        headline = f"`{name}` stays the same for some way before `{ending.name}` ends the episode"
+    place = ending.span
+    if comparison.value.owner:
+        place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
+    also = (Label(place, f"`{ending.name}` ends it here"),)
+    return Finding("DB603", context.range_span(number.entry), headline, help=help, also=also, fix=fix)
+
+
+def observation_saturates(context: Context) -> Iterator[Finding]:
+    """DB611: a value is at the end of its range in ordinary operation: an accelerometer at rest, or a start beyond the range.
+
+    An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below that, the axis is constant as long as
+    the robot stands. The same is true of a value that begins beyond its range.
+
+    Example::
+
+        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
+        observation: {cart.accel: -5 .. 5 m/s^2}
+
+    Instead::
+
+        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
+        observation: {cart.accel: -15 .. 15 m/s^2}
+    """
+    yield from _saturated_at_start(context)
+    yield from _goal_out_of_range(context)
+    yield from _saturated_by_gravity(context)
+
+
+def _saturated_at_start(context: Context) -> Iterator[Finding]:
+    analysis = context.analysis
+    for number in clipped_once(analysis):
+        if number.is_outside(analysis.ranges.of(number.node)):
+            continue  # DB602
+        first, fact = analysis.start.of(number.node), analysis.meaning(number.node)
+        is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
+        drawn = analysis.start.initial(fact) if isinstance(fact, World) else None
+        if drawn is not None and drawn.finite:  # exactly what is drawn, not a wider range around it
+            is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
+        if is_beyond:
+            headline = f"`{number.name}` begins beyond its range: it is {between(first, number.dimension)}"
+            yield Finding("DB611", context.range_span(number.entry), headline, help="widen its range, or let the episode begin within it")
+
+
+def _goal_out_of_range(context: Context) -> Iterator[Finding]:
+    """A goal that is drawn from more than its range: policy, reward and endings know only the clipped value."""
+    analysis, goal = context.analysis, context.program.goal
+    if goal is None:
+        return
+    for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
+        meant = analysis.meaning(node)
+        drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
+        drawn = analysis.start.initial(meant) if isinstance(meant, World) else drawn
+        slack = _ROUNDING * (high - low)
+        if drawn is not None and drawn.finite and (drawn.low < low - slack or drawn.high > high + slack):
+            headline = f"`desired` begins beyond its range: it is {between(drawn, goal.desired.typed.type.dimension)}"
+            yield Finding("DB611", context.values.span(("goal", "range")), headline, help="widen it, or draw from less")
+            return
+
+
+def _saturated_by_gravity(context: Context) -> Iterator[Finding]:
+    met = set()
+    for number in ranged_numbers(context.analysis):
+        leaf = context.analysis.meaning(number.node)
+        reading = _at_rest(context.analysis, leaf)
+        if reading is None or not number.entry.clip or id(number.entry) in met or number.low <= reading <= number.high:
+            continue
+        met.add(id(number.entry))
+        axis = leaf.component if isinstance(leaf, Name) else ""
+        size = abs(reading) * _ROOM
+        wide = Interval(min(number.low, -size), max(number.high, size))
+        headline = f"`{number.name}` ends at {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
+        headline += f", and at rest its {axis} is {with_unit(reading, ACCELERATION)}"
+        help = f"let its range hold gravity, as `{range_text(wide, ACCELERATION)}` does"
+        fix = replace_range(context, number, wide, ACCELERATION)
+        yield Finding("DB611", context.range_span(number.entry), headline, help=help, fix=fix)
+
+
+def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
+    """The reading (m/s^2) of an axis of an accelerometer while its robot stands upright and still; None where that is unknown."""
+    found = analysis.sensor(leaf)
+    if found is None or found[1].kind != "accelerometer" or not isinstance(leaf, Name):
+        return None
+    robot, sensor = found
+    model = analysis.body(robot).model
+    tilts = [analysis.start.of(World("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
+    if held(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
+        return None
+    link = footprint.link_frames(model)[sensor.subjects[0]]
+    turn = frames.inside(link, frames.frame(sensor.mount))[1]
+    x, y, z = analysis.program.world.gravity
+    return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
+
+
+RULES = (saturates_before_termination, observation_saturates)

@@ -1,0 +1,190 @@
+"""Which files of a project are scenarios, and how the project wants them linted.
+
+Settings are the table `lint` of `deepbots.toml`, or `tool.deepbots.lint` of `pyproject.toml`, at the root of the project. The first file
+that has the table counts.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Literal, get_args
+
+from deepbots_cli.diagnostics import Source
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.suppress import Words
+from deepbots_cli.document import files
+from deepbots_cli.errors import UsageError
+
+Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
+FailOn = Literal["error", "warning", "never"]
+
+_TABLES = (("deepbots.toml", ("lint",)), ("pyproject.toml", ("tool", "deepbots", "lint")))
+# The spellings of `tool.deepbots`: most projects have none, and their files are not parsed.
+_TOOL = re.compile(rb"\btool\W{0,9}deepbots|^\s*\[\W*tool\W*\]", re.MULTILINE)
+_MAX_BYTES = 256 << 10
+_MAX_WORDS = 1000
+"""In a list of settings; each pattern is matched against each file of a folder."""
+_WORDS: dict[str, tuple[str, ...]] = {"format": get_args(Format), "fail-on": get_args(FailOn)}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings of a project; None where it has none. `exclude` holds patterns of paths from `root`, such as `drafts/*`."""
+
+    root: Path
+    select: Words | None = None
+    ignore: Words | None = None
+    preview: bool | None = None
+    fail_on: FailOn | None = None
+    format: Format | None = None
+    exclude: tuple[str, ...] = ()
+
+    def excludes(self, path: Path) -> bool:
+        """Whether a pattern matches the file, or a folder that holds it."""
+        path = path.resolve() if self.exclude else path
+        inside = path.relative_to(self.root) if path.is_relative_to(self.root) else path
+        above = [part.as_posix() for part in (inside, *inside.parents)]
+        return any(fnmatchcase(part, pattern.rstrip("/")) for pattern in self.exclude for part in above)
+
+
+def settings(folder: Path | None = None) -> Settings:
+    """The settings of the project that holds `folder`, by default the working directory.
+
+    Raises:
+        UsageError: A file is no TOML, or has an unknown key or value; says which, and what was probably meant.
+    """
+    root = files.project_root(folder or Path.cwd())
+    for name, keys in _TABLES:
+        path = root / name
+        if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or _TOOL.search(data)):
+            table = _table(data, files.display(path), keys)
+            if table is not None:
+                return _settings(root, table, Source(files.display(path), data.decode()))
+    return Settings(root)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+    except OSError as error:
+        raise UsageError(f"{files.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
+    if len(data) > _MAX_BYTES:
+        raise UsageError(f"{files.display(path)} is larger than {_MAX_BYTES >> 10} KiB, and is not read")
+    return data
+
+
+def _table(data: bytes, name: str, keys: Sequence[str]) -> dict[str, object] | None:
+    import tomllib  # 5 ms of CPU, only where there is something to read
+
+    try:
+        table: object = tomllib.loads(data.decode())
+    except ValueError as error:  # TOML or UTF-8
+        raise UsageError(f"{name} cannot be read: {error}") from None
+    except RecursionError:
+        raise UsageError(f"{name} cannot be read: its values are nested too deep") from None
+    for depth, key in enumerate(keys):
+        if not isinstance(table, dict):
+            return None
+        if name.endswith("deepbots.toml") and depth == 0:
+            _check_keys(table, keys, name)
+        table = table.get(key)
+    if table is not None and not isinstance(table, dict):
+        raise UsageError(f"{name}: '{'.'.join(keys)}' is a table of settings")
+    return table
+
+
+def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
+    _check_keys(table, [field.name.replace("_", "-") for field in fields(Settings) if field.name != "root"], source.name)
+    preview = table.get("preview")
+    if preview is not None and not isinstance(preview, bool):
+        raise UsageError(f"{source.name}: 'preview' is true or false")
+    given = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
+    lists = {key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table}
+    words = {key: Words(lists[key], source) for key in ("select", "ignore") if key in lists}
+    return Settings(root, preview=preview, exclude=lists.get("exclude", ()), **words, **given)  # type: ignore[arg-type]
+
+
+def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> None:
+    for key in table:
+        if key not in known:
+            near = nearest(key, known)
+            there = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
+            raise UsageError(f"{name}: unknown key '{key}'; {there}")
+
+
+def _word(value: object, key: str, name: str) -> str:
+    if isinstance(value, str) and value in _WORDS[key]:
+        return value
+    near = nearest(value, _WORDS[key]) if isinstance(value, str) else None
+    there = f"did you mean '{near}'?" if near else f"it is one of {', '.join(_WORDS[key])}"
+    raise UsageError(f"{name}: '{key}' cannot be {value!r}; {there}")
+
+
+def _list(value: object, key: str, name: str) -> tuple[str, ...]:
+    if isinstance(value, list) and len(value) > _MAX_WORDS:
+        raise UsageError(f"{name}: '{key}' has {len(value):_} entries, more than {_MAX_WORDS:_}")
+    if isinstance(value, list) and all(isinstance(item, str) for item in value):
+        return tuple(value)
+    raise UsageError(f"{name}: '{key}' is a list of {'patterns' if key == 'exclude' else 'codes'} in quotes")
+
+
+# Scenarios in folders
+
+_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
+_SEARCHED = 65_536
+"""Bytes at the beginning of a file in which the key `deepbots` is searched."""
+_SUFFIXES = (".yaml", ".yml")
+_NOT_SEARCHED = frozenset({"run.json", "pyvenv.cfg"})
+"""Files of training directories and virtual environments, which hold copies of scenarios."""
+_MAX_LEVELS = 64
+"""Of folders in folders: `os.walk` calls itself for each level, and a path may have two thousand."""
+
+
+def is_scenario(data: bytes) -> bool:
+    """Whether a text has the key `deepbots` at its top level; a file without it is a part that scenarios include."""
+    return _VERSION.search(data, 0, _SEARCHED) is not None
+
+
+def scenarios_in(folder: Path, project: Settings) -> list[Path]:
+    """All `.yaml` and `.yml` files with a `deepbots:` key in a folder and its subfolders.
+
+    Files that the project excludes are left out, as are hidden folders, `node_modules`, virtual environments and training directories.
+    Links to folders are not followed, nor links to files outside the project.
+
+    Raises:
+        UsageError: There is none, and none was excluded.
+    """
+    excluded: set[Path] = set()
+    found = []
+    for path in _yaml_files(folder, project, excluded):
+        with path.open("rb") as file:
+            if is_scenario(file.read(_SEARCHED)):
+                found.append(path)
+    if not found and not excluded:
+        raise UsageError(f"there is no scenario in {folder}: no .yaml or .yml file there has a `deepbots:` key")
+    return sorted(found)
+
+
+def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
+    root, deepest = files.project_root(folder), str(folder).count(os.sep) + _MAX_LEVELS
+    for place, folders, names in os.walk(folder):
+        here = Path(place)
+        if here != folder and not _NOT_SEARCHED.isdisjoint(names):
+            folders.clear()
+            continue
+        inside = [here / name for name in folders if not name.startswith(".") and name != "node_modules"]
+        found = [here / name for name in names if name.endswith(_SUFFIXES) and _is_within(here / name, root)]
+        excluded.update(path for path in (*inside, *found) if project.excludes(path))
+        folders[:] = [path.name for path in inside if path not in excluded and place.count(os.sep) < deepest]
+        yield from (path for path in found if path not in excluded)
+
+
+def _is_within(path: Path, root: Path) -> bool:
+    """Whether this is a file of the project: a link may lead to a device that blocks its reader, or to a file that `--fix` would write."""
+    return path.is_file() and (not path.is_symlink() or path.resolve().is_relative_to(root))

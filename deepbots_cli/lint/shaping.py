@@ -1,0 +1,296 @@
+"""The direction of the reward: its sign (DB703), hidden state (DB706), reward that leads into a failure (DB710)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deepbots_cli.diagnostics import Finding, Fix, Label
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
+from deepbots_cli.expressions.intervals import NEVER, Interval
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
+from deepbots_cli.expressions.unification import negated
+from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, Terms, Threshold, is_clock, thresholds
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.ranges import Ranges, with_unit
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.sensors import SENSORS
+
+_RISING = FOLLOWING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
+"""Functions that rise with their first argument."""
+_MAX_SHOWN = 60
+"""Characters of an expression in a help text."""
+_EDGE = 0.1
+"""Near the middle, and near the failure, as a share of the way between both."""
+_RATES = frozenset({"velocity", "angular_velocity"})
+"""Facts that do not depend on where a body is."""
+
+
+def suspicious_sign(context: Context) -> Iterator[Finding]:
+    """DB703: a reward has the wrong sign: failing pays, success costs, or coming nearer to success costs.
+
+    The agent learns what is written: with the reward that the paper prints for its pit, whose sign is wrong, it learns to sit still at
+    the bottom.
+
+    A term pays for the opposite of success if it falls as the quantity approaches what the success requires, and no other term rises.
+    All measures of the distance between two bodies count as one quantity.
+
+    Example::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {nearer: 10 * delta(left) / m}
+        termination: {success: {arrived: left < 5 cm}}
+
+    Instead::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {nearer: -10 * delta(left) / m}
+        termination: {success: {arrived: left < 5 cm}}
+    """
+    reward, endings = context.analysis.reward, context.program.endings
+    ordinary, final = reward.split()
+    for term, node in final:
+        for ending in endings:
+            paid = reward.at(ending).of(node)
+            others = (other for other in reward.ends if other is None or other.outcome != ending.outcome)
+            if any(reward.at(other).of(node) != NEVER for other in others):
+                continue  # paid at ends of another kind as well: its sign says nothing about this one
+            if paid.low > 0.0 if ending.outcome == "failure" else paid.high < 0.0:
+                verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
+                kind = "a failure" if ending.outcome == "failure" else "a success"
+                also = (Label(ending.value.span, f"{kind} here"),)
+                yield _wrong_sign(term, f"`{ending.value.name}` is {kind}, and {verb}", also)
+                break
+    successes = [ending for ending in endings if ending.outcome == "success"]
+    if reward.is_complete and len(successes) == 1:
+        yield from _away_from_success(reward, ordinary, successes[0])
+
+
+def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
+    turned = negated(term.typed)(term.text)
+    fix = Fix.replacing(term.span, term.text, turned, safe=False)
+    help = f"turn the sign round: `{turned}`" if len(turned) <= _MAX_SHOWN else "turn the sign round"
+    return Finding("DB703", term.span, headline, help=help, also=also, fix=fix)
+
+
+def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
+    """Terms that pay for the opposite of the one comparison of a success."""
+    analysis, running = reward.analysis, reward.running()
+    compared = list(analysis.comparisons(ending.value))
+    if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
+        return
+    for asked in thresholds(compared[0], running):
+        if is_clock(analysis, asked.quantity):
+            continue
+        slope, wrong = Slope(running, asked), -1.0 if asked.above else 1.0
+        slopes = [slope.of(node) for _, node in ordinary]
+        if all(known in (wrong, 0.0) for known in slopes) and wrong in slopes:
+            for (term, _), known in zip(ordinary, slopes, strict=True):
+                if known == wrong:
+                    headline = f"`{term.name}` pays less the nearer `{ending.value.name}` comes"
+                    yield _wrong_sign(term, headline, (Label(ending.value.span, "success asks for the opposite"),))
+            return
+
+
+class Slope:
+    """The sign of the slope of a value over the quantity of a threshold: 1, -1, 0 if it does not depend on it, None if unknown.
+
+    The slope of a condition is 0 or None; the slope of `where` is that of its branches.
+    """
+
+    def __init__(self, ranges: Ranges, asked: Threshold) -> None:
+        self._analysis = ranges.analysis
+        self._ranges = ranges
+        self._quantity = self._analysis.identity(asked.quantity)
+        self._pair = self._analysis.pair(asked.quantity)
+        self._known: dict[Name, float | None] = {}
+
+    def of(self, node: Scalar) -> float | None:
+        if self._analysis.identity(node) == self._quantity:
+            return 1.0
+        if self._pair is not None and self._analysis.pair(node) == self._pair:
+            return 1.0  # another measure of the same distance
+        match node:
+            case Name():
+                if node not in self._known:
+                    meaning = self._analysis.meaning(node)
+                    self._known[node] = 0.0 if isinstance(meaning, Name) else self.of(meaning)
+                return self._known[node]
+            case State("previous", _):
+                return 0.0
+            case State(function, args):
+                return self.of(args[0]) if function in _RISING else self._independent(args)
+            case Op(op, args):
+                return self._op(op, args)
+            case _:
+                return 0.0
+
+    def _op(self, op: str, args: tuple[Scalar, ...]) -> float | None:
+        match op:
+            case "neg":
+                return _times(self.of(args[0]), -1.0)
+            case "add" | "min" | "max":
+                return _sum([self.of(arg) for arg in args])
+            case "sub":
+                return _sum([self.of(args[0]), _times(self.of(args[1]), -1.0)])
+            case "where":
+                found = _sum([self.of(arg) for arg in args[1:]])
+                return found if found or self.of(args[0]) == 0.0 else None
+            case "mul":
+                a, b = args
+                return _sum([_times(self.of(a), self._sign(b)), _times(self.of(b), self._sign(a))])
+            case "div":
+                a, b = args
+                return _sum([_times(self.of(a), self._sign(b)), _times(_times(self.of(b), self._sign(a)), -1.0)])
+            case "abs":
+                return _times(self.of(args[0]), self._sign(args[0]))
+            case "pow":
+                base, exponent = self._ranges.of(args[0]), self._ranges.of(args[1])
+                sign = 1.0 if base.low >= 0.0 and exponent.low > 0.0 else -1.0 if base.low > 0.0 and exponent.high < 0.0 else None
+                return _times(self.of(args[0]), sign)
+            case _ if op in _RISING:
+                return _sum([self.of(arg) for arg in args])
+            case _:
+                return self._independent(args)
+
+    def _sign(self, node: Scalar) -> float | None:
+        known = self._ranges.of(node)
+        return 1.0 if known.low >= 0.0 else -1.0 if known.high <= 0.0 else None
+
+    def _independent(self, args: tuple[Scalar, ...]) -> float | None:
+        return 0.0 if all(self.of(arg) == 0.0 for arg in args) else None
+
+
+def _times(slope: float | None, sign: float | None) -> float | None:
+    if slope == 0.0:
+        return 0.0
+    return None if slope is None or sign is None else slope * sign
+
+
+def _sum(slopes: list[float | None]) -> float | None:
+    """The slope in which all parts agree that are not 0."""
+    found = {slope for slope in slopes if slope != 0.0}
+    return 0.0 if not found else found.pop() if len(found) == 1 else None
+
+
+def hidden_state_reward(context: Context) -> Iterator[Finding]:
+    """DB706: the reward depends on something that differs between episodes, and that the observation does not show.
+
+    This is a drawn parameter, such as a target or a command, or a body that no entry of the observation concerns and no observed sensor
+    can perceive. The agent can only act for the average. Shaping by values that only the supervisor knows, such as a path around
+    obstacles to a visible target, is not reported.
+
+    Example::
+
+        parameters: {aim: uniform(-0.2 .. 0.2 m)}
+        reward: {near: -abs(x - aim) / m}
+
+    Instead::
+
+        parameters: {aim: uniform(-0.2 .. 0.2 m)}
+        augment: {left: x - aim}
+        observation: {left: -0.6 .. 0.6 m}
+        reward: {near: -abs(left) / m}
+    """
+    analysis, program = context.analysis.ideal, context.program
+    shown = [entry.value for entry in program.observation]
+    shown += [program.goal.achieved, program.goal.desired] if program.goal is not None else []
+    seen = {found for value in shown for node in analysis.scalars(value) for found in analysis.sources(node)}
+    perceives = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors)
+    perceives = perceives or any(entry.value.typed.type.picture for entry in program.observation)
+    drawn = {value.name for value in program.parameters}
+    walls = set(context.namespace.walls)  # their pieces, such as `bay 1`, never move
+    things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
+    bodies = set() if perceives else things | {robot.name for robot in program.world.robots}
+    for term, node in analysis.reward.terms:
+        hidden = sorted((analysis.sources(node) - seen) & (drawn | bodies))
+        if hidden:
+            what = f"`{hidden[0]}`, {'a parameter that is drawn' if hidden[0] in drawn else 'a body'}"
+            help = "let the policy see it: compute what it needs under `augment`"
+            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, and nothing that is seen tells of it", help=help)
+
+
+def pays_towards_failure(context: Context) -> Iterator[Finding]:
+    """DB710: a term pays more the farther a quantity is from its middle, and too far is a failure.
+
+    The agent learns to stay at the edge of failing, or beyond: most often a sign is missing. The rule concerns lengths and angles that
+    count from a middle (`abs(x)`, `tilt(robot)`, a distance) with a failure above a limit, where the term certainly pays more just
+    before that limit than in the middle, and no other term and no success concerns the same. Tasks that reward the highest allowed
+    speed, or coming near without touching, are not reported.
+
+    Example::
+
+        reward: {near: abs(x) / m}
+        termination: {failure: {off_track: abs(x) > 39 cm}}
+
+    Instead::
+
+        reward: {near: exp(-abs(x) / 20 cm)}
+        termination: {failure: {off_track: abs(x) > 39 cm}}
+    """
+    analysis, reward = context.analysis, context.analysis.reward
+    if context.program.goal is not None or not reward.is_complete:
+        return
+    ordinary, _ = reward.split()
+    for ending in context.program.endings:
+        compared = list(analysis.comparisons(ending.value)) if ending.outcome == "failure" else []
+        if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
+            continue
+        asked = next(thresholds(compared[0], reward.running()), None)
+        if asked is None or not _is_deviation(reward, asked):
+            continue
+        for term in _towards(reward, asked, ordinary):
+            headline = f"`{term.name}` pays the more the nearer `{ending.value.name}` comes"
+            also = (Label(ending.value.span, "a failure"),)
+            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], asked), also=also)
+
+
+def _is_deviation(reward: RewardTerms, asked: Threshold) -> bool:
+    """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
+    known = reward.running().of(asked.quantity)
+    is_place = asked.dimension in (LENGTH, ANGLE) and asked.above and known.low == 0.0 < asked.bound.low
+    return is_place and not _has_memory(reward.analysis, asked.quantity)
+
+
+def _has_memory(analysis: Analysis, node: Scalar) -> bool:
+    node = analysis.meaning(node)
+    return isinstance(node, State) or any(_has_memory(analysis, part) for part in children(node))
+
+
+def _towards(reward: RewardTerms, asked: Threshold, terms: Terms) -> list[Expression]:
+    """The terms that pay more just before the failure than in the middle; none where another term or a success concerns the same."""
+    analysis, running, slope = reward.analysis, reward.running(), Slope(reward.running(), asked)
+    limit, quantity = asked.bound.low, analysis.identity(asked.quantity)
+    middle = running.where(quantity, Interval(0.0, _EDGE * limit))
+    edge = running.where(quantity, Interval((1.0 - _EDGE) * limit, limit))
+    wrong = [term for term, node in terms if slope.of(node) == 1.0 and edge.of(node).low > middle.of(node).high]
+    if any(ending.foreign for ending in reward.program.endings):
+        return []
+    others = [node for term, node in terms if term not in wrong]
+    others += [analysis.scalars(ending.value)[0] for ending in reward.program.endings if ending.outcome == "success"]
+    concerned = _concerns(analysis, asked.quantity)
+    return [] if any(concerned & _concerns(analysis, node) for node in others) else wrong
+
+
+def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
+    """The names without definition that a value depends on, and the bodies on whose places it depends."""
+    found: set[str] = set()
+    for part in analysis.unfold(node):
+        match part:
+            case Name(name):
+                found.add(name)
+            case World(function, subjects) if function not in _RATES:
+                found |= {subject.partition(".")[0] for subject in subjects}
+    return found
+
+
+def _opposite(compared: Comparison, asked: Threshold) -> str:
+    side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
+    quantity = compared.value.text[side.start : side.end]
+    assert asked.dimension is not None  # it is that of a deviation
+    return f"pay for the opposite, as in `exp(-{quantity} / {with_unit(asked.bound.low / 2, asked.dimension)})`"
+
+
+RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)

@@ -1,0 +1,223 @@
+"""Objects out of scale (DB507), and worlds that an engine cannot simulate (DB309)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from math import hypot
+from typing import Any
+
+from deepbots_cli import footprint
+from deepbots_cli.compiler.values import Values
+from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions.dimensions import LENGTH, MASS
+from deepbots_cli.expressions.intervals import exact
+from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.ranges import StartRanges, is_level, with_unit
+from deepbots_cli.lint.simulation import Simulation
+from deepbots_cli.program.world import ObjectBody, RobotBody, Variant
+from deepbots_cli.robots.inertia import volume
+from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere
+
+_LIGHTEST, _HEAVIEST = 0.1, 25_000.0
+"""kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
+_DWARFS = 4.0
+"""Times the size of a robot that begins within an object."""
+_INSIDE = 0.01
+"""m; the heights of two bodies overlap by so much if one does not stand on the other."""
+_OUTWEIGHS = 1e5
+"""Times the mass of all robots together."""
+_WATER = 1000.0
+"""kg/m^3"""
+_METRES = re.compile(r"([\d.]+(?: [\d.]+)*)(?: *m)?")
+_Robots = list[tuple[RobotBody, float]]
+"""With the size of each, m: the longest side of the box around its links, without meshes."""
+
+
+def odd_scale(context: Context) -> Iterator[Finding]:
+    """DB507: the size or the mass of an object is out of all proportion.
+
+    A bare number is a length in metres or a mass in kilograms: a puck with `radius: 4` is 8 m across. The rule reports an object that
+    is at least four times as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air
+    has 1.2, osmium 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that nothing may
+    move, write `fixed: true` instead of a large mass.
+
+    Example::
+
+        objects: {puck: {shape: cylinder, radius: 4, height: 0.03, mass: 0.2, pose: {x: 0.5, z: 0.1}}}
+
+    Instead::
+
+        objects: {puck: {shape: cylinder, radius: 4 cm, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
+    """
+    world, values = context.program.world, context.values
+    sizes = [(robot, max(footprint.sides(footprint.bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
+    robots = [(robot, size) for robot, size in sizes if size > 0.0]
+    met: set[Path] = set()
+    for thing in world.objects:
+        for path, kind in _forms(thing):
+            if path in met or not values.stands(path):
+                continue  # another copy of a group, or a wall
+            met.add(path)
+            found = _around(context.analysis.start, thing, kind, robots, path, values) or _odd_mass(thing, kind, robots, path, values)
+            if found is not None:
+                yield found
+
+
+def _forms(thing: ObjectBody) -> Iterator[tuple[Path, Variant]]:
+    """Each variant of a body, and its place in the scenario."""
+    path: Path = ("objects", thing.name.partition("#")[0])
+    if thing.variants:
+        yield from (((*path, "one_of", kind.name), kind) for kind in thing.variants)
+    else:
+        yield path, Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
+
+
+def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
+    """An object with a small robot inside, wherever both are placed."""
+    if not thing.solid or isinstance(kind.shape, Mesh):
+        return None
+    width = 2.0 * footprint.of_shape(kind.shape).narrowest
+    for robot, size in robots:
+        if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
+            headline = (
+                f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`, {with_unit(size, LENGTH)} in size, begins in it"
+            )
+            return Finding("DB507", _span(path, ("radius", "size"), values), headline, help=_in_centimetres(path, values))
+    return None
+
+
+def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
+    """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the robot at the same height."""
+    radius, half = _inner_cylinder(shape)
+    high = footprint.bounds(footprint.without_meshes(robot.model))[1][2]
+    standing, lying = footprint.resting(robot.model), footprint.resting(shape)
+    pairs = [(one, other) for one in start.poses(thing.name) for other in start.poses(robot.name)]
+    for (place, here), (stand, there) in pairs:
+        if not (is_level(here) and is_level(there)):
+            return False
+        middle = exact(lying) if place.rests else here["z"]
+        root = exact(standing) if stand.rests else there["z"]
+        apart = [max(here[axis].high - there[axis].low, there[axis].high - here[axis].low) for axis in "xy"]
+        shared = min(root.low + high, middle.low + half) - max(root.high - standing, middle.high - half)
+        if hypot(*apart) >= radius or shared < _INSIDE:
+            return False
+    return bool(pairs)
+
+
+def _inner_cylinder(shape: Shape) -> tuple[float, float]:
+    """The radius and half the height of an upright cylinder within a shape, m."""
+    match shape:
+        case Sphere(radius):
+            return 0.86 * radius, 0.5 * radius
+        case Capsule(radius, length) | Cylinder(radius, length):
+            return radius, length / 2
+        case _:
+            return footprint.of_shape(shape).narrowest, footprint.resting(shape)
+
+
+def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
+    """A movable object with the density of no material, or one that outweighs all robots by far."""
+    size = volume(kind.shape)
+    if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
+        return None
+    weight, density = with_unit(kind.mass, MASS), kind.mass / size
+    water = f"as much water weighs {with_unit(_WATER * size, MASS)}"
+    if not _LIGHTEST <= density <= _HEAVIEST:
+        beyond = "more than any metal" if density > _HEAVIEST else "less than a tenth of air"
+        shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
+        headline = f"`{path[-1]}` has {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
+        help = f"check the units of its mass and its size: {water}" + ("; or write `fixed: true`" if density > _HEAVIEST else "")
+        return Finding("DB507", _span(path, ("mass",), values), headline, help=help)
+    carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
+    if carried <= 0.0 or kind.mass < _OUTWEIGHS * carried:
+        return None
+    headline = f"`{path[-1]}` weighs {weight}, and all robots together {with_unit(carried, MASS)}"
+    return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, help=_in_centimetres(path, values))
+
+
+def _span(path: Path, keys: tuple[str, ...], values: Values) -> Span:
+    """The value of the first of these keys that the object has, or else its name."""
+    place = next(((*path, key) for key in keys if values.stands((*path, key))), None)
+    return values.span(place) if place else values.key_span(path)
+
+
+def _in_centimetres(path: Path, values: Values) -> str:
+    """A help with the same size in centimetres, where it is written in metres."""
+    written = _span(path, ("radius", "size"), values).text
+    found = _METRES.fullmatch(written)
+    if found is None:
+        return "check the unit of its size"
+    return f"write `{found[1]} cm` if that is meant" + ("" if "m" in written else ": a number without a unit is in metres")
+
+
+# Measured in a simulation
+
+_CALMER = "shorten the physics step (`world.substeps`), weaken motors and springs, and look at masses and inertias"
+_KINDS = {
+    "crash": ("the physics engine crashes ({})", _CALMER),
+    "hang": (
+        "a step does not come back within {}",
+        "look for what makes the engine busy: bodies within each other, fine meshes, many substeps",
+    ),
+    "memory": ("the simulation needs more memory than {}", "let there be fewer bodies, smaller meshes or smaller pictures"),
+    "killed": ("the simulation is ended from outside ({})", "most often the system had no memory left: let there be less in the world"),
+}
+
+
+def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
+    """DB309: the engine crashes, hangs, or computes impossible motion."""
+    halt, stop = simulation.report.halt, simulation.report.stop
+    if halt is not None and halt.kind in _KINDS:
+        headline, help = _KINDS[halt.kind]
+        fastest = simulation.report.fastest
+        body = fastest[0] if fastest else None
+        notes = [simulation.when()]
+        if fastest:
+            notes.append(f"the fastest body until then was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
+        yield Finding("DB309", simulation.body_span(body), headline.format(halt.what), help=help, notes=tuple(notes))
+    elif stop is not None:
+        yield from _stopped(simulation, stop)
+
+
+def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Finding]:
+    body, text = str(stop.get("body", "")), str(stop.get("text"))
+    match stop.get("kind"):
+        case "speed":
+            headline = _implausible_motion(stop, body)
+        case "lost":
+            headline = f"the motion of `{body}` is no longer a number"
+        case "engine":
+            headline, body = f"the engine gives up: {text}", _body_in(simulation, text)
+        case "build":
+            yield Finding("DB309", simulation.body_span(_body_in(simulation, text)), f"the engine cannot build this world: {text}")
+            return
+        case _:
+            return
+    yield Finding("DB309", simulation.body_span(body), headline, help=_CALMER, notes=(simulation.when(),))
+
+
+def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
+    joint = f"joint `{stop['joint']}` of `{body}`" if "joint" in stop else f"`{body}`"
+    speed = float(stop.get("figure", 0.0))
+    match stop.get("what"):
+        case "velocity":
+            return f"`{body}` moves at {speed:.3g} m/s"
+        case "spin":
+            return f"`{body}` spins at {speed:.3g} rad/s, by more than half a turn in each physics step"
+        case "joint":
+            return f"{joint} moves at {speed:.3g} rad/s or m/s"
+        case _:
+            return f"the motion of {joint} is no longer a number"
+
+
+def _body_in(simulation: Simulation, text: str) -> str:
+    """The first body that a message of the engine names; empty if it names none."""
+    world = simulation.program.world
+    known = {robot.name for robot in world.robots} | {thing.name for thing in world.objects}
+    return next((word for word in re.findall(r"'([^']+)'", text) if word in known), "")
+
+
+RULES = (odd_scale,)
+MEASURED = (unstable_simulation,)

@@ -1,0 +1,105 @@
+"""What is measured, and what is concluded from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import shipped
+from deepbots_cli.lint import simulate
+from deepbots_cli.lint.simulation import idle, planned
+
+CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
+Probed = Callable[[str], list[Finding]]
+
+
+@pytest.fixture
+def probed(tmp_path: Path) -> Probed:
+    (tmp_path / "cartpole.yaml").write_text(CARTPOLE)
+
+    def run(sections: str) -> list[Finding]:
+        file = tmp_path / "mine.yaml"
+        file.write_text(f"deepbots: 1\nextends: cartpole.yaml\nname: Mine\n{sections}")
+        return list(simulate(api.load(file), preview=True).findings)
+
+    return run
+
+
+def test_findings_are_the_same_on_every_run(probed: Probed) -> None:
+    text = "augment: {height: position(cart.tip).z}\nobservation: {height: 0 .. 30 cm}\n"
+    first, second = probed(text), probed(text)
+    assert [(found.headline, found.notes) for found in first] == [(found.headline, found.notes) for found in second]
+    assert first
+
+
+def test_what_a_case_shows_is_no_constant(probed: Probed) -> None:
+    still = "parameters: {lit: 1}\naugment: {shown: lit / 2}\nobservation: {shown: 0 .. 2}\n"
+    assert [found.code for found in probed(still)] == ["DB608"]
+    assert probed(still + "evaluation: {cases: {drawn: {set: {lit: uniform(1 .. 2)}}}}\n") == []
+
+
+def test_bodies_that_settle_are_looked_at_before_they_have(probed: Probed) -> None:
+    found = probed("reset: {place: {cart: {z: 1 cm}}, settle: 3.2 s}\n")
+    assert ("DB310", "cart") in [(finding.code, finding.span.text) for finding in found]
+
+
+def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> None:
+    far = [
+        "robots.panda.apply.hand=vector(0.6 m, 0.2 m, 0.3 m) + 2 m * reach",
+        "scripts={away: {reach: 1, open: 0}, stay: {reach: 0, open: 1}}",
+    ]
+    (found,) = simulate(api.load(str(ARM), sets=far)).findings
+    assert found.code == "DB315"
+    assert "the script `away`" in found.notes[0]
+    assert simulate(api.load(str(ARM), sets=[far[0], "scripts={stay: {reach: 0, open: 1}}"])).findings == []
+
+
+def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(probed: Probed) -> None:
+    strong = "stiffness: 100_000 N*m/rad, damping: 100_000 N*m*s/rad"
+    found = probed(
+        "robots:\n  cart:\n    actuators:\n"
+        f"      spring: {{type: position_motor, joint: pole_hinge, {strong}}}\n"
+        "    apply: {spring: 5 deg}\n"
+        "  arm:\n    urdf: package://pybullet_data/kuka_iiwa/model.urdf\n    base: fixed\n    pose: {y: 2 m}\n    emit: []\n"
+        "    actuators: {hand: {type: cartesian, link: lbr_iiwa_link_7, joints: [lbr_iiwa_joint_*]}}\n"
+        '    apply: {hand: "vector(5 m, 2 m, 0.4 m)"}\n'
+    )
+    assert [finding.code for finding in found] == ["DB309", "DB315"]
+
+
+def test_of_a_group_one_pair_is_told(probed: Probed) -> None:
+    crates = "  crate: {count: 3, shape: box, size: 10 10 10 cm, mass: 1 kg}\n"
+    (found,) = probed(f"objects:\n{crates}reset: {{place: {{crate: {{x: 0.3 m, spacing: 0 0.02 m}}}}}}\n")
+    assert found.code == "DB310"
+    assert found.headline.startswith("`crate#")
+
+
+def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Probed, tmp_path: Path) -> None:
+    links = "".join(
+        f'<link name="l{number}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        for number in range(130)
+    )
+    joints = "".join(
+        f'<joint name="j{number}" type="fixed"><parent link="l{number}"/><child link="l{number + 1}"/></joint>' for number in range(129)
+    )
+    (tmp_path / "long.urdf").write_text(f'<robot name="long">{links}{joints}</robot>')
+    (found,) = probed("robots: {snake: {urdf: long.urdf}}\n")
+    assert (found.code, found.span.text) == ("DB309", "snake")
+    assert "127" in found.headline
+
+
+def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_zero() -> None:
+    assert idle(api.load("cartpole").program) is None
+    assert idle(api.load("find_and_avoid").program) == ((4,), ())
+    assert idle(api.load("cartpole_continuous").program) == ((), (0.0,))
+
+
+def test_costly_scenarios_are_given_fewer_steps() -> None:
+    usual, costly = (planned(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
+    assert costly.enough < usual.enough
+    assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)

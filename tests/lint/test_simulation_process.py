@@ -1,0 +1,152 @@
+"""What becomes of the process that simulates: killed, crashed, hanging, out of memory, slow; in each case lint goes on."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import shipped
+from deepbots_cli.lint import Limits, Simulated, simulate
+from deepbots_cli.lint.simulation import measure
+
+CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+MODULE = """\
+import ctypes
+def crash(supervisor):
+    return ctypes.string_at(0)
+def hang(supervisor):
+    while supervisor.step_count >= 3:
+        pass
+    return 0.0
+def hoard(supervisor):
+    try:
+        kept = bytearray(2 ** 40)
+    except MemoryError:
+        import os; os._exit(77)
+def fail(supervisor):
+    return 1 / (supervisor.step_count - 2)
+def shout(supervisor):
+    import os; os.write(1, b'{"done": true}\\n~99\\n'); print("{"); return 0.0
+"""
+TIGHT = Limits(cpu=60, step=2.0)
+
+
+@pytest.fixture
+def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """CartPole with a term of the reward that is this function."""
+    (tmp_path / "hostile.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+    def make(function: str = "") -> Checked:
+        text = CARTPOLE.replace("  alive: 1\n", f"  alive: 1\n  odd: {{python: 'hostile:{function}'}}\n" if function else "  alive: 1\n")
+        (tmp_path / "cartpole.yaml").write_text(text)
+        return api.load(tmp_path / "cartpole.yaml", allow_code=True)
+
+    return make
+
+
+def only(probed: Simulated) -> Finding:
+    (found,) = probed.findings
+    return found
+
+
+def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None:
+    found = only(simulate(checked("crash"), limits=TIGHT))
+    assert (found.code, found.span.text) == ("DB309", "cart")
+    assert found.headline == "the physics engine crashes (SIGSEGV)"
+    assert "in step 1 (0.032 s) of the episode with seed 0, random actions" in found.notes
+
+
+def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:
+    found = only(simulate(checked("hang"), limits=TIGHT))
+    assert found.headline == "a step does not come back within 2 s of CPU time"
+    assert found.notes[0].startswith("in step 3 ")
+
+
+def test_a_lack_of_memory_is_a_finding(checked) -> None:
+    found = only(simulate(checked("hoard"), limits=TIGHT))
+    assert (found.code, found.headline) == ("DB309", "the simulation needs more memory than 4096 MiB")
+
+
+def test_a_world_that_does_not_fit_into_the_memory_is_a_finding(checked) -> None:
+    """So little that not even the libraries can be loaded."""
+    assert only(simulate(checked(), limits=Limits(memory=120))).code == "DB309"
+
+
+def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> None:
+    """The system ends a process after whole seconds of CPU."""
+    probed = simulate(checked("hang"), limits=Limits(cpu=1, step=60.0))
+    assert probed.findings == []
+    assert probed.left is not None
+    assert "after 1 s of CPU time" in probed.left
+    probed = simulate(checked(), limits=Limits(wall=0.01))
+    assert (probed.findings, probed.left) == ([], "while the world was built, after 0.01 s")
+
+
+def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
+    found = only(simulate(checked("fail"), limits=TIGHT))
+    assert (found.code, found.span.text) == ("DB707", "hostile:fail")
+    assert "ZeroDivisionError" in found.notes[1]
+
+
+def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked) -> None:
+    """Here the process is given an empty scenario, which does not compile."""
+    inputs = checked().inputs
+    report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
+    assert report.fault is not None
+    assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault)
+
+
+def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> None:
+    assert [finding.code for finding in simulate(checked("shout"), limits=TIGHT).findings] == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found by way of /proc")
+@pytest.mark.parametrize(("number", "said"), [(signal.SIGKILL, "ended from outside (SIGKILL)"), (signal.SIGBUS, "crashes (SIGBUS)")])
+def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, said: str) -> None:
+    """As the system does when memory runs out, or an engine that reads past its arrays."""
+    scenario, found = checked("hang"), []
+    task = threading.Thread(target=lambda: found.append(only(simulate(scenario, limits=Limits()))))
+    task.start()
+    children = Path(f"/proc/self/task/{task.native_id}/children")
+    while not (pids := children.read_text().split()):
+        time.sleep(0.01)
+    os.kill(int(pids[0]), number)
+    task.join(60)
+    assert said in found[0].headline
+
+
+def test_the_linter_itself_imports_no_simulator(tmp_path: Path) -> None:
+    (tmp_path / "cartpole.yaml").write_text(CARTPOLE)
+    program = (
+        "import sys; from deepbots_cli.cli import main; code = main(['lint', 'cartpole.yaml', '--deep', '--preview']);"
+        "print(code, sorted({'numpy', 'pybullet', 'gymnasium', 'torch'} & set(sys.modules)))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(api.__file__).parents[1])}
+    ran = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True, timeout=300
+    )
+    assert ran.stdout == "cartpole.yaml: no findings, also when simulated\n0 []\n"
+    assert ran.stderr == ""
+
+
+def test_modules_in_the_working_directory_are_not_run(checked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = checked()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for name in ("json", "numpy", "pybullet", "deepbots_cli"):
+        Path(f"{name}.py").write_text("import os; os._exit(3)\n")
+    assert simulate(scenario, limits=TIGHT).findings == []
