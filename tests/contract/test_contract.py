@@ -1,4 +1,4 @@
-"""What every environment promises, whatever its scenario and its engine."""
+"""What every environment promises, whatever its scenario."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import closing
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -271,14 +272,20 @@ def test_an_action_may_come_in_every_usual_form(environment: Supervisor) -> None
 # Gymnasium and Stable-Baselines3
 
 
-@pytest.mark.every_world
+@pytest.mark.every_scenario
 def test_gymnasiums_checker_has_nothing_to_say(make: Make) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gymnasium_check(make())
 
 
-@pytest.mark.every_world
+def test_gymnasiums_checker_has_nothing_to_say_of_pictures() -> None:
+    with warnings.catch_warnings(), closing(api.make("cartpole", render_mode="rgb_array")) as environment:
+        warnings.simplefilter("error")
+        gymnasium_check(environment)
+
+
+@pytest.mark.every_scenario
 def test_stable_baselines_checker_has_nothing_to_say(make: Make) -> None:
     environment = make()
     if environment.scenario.agent.each:
@@ -296,9 +303,6 @@ def test_an_environment_can_be_pickled(environment: Supervisor) -> None:
 
 
 def test_a_picture_is_taken_and_changes_nothing(make: Make) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        gymnasium_check(make("rgb_array"))
     environment = make("rgb_array")
     first = record(environment, 1, steps=3)
     picture = environment.render()
