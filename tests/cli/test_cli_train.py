@@ -208,8 +208,8 @@ def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
     pieces: list[bytes] = []
     reading = threading.Thread(target=lambda: pieces.extend(iter(lambda: read_until_closed(ours), b"")))
     reading.start()  # a terminal holds 4 KiB, beyond which the training would wait for ever
-    out, _ = process.communicate(timeout=60)
-    reading.join(timeout=60)
+    out, _ = process.communicate(timeout=300)
+    reading.join(timeout=300)
     os.close(ours)
     shown = b"".join(pieces).decode()
     assert process.returncode == 0, shown
