@@ -20,12 +20,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
 
 
 def test_fmt_changes_no_meaning_of_a_damaged_file_and_is_done_at_once() -> None:
-    for number in range(400):
+    for number in range(100):
         check_layout(case(number).data.decode("utf-8", "ignore"))
 
 
 def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it_is() -> None:
-    chances = [random.Random(number) for number in range(400)]
+    chances = [random.Random(number) for number in range(100)]
     tidied = [check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance)) for chance in chances]
     assert sum(tidied) > 100
 
