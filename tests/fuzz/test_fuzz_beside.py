@@ -25,7 +25,7 @@ def test_fmt_changes_no_meaning_of_a_damaged_file_and_is_done_at_once() -> None:
 
 
 def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it_is() -> None:
-    chances = [random.Random(number) for number in range(100)]
+    chances = [random.Random(number) for number in range(400)]
     tidied = [check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance)) for chance in chances]
     assert sum(tidied) > 100
 
