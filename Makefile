@@ -23,8 +23,13 @@ train: setup ## train and evaluate the CartPole
 	$(BIN)/deepbots train cartpole
 
 .PHONY: test
-test: dev ## the tests, without those that take minutes
+test: dev ## the tests, with a few of many cases that show one fact
 	$(BIN)/pytest -n 2 -m "not slow and not editors"
+
+.PHONY: nightly
+nightly: dev ## every case of every test, and a long run over damaged files; takes about an hour
+	$(BIN)/pytest -n 2 -m "not editors"
+	$(MAKE) fuzz
 
 .PHONY: fuzz
 fuzz: dev ## damaged files: lint, then fmt, diff and editors for a tenth; COUNT=500000 takes hours of CPU, START= goes on from a number

@@ -11,9 +11,10 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import copying
 from deepbots_cli.document import shipped
+from tests.few import few
 
 
-@pytest.mark.parametrize("name", shipped.scenario_names())
+@pytest.mark.parametrize("name", few(shipped.scenario_names()))
 def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots, tmp_path, name):
     ran = deepbots("copy", name, "a/b")
     assert ran.code == 0

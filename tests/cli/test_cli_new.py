@@ -11,6 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.starters.templates import TEMPLATES
 from deepbots_cli.cli.verbs import new
 from deepbots_cli.document import shipped
+from tests.few import few
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
@@ -111,7 +112,11 @@ ROBOTS = {
 }
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+ONE_OF_EACH = tuple({kind: robot for robot, kind in ROBOTS.items()}.values())
+"""A robot of each kind of scenario."""
+
+
+@pytest.mark.parametrize("robot", few(ROBOTS, ONE_OF_EACH))
 def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots, tmp_path, robot):
     made = deepbots("new", "first", "--urdf", robot)
     assert made.code == 0, made.err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,19 +17,29 @@ import pytest
 TINY = ("train", "cartpole", "--timesteps", "600", "--set", "evaluation={episodes: 4}")
 
 
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A folder with a run of 600 steps, `mine`, and what its training printed."""
+    folder = tmp_path_factory.mktemp("trained")
+    command = [sys.executable, "-m", "deepbots_cli", *TINY, "--run", "mine"]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    return folder, ran
+
+
 @pytest.fixture
-def trained(deepbots, tmp_path):
-    """A run of 600 steps, `mine`."""
-    ran = deepbots(*TINY, "--run", "mine")
-    assert ran.code == 0, ran.err
+def trained(first, tmp_path):
+    """What the training of `mine` printed; the run is copied to the working directory."""
+    folder, ran = first
+    shutil.copytree(folder / "mine", tmp_path / "mine")
     return ran
 
 
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
-    assert "mean return" in trained.out
-    assert "cannot be told from 4 episodes" in trained.out
-    assert "deepbots eval mine --video" in trained.err
-    assert "tensorboard --logdir mine" in trained.err
+    assert "mean return" in trained.stdout
+    assert "cannot be told from 4 episodes" in trained.stdout
+    assert "deepbots eval mine --video" in trained.stderr
+    assert "tensorboard --logdir mine" in trained.stderr
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 
@@ -197,8 +208,8 @@ def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
     pieces: list[bytes] = []
     reading = threading.Thread(target=lambda: pieces.extend(iter(lambda: read_until_closed(ours), b"")))
     reading.start()  # a terminal holds 4 KiB, beyond which the training would wait for ever
-    out, _ = process.communicate(timeout=60)
-    reading.join(timeout=60)
+    out, _ = process.communicate(timeout=300)
+    reading.join(timeout=300)
     os.close(ours)
     shown = b"".join(pieces).decode()
     assert process.returncode == 0, shown
@@ -206,6 +217,7 @@ def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(tmp_path):
     assert json.loads(out)["training"]["status"] == "finished"
 
 
+@pytest.mark.slow
 def test_a_terminated_evaluation_ends_like_ctrl_c(trained, tmp_path):
     command = [sys.executable, "-m", "deepbots_cli", "eval", "mine", "--episodes", "100000"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -1,21 +1,26 @@
-"""Every world that the contract is tried on: each shipped scenario and those of tests/data, on each engine that can hold it."""
+"""The worlds of the contract: each shipped scenario and some of tests/data.
+
+`make test` tries the whole contract on the few worlds of `FULL`, which differ most, and `make nightly` on all of them. The
+environment checkers take every shipped scenario in both, and the comparison with a fresh process every world.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from deepbots_cli import api, engines
+from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.errors import EngineError
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
+from tests.few import WORLDS, few
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
 MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -32,44 +37,41 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("sensed", ()),
 )
 
+FULL = (*WORLDS, "rail-paper", "radio")
+
 
 @dataclass(frozen=True)
 class Case:
-    """One scenario on one engine."""
+    """One scenario, with settings."""
 
     source: str
-    sets: tuple[str, ...]
-    engine: str
-    ir: Program = field(repr=False)
+    sets: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return "-".join([Path(self.source).stem, *(text.split("=")[1] for text in self.sets), self.engine])
+        return "-".join([Path(self.source).stem, *(text.split("=")[1] for text in self.sets)])
+
+    @cached_property
+    def ir(self) -> Program:
+        return api.compile(self.source, sets=self.sets).ir
 
     def make(self, render_mode: str | None = None) -> Supervisor:
-        return api.build(self.ir, engine=self.engine, render_mode=render_mode)
+        return api.build(self.ir, render_mode=render_mode)
 
 
-def can_hold(engine: str, ir: Program) -> bool:
-    try:
-        engines.create(engine, ir.world).close()
-    except EngineError:
-        return False
-    return True
+CASES = [
+    *(Case(name) for name in shipped.scenario_names()),
+    *(Case(str(DATA / f"{name}.yaml"), sets) for name, sets in MADE_FOR_TESTS),
+]
 
 
-def _cases() -> list[Case]:
-    sources = [(name, ()) for name in shipped.scenario_names()] + [(str(DATA / f"{name}.yaml"), sets) for name, sets in MADE_FOR_TESTS]
-    found = []
-    for source, sets in sources:
-        ir = api.compile(source, sets=sets).ir
-        found += [Case(source, sets, engine, ir) for engine in engines.ENGINES if can_hold(engine, ir)]
-    return found
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "case" in metafunc.fixturenames:
+        shipped_too = metafunc.definition.get_closest_marker("every_scenario") is not None
+        chosen = {*FULL, *shipped.scenario_names()} if shipped_too else FULL
+        metafunc.parametrize("case", few(CASES, chosen), indirect=True, scope="session")
 
 
-CASES = _cases()
-
-
-@pytest.fixture(scope="session", params=CASES, ids=str)
+@pytest.fixture(scope="session")
 def case(request: pytest.FixtureRequest) -> Case:
     return request.param
 

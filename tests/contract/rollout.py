@@ -63,11 +63,11 @@ def digest(environment: Supervisor, seed: int) -> str:
 
 
 def main() -> None:
-    """Cases on stdin: [[source, sets, engine], ...]; digests on stdout, in that order."""
+    """Cases on stdin: [[source, sets], ...]; digests on stdout, in that order."""
     found = []
-    for source, sets, engine in json.load(sys.stdin):
-        environment = api.make(source, sets=sets, engine=engine)
-        found.append([digest(environment, seed) for seed in (0, 9)])
+    for source, sets in json.load(sys.stdin):
+        environment = api.make(source, sets=sets)
+        found.append([digest(environment, 0)])
         environment.close()
     json.dump(found, sys.stdout)
 

@@ -18,6 +18,7 @@ from deepbots_cli.lint import MEASURED, RULES, code_of, run, simulate
 from deepbots_cli.lint.context import Rule
 from deepbots_cli.lint.pages import Page, every_page
 from deepbots_cli.robots.reader import read
+from tests.few import few
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
@@ -44,7 +45,16 @@ def test_the_docstring_of_a_rule_is_a_page(rule: Rule) -> None:
     assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
 
 
-@pytest.mark.parametrize("page", [page for page in every_page() if page.example], ids=lambda page: f"{page.code}{'-deep' * page.deep}")
+def named(page: Page) -> str:
+    return f"{page.code}{'-deep' * page.deep}"
+
+
+EXAMPLES = [page for page in every_page() if page.example]
+QUICK = {named(page) for page in EXAMPLES if not page.deep} | {"DB310-deep", "DB704-deep", "DB806-deep"}
+"""All but most of those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each of them."""
+
+
+@pytest.mark.parametrize("page", few(EXAMPLES, QUICK, named))
 def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(page: Page, tmp_path: Path) -> None:
     assert page.code in codes(page.example, page, tmp_path)
     found = codes(page.instead, page, tmp_path)

@@ -12,10 +12,9 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli.reports import report
 from deepbots_cli.diagnostics import Finding
+from tests.golden.cases import write
 
 pytestmark = pytest.mark.editors
-
-GOLDEN = Path(__file__).parents[1] / "golden" / "lint"
 
 
 @pytest.fixture(scope="session")
@@ -30,8 +29,9 @@ def sarif(findings: list[Finding]) -> object:
     return json.loads(report(findings, "sarif", (), ("error",)))
 
 
-def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(schema: jsonschema.Draft7Validator) -> None:
-    findings = [finding for path in sorted(GOLDEN.glob("err/*.yaml")) for finding in api.lint(path, preview=True)]
+def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(schema: jsonschema.Draft7Validator, tmp_path: Path) -> None:
+    (tmp_path / "deepbots.toml").touch()
+    findings = [finding for path in sorted(write(tmp_path / "golden").glob("lint/err/*.yaml")) for finding in api.lint(path, preview=True)]
     assert len(findings) > 200
     assert [error.message for error in schema.iter_errors(sarif(findings))] == []
 

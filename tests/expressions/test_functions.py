@@ -122,4 +122,8 @@ def test_a_broken_function_of_another_package_is_one_warning(tmp_path, module, t
     assert "unknown function `double`" in lint.stdout
     assert lint.stderr.count("\n") == 1
     assert reason in lint.stderr
+
+
+def test_a_broken_function_of_another_package_is_no_matter_where_it_is_not_used(tmp_path):
+    install(tmp_path, MODULE, "no_such_module:FUNCTIONS")
     assert deepbots(tmp_path, "", "lint", str(ROOT / "scenarios" / "cartpole.yaml")).stderr == ""

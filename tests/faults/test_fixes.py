@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lint.fixes import Fixer
 from tests.faults.injected import ROOT, everything, sources
 from tests.faults.trying import Project
+from tests.golden.cases import write
 
-GOLDEN = ROOT / "tests" / "golden" / "lint"
 TOP_LEVEL = re.compile(r"^(?=[a-z]\w*:)", re.MULTILINE)
 
 
@@ -27,8 +26,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
 @pytest.fixture(scope="module")
 def folder(project: Project) -> Path:
     """A copy of the scenarios with mistakes, in which every section has a comment above it."""
-    copy = project.scenarios.parent / "lint"
-    shutil.copytree(GOLDEN, copy)
+    copy = write(project.scenarios.parent / "golden") / "lint"
     for path in copy.glob("err/*.yaml"):
         text = path.read_bytes().decode()
         if "deepbots: ignore" not in text:
@@ -41,13 +39,13 @@ def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
     whole = {path.name: path.read_text(encoding="utf-8") for path in sources()}
     typos = [case for case in everything() if case.kind.startswith("typo") and case.style == "plain"]
     unfixed = []
-    for case in typos[::3]:
+    for case in typos[::6]:
         (found,) = project.errors(case)
         if found.fix is None:
             unfixed.append(case)
         else:
             assert applied(found, case.text) == whole[case.source], (case.source, found.headline)
-    assert len(unfixed) < len(typos) / 60, [(case.source, case.kind, case.at) for case in unfixed]
+    assert len(unfixed) < len(typos) / 120, [(case.source, case.kind, case.at) for case in unfixed]
 
 
 def test_a_misspelt_name_in_quotes_is_put_right_between_them(project: Project) -> None:
@@ -62,7 +60,7 @@ def test_a_misspelt_name_in_quotes_is_put_right_between_them(project: Project) -
 
 def test_a_second_run_finds_nothing_to_do_and_comments_stay(folder: Path) -> None:
     mended = 0
-    for path in sorted(folder.glob("err/*.yaml")):
+    for path in sorted(folder.glob("err/*.yaml"))[::2]:
         before = api.lint(path)
         if not any(finding.fix for finding in before):
             continue
@@ -78,13 +76,15 @@ def test_a_second_run_finds_nothing_to_do_and_comments_stay(folder: Path) -> Non
         assert re.findall("# remark.*", left) == re.findall("# remark.*", text), path.name
         for rewrite in rewrites:
             rewrite.path.write_bytes(rewrite.before)
-    assert mended > 30
+    assert mended > 15
 
 
 def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(folder: Path) -> None:
     offered = 0
-    for path in sorted(folder.glob("err/*.yaml")):
+    for path in sorted(folder.glob("err/*.yaml"))[::2]:
         found = {said(finding) for finding in api.lint(path, preview=True) if finding.fix}
+        if not found:
+            continue
         together = Fixer([str(path)], api.load, unsafe=True, preview=True)
         together.fix()
         assert found <= set(map(said, together.fixed)), path.name
@@ -94,7 +94,7 @@ def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(folder: Path) -
             alone.fix()
             assert set(map(said, alone.fixed)) == {one}, path.name
         offered += len(found)
-    assert offered > 50
+    assert offered > 25
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in (ROOT / "scenarios").glob("*.yaml")))

@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SEEDS = Path(__file__).parent / "seeds"
 FULL_SHARE = 0.004
-"""Of shipped scenarios and golden cases, which take ten times as long as the small ones in `seeds`."""
+"""Of shipped scenarios and golden cases without findings, which take ten times as long as the small ones in `seeds`."""
 
 READS: dict[str, tuple[str, ...]] = {
     "mini.yaml": ("rail.urdf",),

@@ -16,7 +16,7 @@ from tests.fuzz.mutations import CORPUS, PIECES, READS, SEEDS, Case, case
 from tests.fuzz.mutations import ROOT as REPOSITORY
 from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
 
-COUNT = 400
+COUNT = 200
 FOLDER = SEEDS.relative_to(REPOSITORY)
 
 
@@ -42,7 +42,7 @@ def test_a_number_always_gives_the_same_damage() -> None:
 
 def test_fixing_a_damaged_file_does_no_harm_and_leaves_nothing_to_do(bench: Workbench) -> None:
     fixed = 0
-    for number in range(200):
+    for number in range(100):
         damaged = case(number)
         with bench.laid_out(damaged):
             checked = api.load(damaged.main)

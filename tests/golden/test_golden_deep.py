@@ -1,6 +1,6 @@
 """What a short simulation says of mistakes, word for word.
 
-As `test_golden_lint`, for `lint --deep`: each `deep/err/<code>-<mistake>.yaml` is a CartPole (that of `lint/`) with one mistake that its
+As `test_golden_lint`, for `lint --deep`: each section of `deep/err/<code>.md` is a CartPole (that of `lint/`) with one mistake that its
 text does not show, and what stands in `deep/ok/` is unusual and right. After a change of wording: UPDATE_GOLDEN=1 pytest tests/golden.
 """
 
@@ -13,17 +13,19 @@ from deepbots_cli import api
 from deepbots_cli.diagnostics import RULES, Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.lint import review, simulate
+from tests.few import every, few
+from tests.golden.cases import HERE, Case, cases
 
-HERE = Path(__file__).parent
-FOLDER = HERE / "deep"
-BAD = sorted(path.stem for path in (FOLDER / "err").glob("*.yaml"))
-GOOD = sorted(path.stem for path in (FOLDER / "ok").glob("*.yaml"))
+BAD = cases("deep")
+ONE_OF_EACH = [str(case) for case in {case.page: case for case in BAD}.values()]
+"""The last case of each page."""
+GOOD = sorted(path.stem for path in (HERE / "deep" / "ok").glob("*.yaml"))
 UNUSUAL = sorted(path.stem for path in (HERE / "lint" / "ok").glob("*.yaml"))
 
 
 @pytest.fixture(autouse=True)
-def _stand_in_the_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(HERE)
+def _stand_in_the_folder(golden: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(golden)
 
 
 def found_in(path: str) -> list[Finding]:
@@ -34,18 +36,18 @@ def found_in(path: str) -> list[Finding]:
     return [finding for finding in found if finding.sort_key not in told]
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_a_mistake_is_measured_and_told_in_these_words(case: str) -> None:
+@pytest.mark.parametrize("case", few(BAD, ONE_OF_EACH))
+def test_a_mistake_is_measured_and_told_in_these_words(case: Case) -> None:
     found = found_in(f"deep/err/{case}.yaml")
-    said = render(found, "full").replace(f"{HERE}{os.sep}", "<here>/")
-    expected = FOLDER / "err" / f"{case}.out"
+    said = render(found, "full").replace(f"{Path.cwd()}{os.sep}", "<here>/").rstrip("\n") + "\n"
     if os.environ.get("UPDATE_GOLDEN"):
-        expected.write_text(said, encoding="utf-8")
-    assert said == expected.read_text(encoding="utf-8")
-    assert [finding.code.lower() for finding in found] == [case.partition("-")[0]]
+        case.update(said)
+    else:
+        assert said == case.said
+    assert [finding.code.lower() for finding in found] == [case.page.stem]
 
 
-@pytest.mark.parametrize("case", GOOD)
+@pytest.mark.parametrize("case", every(2, GOOD))
 def test_an_unusual_scenario_without_mistake_is_silent(case: str) -> None:
     assert found_in(f"deep/ok/{case}.yaml") == []
 
@@ -60,4 +62,4 @@ def test_what_lint_has_nothing_to_say_of_can_be_simulated_and_is_silent(case: st
 
 
 def test_everything_that_a_simulation_finds_has_a_case() -> None:
-    assert {case.partition("-")[0].upper() for case in BAD} == {code for code, entry in RULES.items() if entry.deep != "no"}
+    assert {case.page.stem.upper() for case in BAD} == {code for code, entry in RULES.items() if entry.deep != "no"}

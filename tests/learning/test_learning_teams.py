@@ -16,6 +16,7 @@ from deepbots_cli.learning.environments import copies_over
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
 from deepbots_cli.program.training import Hyperparameter, Policy, Training
+from tests.few import few
 
 SIZE = 3
 
@@ -98,7 +99,7 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     ]
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "RecurrentPPO"])
+@pytest.mark.parametrize("algorithm", few(["PPO", "RecurrentPPO"], ["PPO"]))
 def test_a_team_is_trained_evaluated_and_gone_on_with(tmp_path: Path, algorithm: str) -> None:
     training = Training(algorithm, 600, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")), Policy((8,)))
     result = train(stand_in.compiled(training=training), run=tmp_path / "run", build=Team)

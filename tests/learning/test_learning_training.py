@@ -28,6 +28,7 @@ from deepbots_cli.learning.progress import Lines, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.training import Hyperparameter, Policy, Schedule, Solved, Training
+from tests.few import few
 
 
 def short(tmp_path: Path, **settings: Any) -> TrainingResult:
@@ -154,7 +155,7 @@ def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: Train
         assert all(np.array_equal(before[name], after[name]) for name in before.files if name.startswith("policy"))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], ["SIGINT"], lambda number: number.name))
 def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tmp_path: Path, number: int) -> None:
     handler = signal.getsignal(number)
     told = Telling(20, lambda: os.kill(os.getpid(), number))

@@ -151,7 +151,7 @@ def test_trials_take_at_most_their_share_of_the_steps_and_the_last_one_more(tmp_
     result = learned(tmp_path, build, total=12_000)
     assert build.tried > 3
     assert 0 < result.trial_steps <= result.steps * trials.OVERTIME_SHARE + 2 * trials.EPISODES * 200
-    again = resume(result.run, total_timesteps=20_000, build=build)
+    again = resume(result.run, total_timesteps=14_000, build=build)
     assert again.trial_steps > result.trial_steps
 
 

@@ -35,6 +35,7 @@ import time
 from pathlib import Path
 
 from tests.faults.injected import CRAFTED, ROOT, Injected, everything
+from tests.golden.cases import write as write_golden
 from tests.oracle.comparison import compare
 
 PARTS = ("motion", "findings")
@@ -47,8 +48,7 @@ def write_inputs(folder: Path) -> None:
         return
     made = folder.with_name(f"{folder.name}.part")
     shutil.rmtree(made, ignore_errors=True)
-    ignored = shutil.ignore_patterns("*.out", "*.py", "__pycache__")
-    shutil.copytree(ROOT / "tests" / "golden", made / "golden", ignore=ignored)
+    write_golden(made / "golden")
     shutil.copytree(ROOT / "scenarios", made / "scenarios")
     for place in (made, made / "faults"):
         shutil.copytree(ROOT / "robots", place / "robots")

@@ -169,6 +169,7 @@ def test_a_reward_that_hindsight_cannot_recompute_is_refused(tmp_path: Path, sma
         small(GOAL + f"reward: {{odd: {reward}}}\n")
 
 
+@pytest.mark.slow
 def test_stable_baselines_learns_from_hindsight(small: Small) -> None:
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     environment = small(GOAL + SPARSE, "truncation.max_steps=20")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,11 @@ from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.robots.reader import read
 from deepbots_cli.robots.writer import write
 
-yourdfpy = pytest.importorskip("yourdfpy")
+
+@pytest.fixture
+def yourdfpy() -> Any:
+    """Imported by the tests that need it, since the import takes two seconds."""
+    return pytest.importorskip("yourdfpy")
 
 
 def model_of(name: str) -> RobotModel:
@@ -25,7 +30,7 @@ def model_of(name: str) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", shipped.robot_names())
-def test_another_reader_finds_the_same_joints_in_the_normalised_file(name: str, tmp_path: Path) -> None:
+def test_another_reader_finds_the_same_joints_in_the_normalised_file(yourdfpy: Any, name: str, tmp_path: Path) -> None:
     model = model_of(name)
     file = tmp_path / "robot.urdf"
     file.write_text(write(model), encoding="utf-8")
@@ -40,7 +45,7 @@ def test_another_reader_finds_the_same_joints_in_the_normalised_file(name: str, 
             assert (theirs.limit.lower, theirs.limit.upper) == (joint.limit.lower, joint.limit.upper)
 
 
-def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(tmp_path: Path) -> None:
+def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: Any, tmp_path: Path) -> None:
     model = model_of("cartpole")
     file = tmp_path / "robot.urdf"
     file.write_text(write(model), encoding="utf-8")

@@ -8,6 +8,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli import robot_file
+from tests.few import every
 
 ROBOTS = {
     "franka_panda/panda.urdf": "fixed",
@@ -53,7 +54,7 @@ truncation: {{max_steps: 1000}}
 """
 
 
-@pytest.mark.parametrize("file", ROBOTS)
+@pytest.mark.parametrize("file", every(3, ROBOTS))
 def test_a_robot_of_a_package_runs_with_sensors_on_any_link(tmp_path: Path, file: str) -> None:
     robot, findings = robot_file.opened(f"package://pybullet_data/{file}")
     assert {finding.severity for finding in findings} <= {"warning"}

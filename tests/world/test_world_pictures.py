@@ -14,6 +14,7 @@ from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.share import copy_name
 from deepbots_cli.runtime.view import around, overview
+from tests.few import few
 
 
 def seen_at(view: View, point: tuple[float, float, float]) -> tuple[float, float]:
@@ -45,7 +46,7 @@ def test_a_view_holds_a_box_and_hardly_more(box) -> None:
     assert 0.4 < greatest < 1.0
 
 
-@pytest.mark.parametrize("name", shipped.scenario_names())
+@pytest.mark.parametrize("name", few(shipped.scenario_names()))
 def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> None:
     with closing(api.make(name)) as environment:
         view = overview(environment.scenario)

@@ -7,6 +7,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
+from tests.few import few
 
 
 def drive(name: str, steps: int) -> None:
@@ -28,7 +29,7 @@ def test_a_shipped_scenario_has_no_findings(name: str) -> None:
     assert [f"{finding.span.where}: {finding.headline}" for finding in api.lint(name, preview=True)] == []
 
 
-@pytest.mark.parametrize("name", shipped.scenario_names())
+@pytest.mark.parametrize("name", few(shipped.scenario_names()))
 def test_a_shipped_scenario_runs_under_random_actions(name: str) -> None:
     drive(name, 100)
 

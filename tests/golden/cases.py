@@ -1,0 +1,54 @@
+"""The golden cases: scenarios with one mistake, and what lint says of each, in one page of Markdown per code.
+
+A page `err/db101.md` holds sections; a section is a case: its name as a heading, the scenario in a block `yaml` and the findings in a
+block `text`. `UPDATE_GOLDEN=1 pytest tests/golden` writes the blocks of findings.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).parent
+CASE = re.compile(r"^## (\S+)\n\n```yaml\n(.*?)^```\n\n```text\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One mistake, with the findings that are expected; `page` has the code as its name."""
+
+    page: Path
+    mistake: str
+    text: str
+    said: str
+
+    def __str__(self) -> str:
+        return f"{self.page.stem}-{self.mistake}"
+
+    def update(self, said: str) -> None:
+        """Write what lint says now into the page."""
+        page = self.page.read_text(encoding="utf-8")
+        block = f"## {self.mistake}\n\n```yaml\n{self.text}```\n\n```text\n"
+        assert block in page
+        self.page.write_text(page.replace(f"{block}{self.said}```", f"{block}{said}```"), encoding="utf-8")
+
+
+def cases(kind: str) -> list[Case]:
+    """The cases of `lint` or `deep`, sorted by page and mistake."""
+    return [
+        Case(page, *found)
+        for page in sorted((HERE / kind / "err").glob("*.md"))
+        for found in CASE.findall(page.read_text(encoding="utf-8"))
+    ]
+
+
+def write(folder: Path) -> Path:
+    """Write the scenarios into a new folder as `lint/err/db101-mistake.yaml`, beside what they extend; return the folder."""
+    shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.md", "*.py", "__pycache__"))
+    for kind in ("lint", "deep"):
+        (folder / kind / "err").mkdir(exist_ok=True)
+        for case in cases(kind):
+            (folder / kind / "err" / f"{case}.yaml").write_text(case.text, encoding="utf-8")
+    return folder
