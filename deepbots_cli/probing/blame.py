@@ -52,7 +52,7 @@ def _words(line: str) -> list[str]:
 
 
 def _identifiers(probed: Probed) -> Iterator[tuple[str, tuple[str, Span, Section]]]:
-    """What generated code calls values, in the order of `compiler.emit.names`; a name that was taken has a number behind it there."""
+    """What generated code calls values, in the order of `codegen.names`; a name that was taken has a number behind it there."""
     program = probed.program
     for entry in program.observation:
         for part in ("", *entry.value.components):

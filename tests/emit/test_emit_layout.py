@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.emit.text import docstring
-from deepbots_cli.compiler.emit.wrap import WIDTH, wrapped
+from deepbots_cli.codegen.text import docstring
+from deepbots_cli.codegen.wrap import WIDTH, wrapped
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = ["cartpole", *map(str, sorted((ROOT / "tests/data/scenarios").glob("*.yaml")))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.workspace import Workspace
 
 
 def tick_limit(space: Workspace) -> tuple[int, str] | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
+from deepbots_cli.codegen.text import quoted, quoted_tuple, tuple_code
 from deepbots_cli.program.resets import RandomizedParameter
 
 Code = Callable[[Sequence[str], Sequence[str]], str]

@@ -6,14 +6,14 @@ or until the episode ends. With one tick per step both are one method, as a call
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.action import print_decoding
-from deepbots_cli.compiler.emit.evaluation import print_evaluation
-from deepbots_cli.compiler.emit.messages import print_delivering, print_first_telling, print_keeping, print_receiving, print_sending
-from deepbots_cli.compiler.emit.observation import print_next_frame
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.redraws import print_redraws
-from deepbots_cli.compiler.emit.text import block
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.action import print_decoding
+from deepbots_cli.codegen.evaluation import print_evaluation
+from deepbots_cli.codegen.messages import print_delivering, print_first_telling, print_keeping, print_receiving, print_sending
+from deepbots_cli.codegen.observation import print_next_frame
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.redraws import print_redraws
+from deepbots_cli.codegen.text import block
+from deepbots_cli.codegen.workspace import Workspace
 
 
 def start(space: Workspace) -> list[str]:

@@ -6,9 +6,9 @@ sees is gathered from there. The noise on measurements of the supervisor is prin
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import quoted, targets_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import quoted, targets_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.printer import operand
 from deepbots_cli.expressions.scalar import Const, Name, Scalar
 from deepbots_cli.program import Program

@@ -24,10 +24,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from deepbots_cli.canonical import digest
-from deepbots_cli.compiler.emit.names import RUNTIME, class_name
-from deepbots_cli.compiler.emit.robot import RobotPrinter
-from deepbots_cli.compiler.emit.supervisor import supervisor
-from deepbots_cli.compiler.emit.wrap import wrapped
+from deepbots_cli.codegen.names import RUNTIME, class_name
+from deepbots_cli.codegen.robot import RobotPrinter
+from deepbots_cli.codegen.supervisor import supervisor
+from deepbots_cli.codegen.wrap import wrapped
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.program import Program
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list, tuple_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import block, docstring, quoted, sentence_list, tuple_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.printer import operand
 from deepbots_cli.program.task import Choices, Option
 

@@ -6,13 +6,13 @@ endings), then the observation. Failure beats success; terminated beats truncate
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.goal import print_goal
-from deepbots_cli.compiler.emit.limits import tick_limit
-from deepbots_cli.compiler.emit.masks import print_masks
-from deepbots_cli.compiler.emit.observation import print_noise, print_observation
-from deepbots_cli.compiler.emit.printer import Printer, outer_states
-from deepbots_cli.compiler.emit.text import flat, quoted
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.goal import print_goal
+from deepbots_cli.codegen.limits import tick_limit
+from deepbots_cli.codegen.masks import print_masks
+from deepbots_cli.codegen.observation import print_noise, print_observation
+from deepbots_cli.codegen.printer import Printer, outer_states
+from deepbots_cli.codegen.text import flat, quoted
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program.task import Ending
 

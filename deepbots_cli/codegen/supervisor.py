@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.action import choice_tables
-from deepbots_cli.compiler.emit.evaluation import bind_foreign
-from deepbots_cli.compiler.emit.goal import compute_reward
-from deepbots_cli.compiler.emit.masks import allowed
-from deepbots_cli.compiler.emit.names import class_name
-from deepbots_cli.compiler.emit.observation import album
-from deepbots_cli.compiler.emit.pushes import bind_pushes, drawing
-from deepbots_cli.compiler.emit.readings import readings
-from deepbots_cli.compiler.emit.reset import begin, is_arranged
-from deepbots_cli.compiler.emit.robot import controller_name
-from deepbots_cli.compiler.emit.scripts import scripts
-from deepbots_cli.compiler.emit.step import advance, start
-from deepbots_cli.compiler.emit.text import block, docstring, indent, quoted
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.action import choice_tables
+from deepbots_cli.codegen.evaluation import bind_foreign
+from deepbots_cli.codegen.goal import compute_reward
+from deepbots_cli.codegen.masks import allowed
+from deepbots_cli.codegen.names import class_name
+from deepbots_cli.codegen.observation import album
+from deepbots_cli.codegen.pushes import bind_pushes, drawing
+from deepbots_cli.codegen.readings import readings
+from deepbots_cli.codegen.reset import begin, is_arranged
+from deepbots_cli.codegen.robot import controller_name
+from deepbots_cli.codegen.scripts import scripts
+from deepbots_cli.codegen.step import advance, start
+from deepbots_cli.codegen.text import block, docstring, indent, quoted
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.program import Program
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import indent
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import indent
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
 from deepbots_cli.program.robots import Route
 from deepbots_cli.program.values import Expression

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import action_variables, targets_code, tuple_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import action_variables, targets_code, tuple_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.program.task import ActionRange, Choices
 
 

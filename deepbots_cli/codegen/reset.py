@@ -6,15 +6,15 @@ the start is required to be some way, or where copies come and go, `_arrange` is
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.driving import Driving
-from deepbots_cli.compiler.emit.observation import print_deviations
-from deepbots_cli.compiler.emit.placing import is_sought, place_lines
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.pushes import print_first_pushes
-from deepbots_cli.compiler.emit.redraws import print_first_draws
-from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
-from deepbots_cli.compiler.emit.variations import setting
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.driving import Driving
+from deepbots_cli.codegen.observation import print_deviations
+from deepbots_cli.codegen.placing import is_sought, place_lines
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.pushes import print_first_pushes
+from deepbots_cli.codegen.redraws import print_first_draws
+from deepbots_cli.codegen.text import block, quoted, tuple_code
+from deepbots_cli.codegen.variations import setting
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Reset

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.driving import Driving
-from deepbots_cli.compiler.emit.names import Names, class_name
-from deepbots_cli.compiler.emit.printer import Printer, outer_states
-from deepbots_cli.compiler.emit.reads import Reads
-from deepbots_cli.compiler.emit.sensing import Sensing, devices
-from deepbots_cli.compiler.emit.text import block, docstring, flat, indent, sentence_list, targets_code, tuple_code
+from deepbots_cli.codegen.driving import Driving
+from deepbots_cli.codegen.names import Names, class_name
+from deepbots_cli.codegen.printer import Printer, outer_states
+from deepbots_cli.codegen.reads import Reads
+from deepbots_cli.codegen.sensing import Sensing, devices
+from deepbots_cli.codegen.text import block, docstring, flat, indent, sentence_list, targets_code, tuple_code
 from deepbots_cli.expressions.scalar import Name, Scalar, World
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot

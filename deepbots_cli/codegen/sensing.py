@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.compiler.emit.names import Names
-from deepbots_cli.compiler.emit.text import quoted
+from deepbots_cli.codegen.names import Names
+from deepbots_cli.codegen.text import quoted
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot, Sensor

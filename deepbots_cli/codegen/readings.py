@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.text import block, docstring, quoted, sentence_list
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.text import block, docstring, quoted, sentence_list
+from deepbots_cli.codegen.workspace import Workspace
 
 
 def readings(space: Workspace) -> list[list[str]]:

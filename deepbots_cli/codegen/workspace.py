@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from deepbots_cli.compiler.emit.names import Names
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.reads import ARRIVALS, Reads
-from deepbots_cli.compiler.emit.text import action_variables, flat
+from deepbots_cli.codegen.names import Names
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.reads import ARRIVALS, Reads
+from deepbots_cli.codegen.text import action_variables, flat
 from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot

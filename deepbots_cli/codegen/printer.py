@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-from deepbots_cli.compiler.emit.names import Names
-from deepbots_cli.compiler.emit.text import quoted
+from deepbots_cli.codegen.names import Names
+from deepbots_cli.codegen.text import quoted
 from deepbots_cli.expressions.printer import advance_lines, python, reset_lines
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import block, quoted, tuple_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import block, quoted, tuple_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.program.resets import Disturbance
 
 

@@ -6,9 +6,9 @@ is gone by then, so a tick keeps of these what scripts read (0.02 us per number)
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import action_variables, block, docstring, tuple_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import action_variables, block, docstring, tuple_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.lower import op
 from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange

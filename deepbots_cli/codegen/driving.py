@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli import frames
-from deepbots_cli.compiler.emit.text import quoted, quoted_tuple, tuple_code
+from deepbots_cli.codegen.text import quoted, quoted_tuple, tuple_code
 from deepbots_cli.compiler.robots import held
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Thrust

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import quoted, tuple_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import quoted, tuple_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.program.resets import Cells, Group, Placement, Region, Top
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.printer import Printer, outer_states
-from deepbots_cli.compiler.emit.redraws import print_draws_of_message
-from deepbots_cli.compiler.emit.robot import decode_lines, observes
-from deepbots_cli.compiler.emit.text import flat, targets_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.printer import Printer, outer_states
+from deepbots_cli.codegen.redraws import print_draws_of_message
+from deepbots_cli.codegen.robot import decode_lines, observes
+from deepbots_cli.codegen.text import flat, targets_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program.robots import Robot
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from deepbots_cli.compiler.emit.names import Names
-from deepbots_cli.compiler.emit.text import quoted, quoted_tuple
+from deepbots_cli.codegen.names import Names
+from deepbots_cli.codegen.text import quoted, quoted_tuple
 from deepbots_cli.expressions.scalar import Scalar, World, walk
 
 _FOLLOWED = ("beside", "along")

@@ -6,10 +6,10 @@ seen is then the same reward. So is one with noise on what is achieved, since th
 
 from __future__ import annotations
 
-from deepbots_cli.compiler.emit.observation import print_noise
-from deepbots_cli.compiler.emit.printer import Printer
-from deepbots_cli.compiler.emit.text import block, docstring, targets_code
-from deepbots_cli.compiler.emit.workspace import Workspace
+from deepbots_cli.codegen.observation import print_noise
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.text import block, docstring, targets_code
+from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.printer import operand
 
 
