@@ -1,36 +1,52 @@
-"""From the compiled scenario to readable Python.
+"""From a program to readable Python.
 
-robot.py       a controller class per robot: use_message_data, create_message; sensing.py its sensors, driving.py its actuators
-supervisor.py  the supervisor class, whose methods are printed by
-  reset.py       what an episode varies and how it begins; placing.py how bodies look for a place,
-                 variations.py the statement of each figure that varies
-  pushes.py      disturbances
-  step.py        a step and its ticks, with action.py, messages.py, evaluation.py (limits.py, goal.py), observation.py, masks.py
-  redraws.py     parameters and figures of routes, drawn at a reset and within an episode
-  readings.py    the paper's methods, which read what a step left
-  scripts.py     hand-written policies
-workspace.py   what these share: names and readers
-reads.py       which engine readers are bound, and how each number is taken from them
-printer.py     statements and the memory of stateful functions; names.py identifiers; text.py, wrap.py layout
+    Program  ->  robot.py       a controller class per robot: use_message_data, create_message; its sensors and actuators
+             ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written policies
+                   reset.py     what an episode draws and varies, and how it begins
+                   step.py      a step and its ticks, and `_observe`, which computes everything once per tick
+workspace.py   what the methods of a supervisor share
+printer.py     numbers, vectors and the memories of stateful functions; readers.py what is read from the engine
+names.py       identifiers and constants; layout.py templates, and long lines
 
+The classes are printed in the order of their methods; what they bind and import is known when these are printed.
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
-match `[a-z_][a-z0-9_]*` and quoted strings. The scenario comes from the compiler, which has checked it.
+match `[a-z_][a-z0-9_]*`, quoted strings and comments.
 """
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from typing import Any
 
 from deepbots_cli.canonical import digest
-from deepbots_cli.codegen.names import RUNTIME, class_name
-from deepbots_cli.codegen.robot import RobotPrinter
+from deepbots_cli.codegen.layout import filled, wrapped
+from deepbots_cli.codegen.names import RUNTIME, Constants, class_name
+from deepbots_cli.codegen.robot import Controller
 from deepbots_cli.codegen.supervisor import supervisor
-from deepbots_cli.codegen.wrap import wrapped
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.program import Program
 
+_MODULE = '''
+"""{name}, compiled by deepbots; scenario {digest}.
+
+SI units. Each robot has a controller class, which knows its sensors and its messages only; the
+supervisor is a Gymnasium environment. Its `reset` calls `_begin` and `_start`, its `step` calls `_advance`;
+both observe. The methods after `_observe` read what that left and change nothing.
+"""
+
+from __future__ import annotations
+
+{standard}
+from typing import Any
+
+{runtime}
+
+{constants}
+
+{classes}
+'''
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
@@ -43,12 +59,24 @@ def emit(scenario: Program) -> str:
     for name in _names(scenario):
         if not _NAME.fullmatch(name):
             raise ValueError(f"{name[:40]!r} cannot be a name in the code")
-    classes: list[str] = []
-    for robot in scenario.robots:
-        classes += ["", "", *RobotPrinter(scenario, robot).text()]
-    classes += ["", "", *supervisor(scenario)]
-    body = [line for long in _trim_blank_lines(classes) for line in wrapped(long)]
-    return "\n".join([*_head(scenario, body), *body]).rstrip("\n") + "\n"
+    constants = Constants()
+    classes = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants).lines(), "", "")]
+    classes += supervisor(scenario, constants)
+    used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
+    used_math = sorted(math_names() & used)
+    lines = filled(
+        _MODULE,
+        name=class_name(scenario.name),
+        digest=digest(scenario)[:12],
+        standard=[
+            *(["from collections.abc import Iterator"] if "Iterator" in used else []),
+            *([f"from math import {', '.join(used_math)}"] if used_math else []),
+        ],
+        runtime=[f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME), key=_as_isort))}"],
+        constants=[*constants.lines, "", ""] if constants.lines else [""],
+        classes=classes,
+    )
+    return "\n".join(part for line in _without_gaps(lines) for part in wrapped(line)).rstrip("\n") + "\n"
 
 
 def _names(scenario: Program) -> Iterator[str]:
@@ -62,33 +90,20 @@ def _names(scenario: Program) -> Iterator[str]:
     yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.scripts) for entry in entries)
 
 
-def _head(scenario: Program, body: list[str]) -> list[str]:
-    words = set("".join(c if c.isalnum() or c == "_" else " " for c in "\n".join(body)).split())
-    used_math = sorted(math_names() & words)
-    runtime = [name for name in RUNTIME if name in words]
-    lines = [
-        f'"""{class_name(scenario.name)}, compiled by deepbots; scenario {digest(scenario)[:12]}.',
-        "",
-        "SI units. Each robot has a controller class, which knows its sensors and its messages only; the",
-        "supervisor is a Gymnasium environment. `reset` and `step` of its base class call `_begin` and `_start`,",
-        "and `_advance`, which computes one tick; the methods after it read what that left and change nothing.",
-        '"""',
-        "",
-        "from __future__ import annotations",
-        "",
-    ]
-    if used_math:
-        lines.append(f"from math import {', '.join(used_math)}")
-    if "Iterator" in words:
-        lines.insert(-1 if used_math else len(lines), "from collections.abc import Iterator")
-    return [*lines, "from struct import Struct", "from typing import Any", "", f"from deepbots_cli.runtime import {', '.join(runtime)}"]
+def _as_isort(name: str) -> tuple[int, str]:
+    """Constants, classes, functions."""
+    return 0 if name.isupper() else 1 if name[0].isupper() else 2, name
 
 
-def _trim_blank_lines(lines: list[str]) -> list[str]:
-    """At most two blank lines in a row, one inside classes."""
+def _without_gaps(lines: list[str]) -> list[str]:
+    """At most two blank lines in a row, and one inside of classes."""
     result: list[str] = []
-    for line in lines:
-        if not line and len(result) >= 2 and not result[-1] and not result[-2]:
+    for index, line in enumerate(lines):
+        if line or not result:
+            result.append(line)
             continue
-        result.append(line)
+        following = next((other for other in lines[index:] if other), "")
+        most = 1 if following.startswith(" ") else 2
+        if any(result[-most:]):
+            result.append(line)
     return result

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from deepbots_cli.codegen.names import Names
+from deepbots_cli.codegen.names import Constants, Names
 from deepbots_cli.codegen.printer import Printer
-from deepbots_cli.codegen.reads import ARRIVALS, Reads
-from deepbots_cli.codegen.text import action_variables, flat
+from deepbots_cli.codegen.readers import ARRIVALS, Needs, Readers
 from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Robot
-from deepbots_cli.program.task import Choices, action_names
+from deepbots_cli.program.robots import Direction, Robot
+from deepbots_cli.program.task import ActionRange, Choices, action_names
 
 
 class Workspace:
@@ -21,27 +20,35 @@ class Workspace:
     tick before; `scripted` those of hand-written policies, which are asked between two steps.
     """
 
-    def __init__(self, scenario: Program) -> None:
+    def __init__(self, scenario: Program, constants: Constants) -> None:
         self.scenario = scenario
         self.names = Names()
-        self.evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
-        self.evaluated += [ending.value.scalar for ending in scenario.endings]
-        self.evaluated += [term.scalar for term in scenario.reward]
-        self.evaluated += [value for entry in scenario.observation for value in entry.value.scalars]
-        choices = [part for part in scenario.action if isinstance(part, Choices)]
-        self._conditions = [option.forbidden.scalar for part in choices for option in part.options if option.forbidden is not None]
-        self.evaluated += self._conditions
-        if scenario.goal is not None:
-            self.evaluated += [*scenario.goal.achieved.scalars, *scenario.goal.targets]
+        self.constants = constants
+        self.memories: dict[str, str] = {}
+        self.readers = Readers(self.names, constants, root_links(scenario))
+        self.choices = [part for part in scenario.action if isinstance(part, Choices)]
+        self.ranges = [part for part in scenario.action if isinstance(part, ActionRange)]
+        evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
+        evaluated += [ending.value.scalar for ending in scenario.endings]
+        evaluated += [term.scalar for term in scenario.reward]
+        evaluated += [value for entry in scenario.observation for value in entry.value.scalars]
+        conditions = [option.forbidden.scalar for part in self.choices for option in part.options if option.forbidden is not None]
+        goal = scenario.goal
+        evaluated += [*conditions, *((*goal.achieved.scalars, *goal.targets) if goal is not None else ())]
         self.scripted = [value for script in scenario.scripts for value in script.scalars]
         self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
-        required = scenario.reset.require
-        self.reads = Reads([*self.evaluated, *self.sent, *self.scripted, *([] if required is None else [required.scalar])], self.names)
-        self.variables = [variable for part in scenario.action for variable in action_variables(part)]
-        self._used = {leaf.name for expression in (*self.evaluated, *self.scripted) for leaf in names_in(expression)}
-        self._ages = {f"{robot.name}.{sensor}": f"{robot.name}.{field}" for robot in scenario.robots for sensor, field in robot.ages}
-        self._parameters = {entry.name for entry in scenario.parameters}
+        self.forbids = bool(conditions)
+        """Whether an option of a choice may ever be forbidden."""
         self.settable = {id(value): full for entry in scenario.settable for full, value in entry.numbers if is_drawn(value)}
+        self._used = {leaf.name for expression in (*evaluated, *self.scripted) for leaf in names_in(expression)}
+        self._ages = {f"{robot.name}.{sensor}": f"{robot.name}.{field}" for robot in scenario.robots for sensor, field in robot.ages}
+        self._parameters = {entry.name: entry.components for entry in scenario.parameters}
+        self._components = {entry.name: entry.components for entry in scenario.signals}
+        self._components |= {f"{robot.name}.{entry.name}": entry.components for robot in scenario.robots for entry in robot.emitted}
+        self._components |= {part.name: part.components for part in self.ranges}
+        self._components["previous_action"] = action_names(scenario.action)
+        if goal is not None:
+            self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
 
     @property
     def repeats(self) -> bool:
@@ -54,16 +61,6 @@ class Workspace:
         return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
 
     @property
-    def taken(self) -> list[tuple[str, str]]:
-        """What the agent itself gave, number by number, where an expression of every tick reads it."""
-        return [("previous_action", name) for name in action_names(self.scenario.action)] if self.uses("previous_action") else []
-
-    @property
-    def forbids(self) -> bool:
-        """Whether an option of a choice may ever be forbidden."""
-        return bool(self._conditions)
-
-    @property
     def shares(self) -> bool:
         """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
         return self.scenario.agent.each is not None
@@ -73,80 +70,102 @@ class Workspace:
         """Code that counts the ticks of the episode."""
         return "self.tick_count" if self.repeats else "self.step_count"
 
-    def delivers_in_ticks(self, robot: Robot) -> bool:
-        """Whether a message to this robot may arrive in another tick than the one that follows its sending."""
-        late = self.scenario.timing == "paper" and self.repeats
-        return self.scenario.format != "none" and (late or not robot.to_route.perfect)
+    def is_direct(self, robot: Robot, direction: Direction) -> bool:
+        """Whether each message arrives in the tick in which it is sent: `paper` timing makes either direction a tick longer."""
+        route = robot.to_route if direction == "to_robot" else robot.from_route
+        return self.scenario.format == "none" or (route.perfect and self.scenario.timing == "immediate")
+
+    @property
+    def variables(self) -> list[tuple[str, Sequence[str]]]:
+        """The action variables, with their components."""
+        parts = self.scenario.action
+        return [(name, ()) if isinstance(part, Choices) else (name, part.components) for part in parts for name in _variables(part)]
+
+    @property
+    def acting(self) -> list[tuple[str, Sequence[str]]]:
+        """What the expressions of a tick read of the action, with its components: variables, and what the agent itself gave."""
+        return [*(v for v in self.variables if self.uses(v[0])), *self.given]
+
+    @property
+    def given(self) -> list[tuple[str, Sequence[str]]]:
+        """What the agent itself gave, where an expression of every tick reads it."""
+        return [("previous_action", self._components["previous_action"])] if self.uses("previous_action") else []
 
     def uses(self, name: str) -> bool:
         """Whether an expression of every tick, or a script after it, reads the named value."""
         return name in self._used
 
-    def local(self, name: str, component: str | None = None) -> str:
+    def local(self, name: str) -> str:
         """The local variable that holds a named value during a tick."""
-        return self.names(name, component)
+        return self.names(name)
 
-    def parameter(self, name: str, component: str | None = None) -> str:
+    def parameter(self, name: str) -> str:
         """The attribute that holds a drawn parameter."""
-        return f"self.{self.names('parameter', name, component)}"
+        return f"self.{self.names.called(f'parameter {name}', 'parameter', name)}"
 
     def present(self, group: str) -> str:
         """The attribute that counts the copies of a group that take part in the episode."""
-        return f"self.{self.names('present', group)}"
+        return f"self.{self.names.called(f'present {group}', 'present', group)}"
 
     def told(self) -> list[str]:
         """Locals of one tick that the messages of the next one tell: signals, and fields that robots sent."""
-        told = self.named(self.sent)
-        return [self.local(*name) for name in self._results() if name in told]
+        named = self.named(self.sent)
+        return [self.local(name) for name in self._results() if name in named]
 
-    def kept(self) -> list[tuple[str, str | None]]:
-        """Names and components of what a tick keeps: that, and what scripts read of the tick and of the action before it."""
+    def kept(self) -> list[str]:
+        """Names of what a tick keeps: that, and what scripts read of the tick and of the action before it."""
         told, read = self.named(self.sent), self.named(self.scripted)
-        acted = [name for name in (*self.variables, *self.taken) if name in read]
+        acted = [name for name, _ in (*self.variables, *self.given) if name in read]
         return [*(name for name in self._results() if name in told or name in read), *acted]
 
-    def _results(self) -> list[tuple[str, str | None]]:
-        """What a tick comes to: signals, and the fields that robots sent."""
-        sent = ((f"{robot.name}.{name}", component) for robot in self.scenario.robots for name, component in flat(robot.emitted))
-        return [*flat(self.scenario.signals), *sent]
+    def keeping(self) -> list[str]:
+        """Statements that store what the next message to a robot, or a script, tells of this tick."""
+        return [f"self.told_{local} = {local}" for local in map(self.local, self.kept())]
 
-    def named(self, expressions: Iterable[Scalar]) -> set[tuple[str, str | None]]:
+    def _results(self) -> list[str]:
+        """What a tick comes to: signals, and the fields that robots sent."""
+        sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
+        return [*(entry.name for entry in self.scenario.signals), *sent]
+
+    def named(self, expressions: Iterable[Scalar]) -> set[str]:
         """The names that expressions read, with the fields that carry the ages of readings."""
         nodes = [node for value in expressions for node in walk(value)]
-        found = {(node.name, node.component) for node in nodes if isinstance(node, Name)}
         asked = {node.subjects[0] for node in nodes if isinstance(node, World) and node.function == "age"}
-        return found | {(self._ages[subject], None) for subject in asked if subject in self._ages}
+        return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
 
-    def printer(self, *, starting: bool = False, between: bool = False) -> Printer:
-        """One for a method that runs in a tick: the first one (`starting`), any other, or `between` two steps."""
-        resolve = self._resolve_between if between else self._resolve
-        return Printer(resolve, self.names, self.scenario.world.timestep, starting=starting, settable=self.settable)
+    def printer(self) -> Printer:
+        return Printer(self, settable=self.settable)
 
-    def _resolve_between(self, leaf: Name | World) -> str:
-        """Between two steps the reward of the last one is known."""
-        return "self.reward" if leaf == Name("previous_reward") else self._resolve(leaf)
+    # What the names in expressions mean
 
-    def _resolve(self, leaf: Name | World) -> str:
+    def scalar(self, leaf: Name | World, needs: Needs) -> str:
         if isinstance(leaf, World):
-            return self.fact(leaf)
-        if leaf.name == "time":
-            return f"({self.tick} * {self.scenario.world.timestep!r})"
-        if leaf.name == "step":
-            return "self.step_count"
-        if leaf.name == "episode_return":
-            return "self.episode_return"
-        if leaf.name == "previous_reward":
-            return "self.previous_reward" if self.repeats else "self.reward"
-        if leaf.name in self._parameters:
-            return self.parameter(leaf.name, leaf.component)
-        return self.names(leaf.name, leaf.component)
+            return self._fact(leaf, needs)
+        match leaf.name:
+            case "time":
+                return f"({self.tick} * {self.scenario.world.timestep!r})"
+            case "step":
+                return "self.step_count"
+            case "episode_return":
+                return "self.episode_return"
+            case "previous_reward":
+                return "self.previous_reward" if self.repeats else "self.reward"
+        if leaf.component is None:
+            return self._whole(leaf.name)
+        components = self._parameters.get(leaf.name) or self._components[leaf.name]
+        return f"{self._whole(leaf.name)}[{components.index(leaf.component)}]"
 
-    def fact(self, leaf: World) -> str:
-        """The code of something that the world tells, after its reader was called."""
+    def vector(self, leaves: Sequence[Name]) -> str | None:
+        return whole_vector(leaves, self._parameters | self._components, self._whole)
+
+    def _whole(self, name: str) -> str:
+        return self.parameter(name) if name in self._parameters else self.local(name)
+
+    def _fact(self, leaf: World, needs: Needs) -> str:
         if leaf.function == "present":
-            group, _, number = leaf.subjects[0].partition("#")
-            return f"({self.present(group)} >= {number})"
-        return self._arrival(leaf) if leaf.function in ARRIVALS else self.reads.code(leaf)
+            group, _, count = leaf.subjects[0].partition("#")
+            return f"({self.present(group)} >= {count})"
+        return self._arrival(leaf) if leaf.function in ARRIVALS else self.readers.code(leaf, needs)
 
     def _arrival(self, leaf: World) -> str:
         """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this tick."""
@@ -160,3 +179,29 @@ class Workspace:
             return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "paper"
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
+
+
+def whole_vector(leaves: Sequence[Name], components: Mapping[str, Sequence[str]], code: Callable[[str], str]) -> str | None:
+    """The code of a vector that is read as a whole, or of a slice of it; None for components that are no row of one vector."""
+    first = leaves[0]
+    known = list(components.get(first.name, ()))
+    if first.component is None or any(leaf.name != first.name for leaf in leaves) or first.component not in known:
+        return None
+    start = known.index(first.component)
+    if [leaf.component for leaf in leaves] != known[start : start + len(leaves)]:
+        return None
+    whole = code(first.name)
+    return whole if len(leaves) == len(known) else f"{whole}[{start}:{start + len(leaves)}]"
+
+
+def zeros(components: Sequence[str]) -> str:
+    """The code of 0, once for each component."""
+    return ("(0.0,)" if len(components) == 1 else f"(0.0,) * {len(components)}") if components else "0.0"
+
+
+def root_links(scenario: Program) -> dict[str, str]:
+    return {body.name: f"{body.name}.{body.model.root}" for body in scenario.world.robots}
+
+
+def _variables(part: Choices | ActionRange) -> tuple[str, ...]:
+    return part.variables if isinstance(part, Choices) else (part.name,)

@@ -266,7 +266,7 @@ class _Pass:
         if typed.type.stage is Stage.FIXED and fixed is None:
             return Symbol(name, None)
         self.parameters[name] = Expression(name, text.span, text.text, typed, f"parameters.{name}", redraw=checked.redraw)
-        return Symbol(name, typed.type, fixed)
+        return Symbol(name, typed.type, fixed, text=text.text)
 
     def _is_drawn(self, name: str) -> bool:
         return self.parameters[name].typed.type.stage is not Stage.FIXED

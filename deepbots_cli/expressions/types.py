@@ -72,14 +72,15 @@ def shown(names: Iterable[str], limit: int = 12) -> str:
 class Symbol(NamedTuple):
     """A named value. `type` None marks one with an invalid definition: its uses are not reported.
 
-    `value` holds SI numbers, one per component, where the value is fixed and known; it is folded.
-    `refused` says why the name, which exists, has no value in this place.
+    `value` holds SI numbers, one per component, where the value is fixed and known; it is folded. `text` is how the
+    scenario writes it. `refused` says why the name, which exists, has no value in this place.
     """
 
     name: str
     type: Type | None
     value: tuple[float | bool, ...] | None = None
     refused: str | None = None
+    text: str = ""
 
 
 class Kind(StrEnum):

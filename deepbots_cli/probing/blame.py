@@ -55,16 +55,15 @@ def _identifiers(probed: Probed) -> Iterator[tuple[str, tuple[str, Span, Section
     """What generated code calls values, in the order of `codegen.names`; a name that was taken has a number behind it there."""
     program = probed.program
     for entry in program.observation:
-        for part in ("", *entry.value.components):
-            yield _identifier("seen", entry.value.name, part), (entry.value.name, entry.value.span, "observation")
+        for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
+            yield name, (entry.value.name, entry.value.span, "observation")
     for term in program.reward:
         yield _identifier("term", term.name), (term.name, term.span, "reward")
         yield _identifier(term.name, "term"), (term.name, term.span, "reward")
     seen, paid = _needed(program, (entry.value for entry in program.observation)), _needed(program, program.reward)
     for value in program.signals:
         section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
-        for part in ("", *value.components):
-            yield _identifier(value.name, part), (value.name, value.span, section)
+        yield _identifier(value.name), (value.name, value.span, section)
     for ending in program.endings:
         yield _identifier(ending.value.name), (ending.value.name, ending.value.span, "other")
 
