@@ -3,7 +3,7 @@
 The way of the data, and the packages along it:
 
     text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
-    document    scenario   compiler (with expressions, robots)    program       compiler.emit     runtime      learning
+    document    scenario   compiler (with expressions, robots)    program       codegen     runtime      learning
 
 program/      the checked scenario        canonical.py  its JSON and its digest
 interface.py  what policy and world agree on

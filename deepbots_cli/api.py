@@ -141,7 +141,7 @@ def compile(
         UsageError: There is no such file.
     """
     from deepbots_cli.canonical import digest
-    from deepbots_cli.compiler.emit import emit
+    from deepbots_cli.codegen import emit
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
@@ -233,8 +233,8 @@ def build(
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.canonical import digest
-    from deepbots_cli.compiler.emit import emit
-    from deepbots_cli.compiler.emit.names import class_name
+    from deepbots_cli.codegen import emit
+    from deepbots_cli.codegen.names import class_name
 
     code = emit(ir)
     name = class_name(ir.name)

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 import deepbots_cli
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli.copying import Files
-from deepbots_cli.compiler.emit.names import class_name
+from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
 from deepbots_cli.errors import UsageError, cloned
 

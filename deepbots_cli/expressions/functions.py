@@ -111,18 +111,6 @@ class Reduction(NamedTuple):
     mean: bool = False
 
 
-class Memory(NamedTuple):
-    """A stateful function as statements, run in every timestep, whether or not the result is used.
-
-    `{memory}` and `{result}` are the two variables, `{timestep}` is in seconds. `{x}` is the code of the argument x,
-    `{(x)}` the same in parentheses where it needs them beside an operator. An absent `start` is the first argument.
-    `reset` runs after the first readings of an episode, `advance` in each timestep after it.
-    """
-
-    reset: str
-    advance: str
-
-
 def _same(shared: Dimension) -> Dimension:
     return shared
 
@@ -148,16 +136,18 @@ class Function(NamedTuple):
         python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the module
             `math`, `abs`, `min` and `max`. It holds each argument once. Generated code prints it, folding evaluates
             it. An operator of many arguments combines them from left to right.
-        short: A faster form where all arguments are names or numbers; it may repeat them.
+        helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and does the same to the bit.
         array: The same over numpy arrays: names of the arguments, `np`, `reduce`, `math`'s. Empty where `python` does.
         reduction: The meaning for a single argument that is a vector.
 
     That of a function of the world is a reading of the engine, unless it has a `tree`:
-        tree: Makes the scalar tree from the full names of the subjects.
+        tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of the same name in
+            `runtime.formulas` with the poses of the subjects, which computes the same to the bit.
         at_link: The subject is read at the link that stands for it; a robot is read at its base link.
         of_pieces: The operation that joins the values for a wall of several pieces.
 
-    memory: The meaning of a stateful function.
+    memory: The class of `runtime.memory` that is the meaning of a stateful function: called with the arguments in every
+        timestep, whether or not the value is used. An absent `start` is the first argument.
     """
 
     name: str
@@ -172,13 +162,13 @@ class Function(NamedTuple):
     truths: bool = False
     domain: Interval = EVERYTHING
     python: str = ""
-    short: str = ""
+    helper: str = ""
     array: str = ""
     reduction: Reduction | None = None
     tree: Callable[..., Scalar] | None = None
     at_link: bool = False
     of_pieces: str = "or"
-    memory: Memory | None = None
+    memory: str = ""
 
     @property
     def signature(self) -> str:
@@ -344,9 +334,6 @@ _CAMERA = _subject("camera", Kind.CAMERA)
 _EMITTER = _subject("robot", Kind.ROBOT)
 _SENDER = _subject("sender", Kind.ROBOT, Kind.SENSOR, Kind.CAMERA)
 
-_FROM_ZERO = "{result} = {memory} = 0.0"
-_FROM_VALUE = "{result} = {memory} = {x}"
-
 _ENTRIES = (
     Function("abs", _PURE, (_X,), "The size of x without its sign.", "abs(joint_velocity(rover.left_wheel))",
              interval=iv.absolute, python="abs(x)"),
@@ -368,12 +355,11 @@ _ENTRIES = (
     Function("hypot", _PURE, (_X, Param("y", many=True)), "The root of the sum of squares.",
              "hypot(position(rover).x, position(rover).y)",
              interval=iv.length_of, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
-    # The short form takes 25 ns, two calls take 110.
     Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
-             interval=iv.clamped, python="min(max(x, low), high)", short="low if x < low else high if x > high else x",
+             interval=iv.clamped, python="min(max(x, low), high)", helper="clamp",
              array="np.minimum(np.maximum(x, low), high)"),
     Function("wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
-             _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau"),
+             _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau", helper="wrap_angle"),
     Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
              "where(contact(rover, ball), 1, 0)",
              interval=iv.chosen, truths=True, python="a if condition else b",
@@ -447,36 +433,34 @@ _ENTRIES = (
              _NUMBER, boolean=True),
     Function("delta", _STATEFUL, (_X, _START), "The change since the previous timestep; 0 at a reset.", "delta(along(rover, track))",
              interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
-             memory=Memory("{memory} = {start}\n{result} = 0.0", "{result} = {x}\n{result}, {memory} = {result} - {memory}, {result}")),
+             memory="Delta"),
     Function("previous", _STATEFUL, (_X, _START), "The value in the previous timestep.", "previous(gas, 0)",
-             interval=_hull, truths=True, memory=Memory("{result} = {memory} = {start}", "{result}, {memory} = {memory}, {x}")),
+             interval=_hull, truths=True, memory="Previous"),
     Function("running_max", _STATEFUL, (_X,), "The largest value since the reset.", "running_max(along(rover, track))",
-             interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = max({memory}, {x})")),
+             interval=_first, memory="RunningMax"),
     Function("running_min", _STATEFUL, (_X,), "The smallest value since the reset.", "running_min(distance(rover, ball))",
-             interval=_first, memory=Memory(_FROM_VALUE, "{result} = {memory} = min({memory}, {x})")),
+             interval=_first, memory="RunningMin"),
     Function("hold", _STATEFUL, (_X, _CONDITION), "The value when the condition last held, or at the reset.",
              "hold(position(rover), contact(rover, ball))",
-             interval=_first, truths=True, memory=Memory(_FROM_VALUE, "if {condition}:\n    {memory} = {x}\n{result} = {memory}")),
+             interval=_first, truths=True, memory="Hold"),
     # Backward Euler: stable for every time constant, and the complementary filter's own formula.
     Function("smooth", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with the time constant tau.",
              "smooth(velocity(rover).x, 0.2 s)",
              interval=_first,
-             memory=Memory(_FROM_VALUE, "{result} = {memory}\n"
-                           "{result} += ({(x)} - {result}) * ({timestep} / ({(tau)} + {timestep}))\n{memory} = {result}")),
+             memory="Smooth"),
     Function("integral", _STATEFUL, (_X,), "The integral over time since the reset.", "integral(abs(beside(rover, track)))",
-             lambda d: d * TIME, memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {(x)} * {timestep}")),
+             lambda d: d * TIME, memory="Integral"),
     Function("accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")),
              "The running sum of increments, limited to the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
              interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
-             memory=Memory("{result} = {memory} = {start}", "{result} = {memory} = min(max({memory} + {(increment)}, {low}), {high})")),
+             memory="Accumulate"),
     Function("duration", _STATEFUL, (_CONDITION,), "How long the condition has held without a break.",
              "duration(abs(beside(rover, track)) < 2 cm)",
              _TIME, _known(iv.POSITIVE),
-             memory=Memory(_FROM_ZERO, "{result} = {memory} = {memory} + {timestep} if {(condition)} else 0.0")),
+             memory="Duration"),
     Function("rising", _STATEFUL, (_CONDITION,), "Whether the condition has just become true.", "rising(contact(rover, ball))",
              _NUMBER, boolean=True,
-             memory=Memory("{memory} = {condition}\n{result} = False",
-                           "{result} = {condition}\n{result}, {memory} = {result} and not {memory}, {result}")),
+             memory="Rising"),
     Function("uniform", _DRAW, (_RANGE,), "A number drawn uniformly from a range.", "uniform(-10 .. 10 cm)", interval=_hull),
     Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number drawn uniformly from a range, both ends included.",
              "integer(1 .. 6)", _NUMBER, _hull),
@@ -538,13 +522,13 @@ def _require_usable(function: object) -> None:
     from deepbots_cli.expressions.printer import require_printable  # it imports this module
 
     require_printable(function)
-    names, short = _names_in(function.python), _names_in(function.short or "0")
+    names = _names_in(function.python)
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].many and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")
     if any(names.count(argument) != 1 for argument in arguments):
         raise ValueError(f"the python of {name!r} must hold each of {', '.join(arguments)} once")
-    unknown = {*names, *short} - {*arguments, *vars(math), "abs", "min", "max"}
+    unknown = {*names} - {*arguments, *vars(math), "abs", "min", "max"}
     if unknown:
         raise ValueError(f"the python of {name!r} holds {', '.join(sorted(unknown))}")
     function.compiled(function.array or function.python, {})
@@ -584,7 +568,7 @@ def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
 
 def math_names() -> frozenset[str]:
     """The names of `math` that the code of functions may hold."""
-    texts = [text for function in (*OPERATORS.values(), *FUNCTIONS.values()) for text in (function.python, function.short) if text]
+    texts = [function.python for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.python]
     return frozenset({name for text in texts for name in _names_in(text)} & vars(math).keys()) | {"inf"}
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from itertools import product
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, Function, Reduction, rotation, scalar_function
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World
 from deepbots_cli.expressions.types import Components, Constant, Invocation, Operation, Pick, Reference, Subject, Typed, Vector
 
 Scalars = tuple[Scalar, ...]
@@ -157,7 +157,11 @@ def _if_present(reduction: Reduction, copy: str, part: Scalar) -> Scalar:
 def _reference(value: Reference) -> Scalars:
     symbol = value.symbol
     if symbol.value is not None:
-        return tuple(Const(number if isinstance(number, bool) else float(number)) for number in symbol.value)
+        parts = value.type.components or (None,)
+        return tuple(
+            Const(number if isinstance(number, bool) else NamedFloat(number, symbol.name, part, symbol.text))
+            for part, number in zip(parts, symbol.value, strict=True)
+        )
     if value.type.components is None:
         return (Name(symbol.name),)
     return tuple(Name(symbol.name, component) for component in value.type.components)

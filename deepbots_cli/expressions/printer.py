@@ -1,18 +1,20 @@
 """Scalar trees to Python text.
 
-The text holds no more parentheses than it needs, and computes what the tree says: the order of sums is kept.
+The text holds no more parentheses than it needs, and computes what the tree says: the order of sums is kept. A `Target` says how each
+operation is written: on plain floats (`SCALAR`), or on whatever else a column of the function table is for.
 """
 
 from __future__ import annotations
 
 import ast
+import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-from deepbots_cli.expressions.functions import FUNCTIONS, Function, operation, whole_exponent
+from deepbots_cli.expressions.functions import Function, operation, whole_exponent
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Leaf = Callable[[Name | World | State | Draw], str]
@@ -43,15 +45,46 @@ class Code(NamedTuple):
         """The text, in parentheses where it binds less than `weakest`."""
         return self.text if self.bind >= weakest else f"({self.text})"
 
-    @property
-    def simple(self) -> bool:
-        """Whether it may be written twice: a name, an attribute, a number."""
-        return self.text.replace(".", "").replace("_", "").replace("-", "").isalnum()
+
+class Target(NamedTuple):
+    """The kind of values that generated code computes with: `written` gives the Python of an operation over its arguments."""
+
+    name: str
+    written: Callable[[Function], str]
 
 
-def python(scalar: Scalar, leaf: Leaf) -> str:
+def _on_floats(function: Function) -> str:
+    return f"{function.helper}({', '.join(function.arguments)})" if function.helper else function.python
+
+
+SCALAR = Target("scalar", _on_floats)
+
+
+def python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
     """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
-    return _code(scalar, leaf).text
+    return _code(scalar, leaf, target).text
+
+
+def number(value: float | bool) -> Code:
+    """The code of a constant."""
+    negative = not isinstance(value, bool) and str(value).startswith("-")
+    code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
+    return Code(code, Bind.SIGN if negative else Bind.ATOM)
+
+
+def applied(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR) -> Code:
+    """The code of an operation on arguments with this code; `scalars` are the trees of the arguments."""
+    function = operation(name)
+    if name == "pow" and isinstance(scalars[1], Const) and (whole := whole_exponent(scalars[1].value)) is not None:
+        return _power(args[0], whole, scalars[0])
+    names = function.arguments
+    text = target.written(function)
+    if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
+        return _infix(_template(text).op, args)  # type: ignore[attr-defined]
+    if names[-1].startswith("*"):
+        rest = len(names) - 1
+        args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
+    return _printed(_template(text), dict(zip(names, args, strict=True)))
 
 
 def require_printable(function: Function) -> None:
@@ -60,8 +93,8 @@ def require_printable(function: Function) -> None:
     Raises:
         ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else b`.
     """
-    for text in filter(None, (function.python, function.short)):
-        _printed(_template(text), dict.fromkeys(function.arguments, Code("x")))
+    if function.python:
+        _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
 
 
 def operand(code: str) -> str:
@@ -69,58 +102,24 @@ def operand(code: str) -> str:
     return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
 
 
-def advance_lines(state: State, memory: str, result: str, args: list[str], timestep: str) -> list[str]:
-    """Statements of one timestep; `args` is the code of the state's arguments, `timestep` in seconds."""
-    return _statements(state, "advance", args, {"memory": memory, "result": result, "timestep": timestep})
-
-
-def reset_lines(state: State, memory: str, result: str, args: list[str]) -> list[str]:
-    """Statements at a reset, after the first readings: memory and result as they stand before the first timestep."""
-    return _statements(state, "reset", args, {"memory": memory, "result": result})
-
-
-def _statements(state: State, event: Literal["reset", "advance"], args: list[str], variables: dict[str, str]) -> list[str]:
-    function = FUNCTIONS[state.function]
-    template: str = getattr(function.memory, event)
-    given = dict(zip(function.arguments, args, strict=False))
-    codes = {name: given.get(name, args[0]) for name in function.arguments}
-    operands = {f"({name})": operand(code) for name, code in codes.items()}
-    return template.format_map({**codes, **operands, **variables}).split("\n")
-
-
-def _code(scalar: Scalar, leaf: Leaf) -> Code:
+def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
     match scalar:
         case Const(value=value):
-            return _number(value)
+            return number(value)
         case Op(op=name, args=args):
-            return _operation(operation(name), [_code(arg, leaf) for arg in args], args)
+            return applied(name, [_code(arg, leaf, target) for arg in args], args, target)
         case Name() | World() | State() | Draw():
             return Code(leaf(scalar))
 
 
-def _number(value: float | bool) -> Code:
-    negative = not isinstance(value, bool) and str(value).startswith("-")
-    return Code(repr(value), Bind.SIGN if negative else Bind.ATOM)
-
-
-def _operation(function: Function, args: list[Code], scalars: tuple[Scalar, ...]) -> Code:
-    if function.name == "pow" and isinstance(scalars[1], Const) and (whole := whole_exponent(scalars[1].value)) is not None:
-        return _power(args[0], whole)
-    names = function.arguments
-    if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
-        return _infix(_template(function.python).op, args)  # type: ignore[attr-defined]
-    if names[-1].startswith("*"):
-        rest = len(names) - 1
-        args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
-    text = function.short if function.short and all(arg.simple for arg in args) else function.python
-    return _printed(_template(text), dict(zip(names, args, strict=True)))
-
-
-def _power(base: Code, exponent: int) -> Code:
-    if exponent == 2 and base.simple:
+def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
+    # The C library's pow may round a square otherwise than a product does.
+    if exponent == 2 and isinstance(scalar, (Name, State, Const)):
         text = base.within(Bind.SIGN)
         return Code(f"{text} * {text}", Bind.PRODUCT)
-    return Code(f"{base.within(Bind.ATOM)} ** {exponent}", Bind.POWER)
+    text = base.within(Bind.ATOM)
+    sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # as a formatter has it
+    return Code(f"{text}{sign}{exponent}", Bind.POWER)
 
 
 # The Python of a function, with the code of its arguments in place of their names
@@ -153,7 +152,7 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
         case ast.Name(id=name):
             return args.get(name) or Code(name)
         case ast.Constant(value=bool() | int() | float() as value):
-            return _number(value)
+            return number(value)
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
@@ -163,7 +162,8 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
         case ast.BoolOp(op=sign, values=parts):
             return _infix(sign, [_printed(part, args) for part in parts])
         case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return Code(f"-{_printed(inner, args).within(Bind.SIGN)}", Bind.SIGN)
+            negated = _printed(inner, args)
+            return Code(f"-({negated.text})" if negated.bind is Bind.POWER else f"-{negated.within(Bind.SIGN)}", Bind.SIGN)
         case ast.UnaryOp(op=ast.Not(), operand=inner):
             return Code(f"not {_printed(inner, args).within(Bind.NOT)}", Bind.NOT)
         case ast.IfExp(test=test, body=a, orelse=b):
@@ -172,7 +172,7 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
     raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
 
 
-def _infix(operator: ast.AST, codes: list[Code]) -> Code:
+def _infix(operator: ast.AST, codes: Sequence[Code]) -> Code:
     """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both sides do."""
     sign, bind = _SIGNS[type(operator)]
     left = codes[0].within(bind + 1 if bind is Bind.COMPARISON else bind)

@@ -14,6 +14,25 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 
+class NamedFloat(float):
+    """A number that a fixed parameter of the scenario names; what is computed from it is a plain float.
+
+    `text` is how the scenario writes it, `component` its place in a vector. Generated code defines a constant of that name.
+    """
+
+    name: str
+    component: str | None
+    text: str
+
+    def __new__(cls, value: float, name: str, component: str | None = None, text: str = "") -> NamedFloat:
+        made = super().__new__(cls, value)
+        made.name, made.component, made.text = name, component, text
+        return made
+
+    def __reduce__(self) -> tuple[type[NamedFloat], tuple[float, str, str | None, str]]:
+        return NamedFloat, (float(self), self.name, self.component, self.text)
+
+
 class Const(NamedTuple):
     """A number in SI units, or a truth value."""
 

@@ -72,13 +72,14 @@ class Symbol(NamedTuple):
     """A named value.
 
     `type` is None if the definition is invalid; uses are then not reported. `value` holds the SI numbers of a fixed value, one
-    per component; lowering folds them. `refused` says why the name has no value in this place.
+    per component; lowering folds them. `text` is the source text of the definition. `refused` says why the name has no value in this place.
     """
 
     name: str
     type: Type | None
     value: tuple[float | bool, ...] | None = None
     refused: str | None = None
+    text: str = ""
 
 
 class Kind(StrEnum):

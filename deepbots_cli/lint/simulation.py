@@ -519,19 +519,18 @@ class Simulation(Context):
         return None
 
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
-        """The identifiers of values in generated code, in the order of `compiler.emit.names`; a taken one gets a number appended there."""
+        """The identifiers of values in generated code, in the order of `codegen.names`, which appends a number to a taken one."""
         program = self.program
         for entry in program.observation:
-            for part in ("", *entry.value.components):
-                yield _identifier("seen", entry.value.name, part), (entry.value, "observation")
+            for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
+                yield name, (entry.value, "observation")
         for term in program.reward:
             yield _identifier("term", term.name), (term, "reward")
             yield _identifier(term.name, "term"), (term, "reward")
         seen, paid = _signals_in(program, (entry.value for entry in program.observation)), _signals_in(program, program.reward)
         for value in program.signals:
             section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
-            for part in ("", *value.components):
-                yield _identifier(value.name, part), (value, section)
+            yield _identifier(value.name), (value, section)
         for ending in program.endings:
             yield _identifier(ending.value.name), (ending.value, "other")
 

@@ -4,6 +4,7 @@ supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
 actuation/     actuators that are more than a motor of the engine, and pushes
 placement.py   where bodies stand when an episode begins; ways.py shortest ways around solid objects
+formulas.py    functions that generated code calls; memory.py those that remember
 channel.py     the path of messages, radio.py one that is not perfect; messages.py their formats
 sensing/       sensors that are sampled once per tick, with their faults
 lines.py       painted lines: places beside and along them, light
@@ -20,31 +21,85 @@ Nothing here reads YAML or knows an engine beyond the port.
 
 from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
+from deepbots_cli.runtime.channel import Channel
 from deepbots_cli.runtime.foreign import foreign
+from deepbots_cli.runtime.formulas import (
+    bearing,
+    clamp,
+    clip,
+    distance,
+    ground_distance,
+    local,
+    pitch,
+    roll,
+    scale,
+    scale_each,
+    scale_freely,
+    tilt,
+    total,
+    wrap_angle,
+    yaw,
+)
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.load import load_module
-from deepbots_cli.runtime.messages import MALFORMED
+from deepbots_cli.runtime.memory import (
+    Accumulate,
+    Delta,
+    Duration,
+    Hold,
+    Integral,
+    Previous,
+    Rising,
+    RunningMax,
+    RunningMin,
+    Smooth,
+)
 from deepbots_cli.runtime.placement import Arrangement
+from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.supervisor import Supervisor, clipped, unbounded
+from deepbots_cli.runtime.supervisor import Supervisor
 from deepbots_cli.runtime.team import assemble
 from deepbots_cli.runtime.ways import Ways
 
 __all__ = [
-    "MALFORMED",
+    "Accumulate",
     "Arrangement",
     "Cartesian",
+    "Channel",
+    "Delta",
+    "Duration",
     "Follower",
+    "Hold",
+    "Integral",
     "Motor",
+    "Previous",
     "Push",
+    "Radio",
+    "Rising",
     "RobotController",
+    "RunningMax",
+    "RunningMin",
+    "Smooth",
     "Supervisor",
     "Thrust",
     "Ways",
     "assemble",
-    "clipped",
+    "bearing",
+    "clamp",
+    "clip",
+    "distance",
     "foreign",
+    "ground_distance",
     "load_module",
+    "local",
+    "pitch",
     "quaternion",
-    "unbounded",
+    "roll",
+    "scale",
+    "scale_each",
+    "scale_freely",
+    "tilt",
+    "total",
+    "wrap_angle",
+    "yaw",
 ]

@@ -1,8 +1,9 @@
 """Messages between robot and supervisor: one codec per format, made for one layout.
 
 Every message opens with the layout's stamp, so that one of another layout, version or robot is
-recognised. Encoding takes the values in field order (a vector as its components); decoding returns
+recognised. A codec takes the values in field order (a vector as its components); decoding returns
 the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text in base64.
+`Wire` is what a channel uses: it takes and gives one value per field, and checks the layout.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from base64 import b64decode, b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from types import GenericAlias
 from typing import Any
 
@@ -41,6 +43,70 @@ class Codec:
     encode: Callable[..., Any]
     decode: Callable[[Any], Sequence[Any]]
     parts: Callable[[Any], Sequence[object]]
+
+
+class Wire:
+    """Messages of one layout on their way: `encode` takes one value per field, a vector as a sequence, and `decode` gives them back."""
+
+    encode: Callable[[Sequence[Any]], Any]
+
+    def __init__(self, layout: MessageLayout, format: str, refuse: Callable[[MessageLayout, Any], Exception]) -> None:
+        """`refuse` makes the error for a message that is not of the layout. With `format` none, messages are their values."""
+        self.layout = layout
+        self._refuse = refuse
+        self.silence: Any = grouped(layout, zeros(layout))
+        if format == "none":
+            self.encode = self.decode = lambda message: message  # type: ignore[method-assign]
+            return
+        made = codec(layout, format)
+        vectors = [bool(field.components) for field in layout.fields]
+        self._decode = made.decode
+        self._count = 1 + len(struct_codes(layout))
+        self._places = places(layout, 1)
+
+        def flattened(message: Sequence[Any]) -> Any:
+            numbers: list[Any] = []
+            for value, vector in zip(message, vectors, strict=True):
+                if vector:
+                    numbers += value
+                else:
+                    numbers.append(value)
+            return made.encode(*numbers)
+
+        if all(vectors):
+            self.encode = lambda message: made.encode(*chain.from_iterable(message))
+        else:
+            self.encode = flattened if any(vectors) else lambda message: made.encode(*message)
+        self.silence = made.encode(*zeros(layout))
+
+    def decode(self, message: Any) -> Sequence[Any]:
+        """The value of each field.
+
+        Raises:
+            MessageError: The message is not of the layout; names robot, direction, step and field.
+        """
+        try:
+            values = self._decode(message)
+            if len(values) != self._count or values[0] != self.layout.layout_hash:
+                raise ValueError("another layout")
+        except MALFORMED:
+            raise self._refuse(self.layout, message) from None
+        return [values[place] for place in self._places]
+
+
+def places(layout: MessageLayout, start: int = 0) -> list[int | slice]:
+    """Where each field stands among the values, of which the first has the number `start`."""
+    found: list[int | slice] = []
+    for field in layout.fields:
+        size = max(1, len(field.components))
+        found.append(slice(start, start + size) if field.components else start)
+        start += size
+    return found
+
+
+def grouped(layout: MessageLayout, values: Sequence[Any]) -> list[Any]:
+    """One value per field: a vector as the list of its components."""
+    return [values[place] for place in places(layout)]
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:

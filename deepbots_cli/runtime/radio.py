@@ -10,6 +10,7 @@ from typing import Any
 from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.frames import Triple
 from deepbots_cli.program.robots import Route
+from deepbots_cli.runtime.messages import Wire
 from deepbots_cli.runtime.streams import Streams
 
 _ROUNDING = 1e-9
@@ -21,7 +22,7 @@ Where = Callable[[], tuple[Triple, Any]]
 class Radio:
     """The way of messages from one emitter to one receiver, where it is not perfect.
 
-    `receive` is called once in each tick, after what is sent in that tick. A message that was sent in one
+    `receive` or `newest` is called once in each tick, after what is sent in that tick. A message that was sent in one
     tick is delivered in the first that begins at or after its arrival. A lost one leaves a gap, which is
     treated as the route says when the message would have been delivered.
 
@@ -38,19 +39,31 @@ class Radio:
     measured: int
     """The tick at whose end the message that arrived last was made."""
     latest: Any
-    """What the receiver acts on: the message that arrived last, or zeros."""
+    """The encoded message that the receiver acts on: the one that arrived last, or zeros."""
 
-    def __init__(self, name: str, route: Route, timestep: float, delay: int = 0, where: Where | None = None, zeros: Any = None) -> None:
-        """Each message takes `delay` ticks besides its latency.
+    def __init__(
+        self,
+        name: str,
+        route: Route,
+        timestep: float,
+        delay: int = 0,
+        where: Where | None = None,
+        wire: Wire | None = None,
+        *,
+        first_at_once: bool = False,
+    ) -> None:
+        """Each message takes `delay` ticks besides its latency, but for the first one of an episode where that arrives `first_at_once`.
 
-        `where` gives the position of the robot (m), `zeros` is a message of zeros.
+        `where` gives the position of the robot (m), `wire` encodes and decodes; without, messages go as they are.
         """
+        self.wire = wire
+        self._first_at_once = first_at_once
         self._name = name
         self._route = route
         self._rate = 1.0 / timestep
         self._delay = float(delay)
         self._where = where
-        self._zeros = zeros
+        self._zeros = wire.silence if wire else None
         self._loses = route.loses
         self.range = inf
         self.latency = self.loss = 0.0
@@ -70,19 +83,23 @@ class Radio:
         self._losing: bool | None = None
         self.latest = None
         self.fresh = False
+        self._begins = self._first_at_once
 
     @property
     def age(self) -> float:
         """Time (s) since the message that arrived last was made, at the end of a tick."""
         return (self._tick - self.measured) * self._timestep
 
-    def deliver(self, message: Any) -> None:
-        """Hand over the first message of an episode, at once and for certain."""
-        self.latest = message
-        self.fresh = True
-
     def send(self, message: Any) -> None:
         """Set a message on its way, whether it will arrive or not."""
+        self.transmit(self.wire.encode(message) if self.wire else message)
+
+    def transmit(self, message: Any) -> None:
+        """The same for a message that is encoded already."""
+        if self._begins:
+            self.latest = message
+            self.fresh = True
+            return
         arrival = self._tick + self._delay + max(self.latency * self._rate, 0.0)
         if self._route.order == "sent":
             arrival = self._arrival = max(arrival, self._arrival)
@@ -102,6 +119,18 @@ class Radio:
 
     def receive(self) -> list[Any]:
         """What the receiver takes in this tick, in order."""
+        taken = self._arrived()
+        return [self.wire.decode(message) for message in taken] if self.wire else taken
+
+    def newest(self) -> Any:
+        """The message that the receiver goes by in this tick: it arrived in this one or in an earlier one."""
+        if self._begins:
+            self._begins = False
+        else:
+            self._arrived()
+        return self.wire.decode(self.latest) if self.wire else self.latest
+
+    def _arrived(self) -> list[Any]:
         now, queue, taken = self._tick + _ROUNDING, self._queue, []
         self._tick += 1
         self.fresh = False

@@ -3,36 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
-from deepbots_cli.errors import MessageError
 from deepbots_cli.port import Engine
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import CustomActuator, Robot
 from deepbots_cli.runtime.actuation import CustomMotor, Drive, Site, hold
-from deepbots_cli.runtime.messages import codec, explain
+from deepbots_cli.runtime.memory import Memory
 from deepbots_cli.runtime.sensing import Device, instrument, sees
 from deepbots_cli.runtime.streams import Streams
+
+M = TypeVar("M", bound=Memory)
 
 
 class RobotController:
     """Base of the generated robot classes.
 
     A generated class adds `bind`, which takes its readers and writers from the engine, and the paper's
-    pair: `use_message_data(message)` decodes and drives the actuators, `create_message()` reads the
-    sensors and encodes. Without messages (`format: none`) the pair is `apply(...)` and `sense()`.
+    pair: `use_message_data(message)` drives the actuators by the fields of a message, and `create_message()`
+    reads the sensors into the fields of one. Channels encode and decode.
     """
 
-    def __init__(self, spec: Robot, scenario: Program, engine: Engine, clock: Callable[[], int]) -> None:
-        """`clock` tells the number of the present step."""
+    def __init__(self, spec: Robot, scenario: Program, engine: Engine) -> None:
         self.spec = spec
-        self.format = scenario.format
-        self.clock = clock
         self.devices: dict[str, Device] = {}
         self._world, self._engine = scenario.world, engine
-        if self.format != "none":
-            self.encode = codec(spec.from_robot, self.format).encode
-            self.decode = codec(spec.to_robot, self.format).decode
+        self._memories: list[Memory] = []
         self.bind(engine)
         drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
         self._drives = [(actuator, drive) for actuator, drive in drives if drive is not None]
@@ -54,6 +50,16 @@ class RobotController:
         assert isinstance(actuator, CustomActuator)  # generated code asks for no other
         return CustomMotor(Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps))
 
+    def memory(self, kind: type[M]) -> M:
+        """A memory that a new episode clears."""
+        made = kind(self._world.timestep)
+        self._memories.append(made)
+        return made
+
+    def memories(self, kind: type[M], count: int) -> list[M]:
+        """One memory for each component of a vector."""
+        return [self.memory(kind) for _ in range(count)]
+
     def sees(self, sensor: str, body: str) -> Callable[[], bool]:
         """Whether the newest picture of a camera shows the body."""
         return sees(self.device(sensor), body)
@@ -62,10 +68,12 @@ class RobotController:
         """Begin an episode: first readings are taken, and nothing is left of earlier ones."""
         for device in self.devices.values():
             device.reset(streams)
+        for memory in self._memories:
+            memory.reset()
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was computed from earlier messages and readings."""
+        """Begin what is computed on board with the first readings, and with messages of zeros."""
 
     def observe(self) -> None:
         """Sample what is sampled once per tick."""
@@ -80,7 +88,3 @@ class RobotController:
         """Hold everything that is driven in its reset state until the first command takes effect."""
         for actuator, drive in self._drives:
             hold(self._engine, self.spec.name, actuator, drive)
-
-    def rejected(self, message: Any) -> MessageError:
-        """The error for a message that does not fit."""
-        return explain(self.spec.to_robot, self.format, message, self.clock())

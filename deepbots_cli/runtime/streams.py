@@ -47,6 +47,11 @@ class Streams:
     def normal(self, name: str, mean: float, deviation: float) -> float:
         return float(self[name].normal(mean, deviation))
 
+    def normals(self, name: str, count: int) -> list[float]:
+        """Standard normal numbers."""
+        numbers: list[float] = self[name].standard_normal(count).tolist()
+        return numbers
+
     def choice(self, name: str, *options: float) -> float:
         return options[int(self[name].integers(len(options)))]
 

@@ -6,7 +6,8 @@ import math
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from struct import Struct
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -16,14 +17,17 @@ from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import STILL, Engine
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import MessageLayout
-from deepbots_cli.program.task import Choices
+from deepbots_cli.program.robots import Direction, MessageLayout, Robot
+from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.actions import alike, composed, usual
 from deepbots_cli.runtime.album import Album
-from deepbots_cli.runtime.channel import channel
+from deepbots_cli.runtime.channel import Channel, radio
 from deepbots_cli.runtime.episode_options import episode_values
+from deepbots_cli.runtime.formulas import clip
 from deepbots_cli.runtime.hindsight import recomputed
-from deepbots_cli.runtime.messages import codec, excerpt, explain
+from deepbots_cli.runtime.memory import Memory
+from deepbots_cli.runtime.messages import Wire, excerpt, explain
+from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.spaces import action_space, observation_space, views
 from deepbots_cli.runtime.streams import Streams
@@ -31,6 +35,8 @@ from deepbots_cli.runtime.view import moved, overview
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
+C = TypeVar("C", bound=RobotController)
+M = TypeVar("M", bound=Memory)
 
 _CLOSED = "the environment is closed; make a new one"
 
@@ -38,14 +44,12 @@ _CLOSED = "the environment is closed; make a new one"
 class Supervisor(gym.Env[Observation, Any], ABC):
     """Base of the generated supervisor classes.
 
-    A generated class adds `bind` (readers from the engine), `_begin` (draws and placing at reset),
-    `_start` (what holds right after a reset), `_advance` (one tick: all that is computed, once) and the
-    paper's methods, which only read what these left, so calling one twice changes nothing.
+    A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing at reset),
+    `_start` and `_advance` (the first moment of an episode, and a step), `_observe`, which both of them call and which
+    computes everything once per timestep, and the paper's methods, which only read what that left, so calling one twice
+    changes nothing.
     """
 
-    CONTROLLERS: ClassVar[dict[str, type[RobotController]]] = {}
-
-    observed: NDArray[np.float32]
     frames: NDArray[np.float32]
     newest: int
     reward: float
@@ -80,11 +84,14 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.observation_space = observation_space(scenario)
         self.action_space = action_space(scenario)
         self.streams = Streams(None)
-        self.observed = np.zeros(len(scenario.numbers), np.float32)
         self.views = views(scenario)
         self.depth = len(self.views)
         self.albums = {entry.key: Album(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.images}
         self.frames = np.zeros(self.depth * len(scenario.numbers), np.float32)
+        self._buffer = self.frames.data
+        self._width = 4 * len(scenario.numbers)
+        self._pack = Struct(f"{len(scenario.numbers)}f").pack_into
+        self._ranges = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, ActionRange))
         self.goal = np.zeros(2 * len(scenario.goal.low) if scenario.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
@@ -93,26 +100,51 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._closed = False
         self._go_on: Callable[[Any], None] = self._refuse
         self._forget()
-        self._connect()
+        self.controllers: dict[str, RobotController] = {}
+        self._channels: list[Channel | Radio] = []
+        self._memories: list[Memory] = []
         self.bind(engine)
 
-    def _connect(self) -> None:
-        """One controller per robot, and a channel each way; `paper` timing delays either by a tick."""
-        scenario = self.scenario
-        for spec in scenario.robots:
-            controller = self.CONTROLLERS[spec.name]
-            setattr(self, f"robot_{spec.name}", controller(spec, scenario, self.engine, lambda: self.step_count))
-            setattr(self, f"to_{spec.name}", channel(scenario, spec, "to_robot", self.engine))
-            setattr(self, f"from_{spec.name}", channel(scenario, spec, "from_robot", self.engine))
-            if scenario.format != "none":
-                setattr(self, f"encode_to_{spec.name}", codec(spec.to_robot, scenario.format).encode)
-                setattr(self, f"decode_from_{spec.name}", codec(spec.from_robot, scenario.format).decode)
+    # What `bind` makes
+
+    def robot(self, name: str, controller: type[C]) -> C:
+        """The controller of a robot."""
+        made = controller(self._spec(name), self.scenario, self.engine)
+        self.controllers[name] = made
+        return made
+
+    def channel(self, name: str, direction: Direction) -> Channel:
+        """The path of messages to or from a robot, where it is direct."""
+        spec = self._spec(name)
+        made = Channel(Wire(spec.to_robot if direction == "to_robot" else spec.from_robot, self.scenario.format, self._rejected))
+        self._channels.append(made)
+        return made
+
+    def radio(self, name: str, direction: Direction) -> Radio:
+        """The path of messages to or from a robot, where messages come late or may be lost."""
+        made = radio(self.scenario, self._spec(name), direction, self.engine, self._rejected)
+        self._channels.append(made)
+        return made
+
+    def memory(self, kind: type[M]) -> M:
+        """A memory of a stateful function, which a new episode clears."""
+        made = kind(self.scenario.world.timestep)
+        self._memories.append(made)
+        return made
+
+    def memories(self, kind: type[M], count: int) -> list[M]:
+        """One memory for each component of a vector."""
+        return [self.memory(kind) for _ in range(count)]
+
+    def _spec(self, name: str) -> Robot:
+        return next(robot for robot in self.scenario.robots if robot.name == name)
 
     def begin_robots(self) -> None:
-        """Controllers and channels forget the last episode."""
-        for spec in self.scenario.robots:
-            for part in (f"robot_{spec.name}", f"to_{spec.name}", f"from_{spec.name}"):
-                getattr(self, part).begin(self.streams)
+        """Controllers, channels and memories forget the last episode."""
+        for part in (*self.controllers.values(), *self._channels):
+            part.begin(self.streams)
+        for memory in self._memories:
+            memory.reset()
 
     # Gymnasium
 
@@ -144,6 +176,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             self._begin()
             self.begin_robots()
             self._start()
+            self._fill_frames()
         except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error
         if self.terminated:
@@ -277,14 +310,59 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def _start(self) -> None:
-        """Receive the first messages and compute what the first observation needs."""
+        """Observe the first moment of an episode."""
 
     @abstractmethod
     def _advance(self, action: Any) -> Any:
-        """One tick: act, let the world go on, receive, and compute all that is read afterwards.
+        """One step: act, let the world go on, and observe.
 
         That of a copy in a team is a generator, which waits wherever the world goes on.
         """
+
+    # What generated code calls
+
+    def ranges(self, action: Any) -> list[float]:
+        """The numbers of an array from the action space, each within [-1, 1].
+
+        Raises:
+            ValueError: There are more or fewer than the action has.
+            FloatingPointError: One is not a number.
+        """
+        values = [x if -1.0 <= x <= 1.0 else clip(x) for x in action.tolist()]
+        if len(values) != self._ranges:
+            raise ValueError(f"{len(values)} numbers")
+        return values
+
+    def see(self, *numbers: float) -> None:
+        """Let the policy see these numbers, in the newest frame, as float32; a truth value is 0 or 1."""
+        self._pack(self._buffer, self._width * self.newest, *numbers)
+
+    def next_frame(self) -> None:
+        """Make room for what the policy sees after this step, where it sees several steps."""
+        self.newest = (self.newest + 1) % self.depth
+
+    def seen(self) -> NDArray[np.float32]:
+        """The numbers that the policy sees; a copy."""
+        return self.frames.copy() if self.depth == 1 else self.frames.take(self.views[self.newest])
+
+    def aim(self, achieved: Sequence[float], desired: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Let the policy see what is achieved and desired, and give both back as it sees them.
+
+        Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is recomputed from what was
+        seen is then the same reward.
+
+        Raises:
+            FloatingPointError: A number is not a number.
+        """
+        goal = self.scenario.goal
+        assert goal is not None
+        halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
+        middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
+        size = len(halves)
+        mapped = [(value - middle) / half for value, middle, half in zip((*achieved, *desired), middles * 2, halves * 2, strict=True)]
+        self.goal[:] = [x if -1.0 <= x <= 1.0 else clip(x) for x in mapped]
+        meant = [middle + half * seen for middle, half, seen in zip(middles * 2, halves * 2, self.goal.tolist(), strict=True)]
+        return meant[:size], meant[size:]
 
     def given(self, name: str, drawn: float) -> float:
         """The value of this episode: what `options` of `reset` set, or else what was drawn."""
@@ -292,9 +370,18 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
         """Give a fault of a sensor the figures of this episode; of one that nothing reads there is no device."""
-        controller: RobotController = getattr(self, f"robot_{robot}")
+        controller = self.controllers[robot]
         if sensor in controller.devices:
             controller.devices[sensor].vary(fault, values)
+
+    def set_joints(self, robot: str, joints: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()) -> None:
+        """Let joints start at positions (rad or m) and velocities (rad/s or m/s), at rest without them."""
+        for joint, position, velocity in zip(joints, positions, velocities or (0.0,) * len(joints), strict=True):
+            self.engine.set_joint(robot, joint, position, velocity)
+
+    def paint(self, body: str, link: str | None, which: float, colours: Sequence[tuple[float, float, float, float]]) -> None:
+        """Give a link the colour of this number (red, green, blue, opacity)."""
+        self.engine.set_colour(body, link, colours[int(which)])
 
     def rub(self, bodies: tuple[str, ...], friction: float) -> None:
         """Let several bodies, such as the walls around an arena, have the same coefficient of friction."""
@@ -316,9 +403,9 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.ended_by = limit
         self.endings = (limit,)
 
-    def fill_frames(self) -> None:
+    def _fill_frames(self) -> None:
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
-        width = len(self.observed)
+        width = len(self.scenario.numbers)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
         for album in self.albums.values():
             album.frames[1:] = album.frames[0]
@@ -383,23 +470,3 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
 def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
     return rebuild()
-
-
-def clipped(value: float) -> float:
-    """The end of [-1, 1] that a value beyond it is nearest to.
-
-    Raises:
-        FloatingPointError: The value is not a number.
-    """
-    if value != value:
-        raise FloatingPointError("not a number")
-    return 1.0 if value > 0.0 else -1.0
-
-
-def unbounded(value: float) -> None:
-    """Refuses an observation that is not clipped and not finite, or too large for a float32.
-
-    Raises:
-        FloatingPointError: Always.
-    """
-    raise FloatingPointError(f"an observation of {value}")

@@ -59,9 +59,6 @@ class Team(Supervisor):
         self.observation_space = batch_space(self.members[0].observation_space, copies.count)
         self.action_space = batch_space(self.members[0].action_space, copies.count)
 
-    def _connect(self) -> None:
-        """Channels are those of the members."""
-
     def begin_robots(self) -> None:
         for member in self.members:
             member.begin_robots()
@@ -82,7 +79,11 @@ class Team(Supervisor):
     def _start(self) -> None:
         for member in self.members:
             member._start()
+            member._fill_frames()
         self._gather()
+
+    def _fill_frames(self) -> None:
+        """Frames are those of the members."""
 
     def _advance(self, action: Any) -> None:
         if not _takes(self.action_space, action):

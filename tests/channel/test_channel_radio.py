@@ -71,7 +71,6 @@ def test_newest_drops_what_is_older_than_what_was_delivered() -> None:
 @pytest.mark.parametrize(("order", "latest", "measured"), [("sent", 1, [0, 0, 2]), ("arrival", 0, [0, 2, 1]), ("newest", 1, [0, 2, 2])])
 def test_what_is_gone_by_is_the_message_that_came_last(order: Any, latest: int, measured: list[int]) -> None:
     link = radio(order=order)
-    link.deliver("first")
     seen = []
     for number, latency in enumerate([2.0, 0.0]):
         link.latency = latency * TICK

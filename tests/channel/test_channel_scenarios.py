@@ -220,6 +220,6 @@ def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(make: Make
 def test_a_message_on_a_foreign_channel_is_refused(make: Make) -> None:
     environment = make(REWARD, rival=SCRIPTED)
     environment.reset(seed=0)
-    environment.to_rival.send(environment.encode_to_cart(1.0))
+    environment.to_rival.transmit(environment.to_cart.wire.encode((1.0,)))
     with pytest.raises(MessageError, match="robot 'rival', to the robot, step 1: a foreign message"):
         environment.step(np.zeros(1))

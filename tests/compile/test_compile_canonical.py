@@ -9,7 +9,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.canonical import digest, to_json
-from deepbots_cli.compiler.emit import emit
+from deepbots_cli.codegen import emit
 from tests.named import constant
 
 

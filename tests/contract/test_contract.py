@@ -195,8 +195,7 @@ def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> No
     for transition in episode(environment, 6, 20):
         for _ in range(2):
             for agent, robot in product(agents(environment), environment.scenario.robots):
-                controller = getattr(agent, f"robot_{robot.name}")
-                (controller.create_message if environment.scenario.format != "none" else controller.sense)()
+                agent.controllers[robot.name].create_message()
             again = (environment.get_observations(), environment.get_reward(), *environment.is_done(), environment.get_info())
             assert str(again) == str(transition)
         found.append(transition)
@@ -205,14 +204,12 @@ def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> No
 
 
 def test_queues_are_empty_after_every_reset(environment: Supervisor) -> None:
-    """In paper timing one message is under way: the one that the robot sent at the start."""
-    waiting = 1 if environment.scenario.timing == "paper" and environment.scenario.format != "none" else 0
     for steps in (0, 1, 5, 30):
         list(episode(environment, steps, steps))
         environment.reset()
         for agent, robot in product(agents(environment), environment.scenario.robots):
             assert len(getattr(agent, f"to_{robot.name}")) == 0
-            assert len(getattr(agent, f"from_{robot.name}")) == waiting
+            assert len(getattr(agent, f"from_{robot.name}")) == 0
 
 
 def test_channels_never_fill_up(environment: Supervisor) -> None:

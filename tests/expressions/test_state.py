@@ -1,13 +1,12 @@
-"""Stateful functions, run from their printed statements."""
-
-import textwrap
+"""Stateful functions, computed by their memories."""
 
 import pytest
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.lower import lower
-from deepbots_cli.expressions.printer import advance_lines, python, reset_lines
-from deepbots_cli.expressions.scalar import Name, State, walk
+from deepbots_cli.expressions.printer import python
+from deepbots_cli.expressions.scalar import State, walk
+from deepbots_cli.runtime import memory
 
 DT = 0.5
 
@@ -15,27 +14,19 @@ DT = 0.5
 def run(bench, text, rows):
     """The value at the reset (first row) and in each tick after it."""
     (scalar,) = lower(bench.clean(text), "item")
+    states = list(dict.fromkeys(node for node in walk(scalar) if isinstance(node, State)))
+    memories = {state: getattr(memory, FUNCTIONS[state.function].memory)(DT) for state in states}
 
     def leaf(read):
-        match read:
-            case State(slot=slot):
-                return slot.replace("#", "_now_")
-            case Name(name=name):
-                return name
-        raise AssertionError(read)
+        return f"now_{states.index(read)}" if isinstance(read, State) else read.name
 
-    reset, tick = [], []
-    for state in dict.fromkeys(node for node in walk(scalar) if isinstance(node, State)):
-        now, memory = leaf(state), state.slot.replace("#", "_memory_")
-        args = [python(arg, leaf) for arg in state.args]
-        reset += reset_lines(state, memory, now, args)
-        tick += advance_lines(state, memory, now, args, "dt")
+    calls = [(f"now_{index}", memories[state], [python(arg, leaf) for arg in state.args]) for index, state in enumerate(states)]
     result = python(scalar, leaf)
-    kept = {"dt": DT}
     seen = []
-    for number, row in enumerate(rows):
-        kept |= row
-        exec(textwrap.dedent("\n".join(reset if number == 0 else tick)), kept)
+    for row in rows:
+        kept = dict(row)
+        for name, made, args in calls:
+            kept[name] = made.update(*(eval(arg, kept) for arg in args))
         seen.append(eval(result, kept))
     return seen
 
@@ -83,4 +74,4 @@ def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
 
 
 def test_every_stateful_function_of_the_table_has_a_rule():
-    assert all((function.memory is not None) == (function.family is Family.STATEFUL) for function in FUNCTIONS.values())
+    assert all(bool(function.memory) == (function.family is Family.STATEFUL) for function in FUNCTIONS.values())

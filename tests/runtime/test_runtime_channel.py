@@ -1,36 +1,50 @@
-"""The channel delivers in order, as late as it says, and forgets at a reset."""
+"""The channel delivers at once, one value per field, and forgets at a reset."""
 
 from __future__ import annotations
 
 import pytest
 
+from deepbots_cli.errors import MessageError
+from deepbots_cli.message_formats import FORMATS
+from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.runtime.channel import Channel
+from deepbots_cli.runtime.messages import Wire
 from deepbots_cli.runtime.streams import Streams
 
-
-@pytest.mark.parametrize("delay", [0, 1, 3])
-def test_a_message_arrives_so_many_ticks_after_it_was_sent(delay: int) -> None:
-    channel = Channel(delay)
-    arrived = []
-    for tick in range(6):
-        channel.send(f"sent in {tick}")
-        arrived.append(channel.receive())
-    assert arrived == [None] * delay + [f"sent in {tick}" for tick in range(6 - delay)]
+FIELDS = (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", (), "bool"))
+LAYOUT = MessageLayout.of("cart", "from_robot", FIELDS)
+MESSAGE = (0.1, [1.0, 2.0, 3.0], True)
 
 
-def test_what_is_under_way_is_forgotten_when_an_episode_begins() -> None:
-    channel = Channel(2)
-    channel.send("old")
-    channel.send("older")
-    assert len(channel) == 2
-    channel.begin(Streams(0))
-    assert len(channel) == 0
-    channel.send("new")
-    assert channel.receive() is None
+def refused(layout: MessageLayout, message: object) -> MessageError:
+    return MessageError(f"{layout.robot} refuses {message!r}")
 
 
-def test_without_delay_nothing_stays_in_the_channel() -> None:
-    channel = Channel()
-    channel.send("now")
-    assert channel.receive() == "now"
-    assert len(channel) == 0
+def channel(format: str = "struct") -> Channel:
+    return Channel(Wire(LAYOUT, format, refused))
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_what_is_sent_is_received_by_fields(format: str) -> None:
+    path = channel(format)
+    path.send(MESSAGE)
+    angle, gyro, touch = path.receive()
+    assert (angle, list(gyro), touch) == MESSAGE
+    assert len(path) == 0
+
+
+def test_messages_arrive_in_order_and_a_new_episode_forgets_them() -> None:
+    path = channel("none")
+    path.send("old")
+    path.send("new")
+    assert (len(path), path.receive()) == (2, "old")
+    path.begin(Streams(0))
+    assert len(path) == 0
+
+
+@pytest.mark.parametrize("format", set(FORMATS) - {"none"})
+def test_a_message_of_another_layout_is_refused(format: str) -> None:
+    path = channel(format)
+    path.transmit(Wire(MessageLayout.of("cart", "to_robot", FIELDS), format, refused).encode(MESSAGE))
+    with pytest.raises(MessageError, match="cart refuses"):
+        path.receive()

@@ -151,7 +151,7 @@ def test_a_foreign_message_on_the_way_is_refused_by_the_robot(rail: Path, make: 
     environment = make(rail)
     environment.reset(seed=0)
     environment.step(0)
-    environment.to_cart.send(message)
+    environment.to_cart.transmit(message)
     with pytest.raises(MessageError, match=r"robot 'cart', to the robot, step 2"):
         environment.step(0)
 
@@ -159,7 +159,7 @@ def test_a_foreign_message_on_the_way_is_refused_by_the_robot(rail: Path, make: 
 def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(rail: Path, make: Make) -> None:
     environment = make(rail)
     environment.reset(seed=0)
-    environment.from_cart.send(environment.encode_to_cart(1.0))
+    environment.from_cart.transmit(environment.to_cart.wire.encode((1.0,)))
     with pytest.raises(MessageError, match=r"robot 'cart', from the robot, step 1: a foreign message"):
         environment.step(0)
 

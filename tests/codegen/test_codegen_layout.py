@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.emit.text import docstring
-from deepbots_cli.compiler.emit.wrap import WIDTH, wrapped
+from deepbots_cli.codegen.layout import WIDTH, docstring, wrapped
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = ["cartpole", *map(str, sorted((ROOT / "tests/data/scenarios").glob("*.yaml")))]
@@ -56,7 +55,18 @@ def test_a_docstring_says_what_the_text_says(text: str) -> None:
 def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -> None:
     file = tmp_path / "environment.py"
     file.write_text(api.compile(source, sets=[f"messages.format={format}"]).code)
-    command = [sys.executable, "-m", "ruff", "format", "--diff", "--config", str(ROOT / "pyproject.toml"), str(file)]
+    command = [
+        sys.executable,
+        "-m",
+        "ruff",
+        "format",
+        "--diff",
+        "--config",
+        str(ROOT / "pyproject.toml"),
+        "--line-length",
+        str(WIDTH),
+        str(file),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
     assert max(map(len, file.read_text().splitlines())) <= WIDTH

@@ -18,8 +18,8 @@ import pytest
 import yaml
 
 from deepbots_cli import api
+from deepbots_cli.codegen import emit
 from deepbots_cli.compiler import check
-from deepbots_cli.compiler.emit import emit
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.document.load import loads
 from deepbots_cli.errors import DeepbotsError

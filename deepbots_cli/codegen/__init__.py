@@ -1,0 +1,109 @@
+"""From a program to readable Python.
+
+    Program  ->  robot.py       a controller class per robot: use_message_data, create_message; its sensors and actuators
+             ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written policies
+                   reset.py     what an episode draws and varies, and how it begins
+                   step.py      a step and its ticks, and `_observe`, which computes everything once per tick
+workspace.py   what the methods of a supervisor share
+printer.py     numbers, vectors and the memories of stateful functions; readers.py what is read from the engine
+names.py       identifiers and constants; layout.py templates, and long lines
+
+The classes are printed in the order of their methods; what they bind and import is known when these are printed.
+Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
+match `[a-z_][a-z0-9_]*`, quoted strings and comments.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from deepbots_cli.canonical import digest
+from deepbots_cli.codegen.layout import filled, wrapped
+from deepbots_cli.codegen.names import RUNTIME, Constants, class_name
+from deepbots_cli.codegen.robot import Controller
+from deepbots_cli.codegen.supervisor import supervisor
+from deepbots_cli.expressions.functions import math_names
+from deepbots_cli.program import Program
+
+_MODULE = '''
+"""{name}, compiled by deepbots; scenario {digest}.
+
+SI units. Each robot has a controller class, which knows its sensors and its messages only; the
+supervisor is a Gymnasium environment. Its `reset` calls `_begin` and `_start`, its `step` calls `_advance`;
+both observe. The methods after `_observe` read what that left and change nothing.
+"""
+
+from __future__ import annotations
+
+{standard}
+from typing import Any
+
+{runtime}
+
+{constants}
+
+{classes}
+'''
+_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
+
+
+def emit(scenario: Program) -> str:
+    """The module that runs `scenario`: one controller class per robot and the supervisor class.
+
+    Raises:
+        ValueError: A name is no identifier of the language, which is a fault of the compiler.
+    """
+    for name in _names(scenario):
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"{name[:40]!r} cannot be a name in the code")
+    constants = Constants()
+    classes = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants).lines(), "", "")]
+    classes += supervisor(scenario, constants)
+    used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
+    used_math = sorted(math_names() & used)
+    lines = filled(
+        _MODULE,
+        name=class_name(scenario.name),
+        digest=digest(scenario)[:12],
+        standard=[
+            *(["from collections.abc import Iterator"] if "Iterator" in used else []),
+            *([f"from math import {', '.join(used_math)}"] if used_math else []),
+        ],
+        runtime=[f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME), key=_as_isort))}"],
+        constants=[*constants.lines, "", ""] if constants.lines else [""],
+        classes=classes,
+    )
+    return "\n".join(part for line in _without_gaps(lines) for part in wrapped(line)).rstrip("\n") + "\n"
+
+
+def _names(scenario: Program) -> Iterator[str]:
+    """What the scenario defines and the code is made with."""
+    robots = scenario.robots
+    parts: list[tuple[Any, ...]] = [
+        part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
+    ]
+    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action]
+    yield from (robot.name for robot in robots)
+    yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.scripts) for entry in entries)
+
+
+def _as_isort(name: str) -> tuple[int, str]:
+    """Constants, classes, functions."""
+    return 0 if name.isupper() else 1 if name[0].isupper() else 2, name
+
+
+def _without_gaps(lines: list[str]) -> list[str]:
+    """At most two blank lines in a row, and one inside of classes."""
+    result: list[str] = []
+    for index, line in enumerate(lines):
+        if line or not result:
+            result.append(line)
+            continue
+        following = next((other for other in lines[index:] if other), "")
+        most = 1 if following.startswith(" ") else 2
+        if any(result[-most:]):
+            result.append(line)
+    return result

@@ -1,0 +1,418 @@
+"""Prints the statements of one method: numbers and vectors, with the memories of stateful functions before them.
+
+The trees of a program are scalar: a vector is one tree per component. Where these trees are alike, a vector is printed as one
+comprehension, over a column of values wherever they differ; the order of operations in each component stays the same.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple, Protocol
+
+from deepbots_cli.codegen.layout import noted, quoted, tuple_code
+from deepbots_cli.codegen.names import VARIABLES, Constants, Names
+from deepbots_cli.codegen.readers import Needs, Readers
+from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
+from deepbots_cli.expressions.printer import SCALAR, Code, applied, number
+from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
+
+NOTHING: Mapping[int, str] = MappingProxyType({})
+NO_NAMES: Mapping[str, str] = MappingProxyType({})
+
+_JOINED = {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"}
+"""What takes many alike arguments as one vector."""
+_MANY = 4
+_NEUTRAL = {"add": 0.0, "sub": 0.0, "mul": 1.0}
+
+
+class Column(NamedTuple):
+    """The code of a sequence, and of what is taken from each of its items."""
+
+    code: str
+    item: str = ""
+
+    @property
+    def plain(self) -> str:
+        """The code of a sequence of the values themselves."""
+        return f"[a{self.item} for a in {self.code}]" if self.item else self.code
+
+
+class Scope(Protocol):
+    """The class that a method is printed for: what its names mean, and what its methods share."""
+
+    names: Names
+    constants: Constants
+    readers: Readers
+    memories: dict[str, str]
+    """How each memory is made, by its attribute."""
+
+    def scalar(self, leaf: Name | World, needs: Needs) -> str:
+        """The code of one number."""
+
+    def vector(self, leaves: Sequence[Name]) -> str | None:
+        """The code of a vector that consists of these components; None where they are of no one vector."""
+
+
+class Printer:
+    """Lines of Python for one method body.
+
+    `settable` has the names of draws that `options` of `reset` may set, by the identity of their expressions: to compare
+    trees is to walk them. `renamed` has the code of names that mean something else in this method.
+    """
+
+    def __init__(self, scope: Scope, *, settable: Mapping[int, str] = NOTHING, renamed: Mapping[str, str] = NO_NAMES) -> None:
+        self.lines: list[str] = []
+        self.scope = scope
+        self.names = scope.names
+        self.needs: Needs = {}
+        self._settable = settable
+        self._renamed = renamed
+        self._hoisted: dict[State, str] = {}
+        self.reads_at = 0
+
+    def line(self, text: str) -> None:
+        self.lines.append(text)
+
+    def read_here(self) -> None:
+        """Let the readers be called at this point; without, they are called first."""
+        self.reads_at = len(self.lines)
+
+    def finished(self, docstring: Sequence[str] = ()) -> list[str]:
+        """All lines, with the calls of readers."""
+        at, reads = self.reads_at, self.scope.readers.call_lines(self.needs)
+        return [*docstring, *self.lines[:at], *reads, *self.lines[at:]] or ["pass"]
+
+    def value(self, tree: Scalar) -> str:
+        """The code of a number; what must happen first has been printed."""
+        code = self.code(tree).text
+        name = self._settable.get(id(tree))
+        return code if name is None else f"self.given({quoted(name)}, {code})"
+
+    def either(self, components: Sequence[object], trees: Sequence[Scalar]) -> str:
+        """The code of a vector with these components, or of a number without any."""
+        return self.vector(trees) if components else self.value(trees[0])
+
+    def assign(self, target: str, code: str, text: str = "") -> None:
+        """An assignment, with the text of the scenario that it was made from."""
+        made = f"{code} = "
+        if self.lines and self.lines[-1].startswith(made) and code in self.scope.memories:
+            code = self.lines.pop().removeprefix(made)
+            self._hoisted = {state: re.sub(rf"^{made[:-3]}\b", target, name) for state, name in self._hoisted.items()}
+        self.lines += noted(f"{target} = {code}", text)
+
+    def tuple(self, trees: Sequence[Scalar]) -> str:
+        """The code of a tuple with one item per tree."""
+        return tuple_code([self.value(tree) for tree in trees])
+
+    def vector(self, trees: Sequence[Scalar]) -> str:
+        """The code of a sequence with one item per tree."""
+        names = [self._settable.get(id(tree)) for tree in trees]
+        if not any(names) and (column := self._column(trees)) is not None:
+            return column.plain
+        if len(trees) > 1 and all(tree == trees[0] for tree in trees) and not is_drawn(trees[0]):
+            return f"({self.value(trees[0])},) * {len(trees)}"
+        if len(trees) > 2 and (all(names) or not any(names)):
+            try:
+                loop = _Loop(self)
+                body = loop.body(trees).text
+                settable = [name for name in names if name]
+                return loop.code(f"self.given({loop.string(settable)}, {body})" if settable else body)
+            except _UnlikeError:
+                pass
+        return self.tuple(trees)
+
+    def remember(self, trees: Sequence[Scalar]) -> None:
+        """Print only what keeps the memory of stateful functions, for values that are not needed here."""
+        groups: dict[tuple[str, str], list[State]] = {}
+        for state in (state for tree in trees for state in outer_states(tree)):
+            groups.setdefault((state.function, state.slot.partition("#")[0] + _occurrence(state)), []).append(state)
+        for states in groups.values():
+            if len(states) < 3 or self._states(states) is None:
+                for state in states:
+                    self._state(state)
+
+    def code(self, tree: Scalar) -> Code:
+        match tree:
+            case Const(value=NamedFloat(component=None) as value) if value.text:
+                return Code(self.scope.constants.number(value))
+            case Const(value=value):
+                return number(value)
+            case Op():
+                return (
+                    self._turned(tree) or self._joined(tree) or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, SCALAR)
+                )
+            case State():
+                return Code(self._state(tree))
+            case Draw():
+                return Code(self.draw(tree.distribution, quoted(tree.stream), [self.value(argument) for argument in tree.args]))
+            case Name(name=name) if name in self._renamed:
+                return Code(self._renamed[name])
+            case Name() | World():
+                return Code(self.scope.scalar(tree, self.needs))
+
+    def draw(self, distribution: str, stream: str, args: Sequence[str]) -> str:
+        return f"self.streams.{distribution}({', '.join([stream, *args])})"
+
+    def _turned(self, tree: Op) -> Code | None:
+        """A function of the poses of bodies, or a component of a vector as a body sees it."""
+        found = _of_poses(tree)
+        if found is not None:
+            poses = [self.scope.readers.pose(body, self.needs) for body in found[1]]
+            return Code(f"{found[0]}({', '.join(poses)})")
+        seen = _local(tree)
+        if seen is not None:
+            return Code(f"{self._seen(seen)}[{seen.axis}]")
+        return None
+
+    def _seen(self, seen: _Local) -> str:
+        return f"local({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
+
+    def _joined(self, tree: Op) -> Code | None:
+        """An operation on many alike arguments, as one on a vector."""
+        if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
+            return Code(f"hypot(*{column.plain})")
+        if tree.op not in _JOINED or len(tree.args) < _MANY:
+            return None
+        column = self._column(tree.args)
+        try:
+            loop = _Loop(self)
+            code = column.plain if column is not None else loop.code(loop.body(tree.args).text)
+        except _UnlikeError:
+            return None
+        lazy = tree.op in ("or", "and") and code.startswith("[")
+        return Code(f"{_JOINED[tree.op]}({code[1:-1] if lazy else code})")
+
+    def _column(self, trees: Sequence[Scalar]) -> Column | None:
+        """A vector that is there as a whole, or a constant one."""
+        if not trees:
+            return Column("()")
+        if all(isinstance(tree, Const) for tree in trees):
+            return Column(self.scope.constants.vector([tree.value for tree in trees if isinstance(tree, Const)]))
+        if all(isinstance(tree, State) for tree in trees) and len(trees) > 2:
+            return self._states([tree for tree in trees if isinstance(tree, State)])
+        if all(isinstance(tree, Name) for tree in trees):
+            if isinstance(trees[0], Name) and trees[0].name in self._renamed:
+                return Column(f"({self.value(trees[0])},) * {len(trees)}")
+            code = self.scope.vector([tree for tree in trees if isinstance(tree, Name)])
+            return None if code is None else Column(code)
+        if all(isinstance(tree, World) for tree in trees):
+            found = self.scope.readers.vector([tree for tree in trees if isinstance(tree, World)], self.needs)
+            return None if found is None else Column(*found)
+        seen = [found for found in map(_local, trees) if found is not None]
+        if [found.axis for found in seen] == [0, 1, 2] == list(range(len(trees))) and len({found[::2] for found in seen}) == 1:
+            return Column(self._seen(seen[0]))
+        return None
+
+    # Memories
+
+    def _state(self, state: State) -> str:
+        if state not in self._hoisted:
+            name = self._memory([state])
+            arguments = ", ".join(self.value(argument) for argument in state.args)
+            self.line(f"{name} = self.{name}.update({arguments})")
+            self._hoisted[state] = name
+        return self._hoisted[state]
+
+    def _states(self, states: Sequence[State]) -> Column | None:
+        """A vector of memories; None where they differ in more than their component."""
+        found = [self._hoisted.get(state) for state in states]
+        if found[0] is not None:
+            whole = found[0].removesuffix("[0]")
+            return Column(whole) if found == [f"{whole}[{index}]" for index in range(len(states))] else None
+        if any(found) or len({state.function for state in states}) > 1:
+            return None
+        loop = _Loop(self)
+        try:
+            arguments = [loop.body(trees).text for trees in zip(*(state.args for state in states), strict=True)]
+        except (_UnlikeError, ValueError):
+            return None
+        name = self._memory(states)
+        memory = loop.variable(Column(f"self.{name}"))
+        call = f"{memory}.update({', '.join(arguments)})"
+        self.line(f"{name} = {loop.code(call)}")
+        self._hoisted |= {state: f"{name}[{index}]" for index, state in enumerate(states)}
+        return Column(name)
+
+    def _memory(self, states: Sequence[State]) -> str:
+        """The attribute that holds memories, and the local that holds their values."""
+        first = states[0]
+        owner = first.slot.partition("#")[0].rpartition(".")[2]
+        name = self.names.called(f"memory {first.slot}", first.function, owner)
+        kind = FUNCTIONS[first.function].memory
+        self.scope.memories[name] = f"self.memories({kind}, {len(states)})" if len(states) > 1 else f"self.memory({kind})"
+        return name
+
+
+def _alike_at_start(texts: Sequence[str]) -> int:
+    """How many characters all texts begin with."""
+    return next((index for index, signs in enumerate(zip(*texts, strict=False)) if len(set(signs)) > 1), min(map(len, texts)))
+
+
+class _UnlikeError(Exception):
+    """Trees that have no common body."""
+
+
+class _Loop:
+    """The common body of several trees, and the columns of what differs between them."""
+
+    def __init__(self, printer: Printer) -> None:
+        self._printer = printer
+        self._columns: dict[str, str] = {}
+
+    def variable(self, column: Column) -> str:
+        """The code of an item of the column."""
+        if column.code not in self._columns and len(self._columns) == len(VARIABLES):
+            raise _UnlikeError
+        return self._columns.setdefault(column.code, VARIABLES[len(self._columns)]) + column.item
+
+    def string(self, texts: Sequence[str]) -> str:
+        """The code of a text that differs in a part, such as a stream."""
+        start = _alike_at_start(texts)
+        end = _alike_at_start([text[start:][::-1] for text in texts])
+        start = max(texts[0].rfind(sign, 0, start) + 1 for sign in ".:#")
+        end = max(len(found[0]) for text in texts[:1] if (found := re.search(r"([.:#].*)?$", text[len(text) - end :])))
+        parts = tuple(text[start : len(text) - end] for text in texts)
+        if "{" in texts[0] or "}" in texts[0]:
+            raise _UnlikeError
+        around = quoted(texts[0][:start])[:-1], quoted(texts[0][len(texts[0]) - end :])[1:]
+        return f"f{around[0]}{{{self.variable(Column(self._printer.scope.constants.strings(parts)))}}}{around[1]}"
+
+    def code(self, body: str) -> str:
+        """The vector as a comprehension."""
+        variables, columns = ", ".join(self._columns.values()), ", ".join(self._columns)
+        return f"[{body} for {variables} in {columns if len(self._columns) == 1 else f'zip({columns})'}]"
+
+    def body(self, trees: Sequence[Scalar]) -> Code:
+        """The code of one of the trees.
+
+        Raises:
+            _UnlikeError: They have no common body.
+        """
+        first = trees[0]
+        if not is_drawn(first) and all(tree == first for tree in trees):
+            return self._printer.code(first)
+        if (column := self._printer._column(trees)) is not None:
+            return Code(self.variable(column))
+        if all(isinstance(tree, Name | World) or (isinstance(tree, Op) and _of_poses(tree)) for tree in trees):
+            return Code(self.variable(Column(self._printer.tuple(trees))))
+        if all(isinstance(tree, Draw) and tree.distribution == first.distribution for tree in trees if isinstance(first, Draw)):
+            draws = [tree for tree in trees if isinstance(tree, Draw)]
+            if len(draws) == len(trees):
+                stream = self.string([draw.stream for draw in draws])
+                args = self._bodies([draw.args for draw in draws])
+                return Code(self._printer.draw(draws[0].distribution, stream, [arg.text for arg in args]))
+        operations = _alike([tree for tree in trees if isinstance(tree, Op)], trees)
+        name = operations[0].op
+        if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
+            raise _UnlikeError
+        return applied(name, self._bodies([tree.args for tree in operations]), operations[0].args, SCALAR)
+
+    def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
+        if len({len(row) for row in rows}) > 1:
+            raise _UnlikeError
+        return [self.body(column) for column in zip(*rows, strict=True)]
+
+
+def _alike(operations: Sequence[Op], trees: Sequence[Scalar]) -> Sequence[Op]:
+    """The trees as the same operation; a constant that leaves a tree as it is stands where the others have theirs.
+
+    Raises:
+        _UnlikeError: They are no such.
+    """
+    names = {tree.op for tree in operations}
+    if len(operations) == len(trees) and len(names) == 1:
+        return operations
+    constant = [next((at for at, arg in enumerate(tree.args) if isinstance(arg, Const)), None) for tree in operations]
+    lifting = {(tree.op, at) for tree, at in zip(operations, constant, strict=True) if at is not None and tree.op in _NEUTRAL}
+    for name, at in sorted(lifting):
+        if (name, at) == ("sub", 0):
+            continue
+        neutral = Const(_NEUTRAL[name])
+        return [
+            tree if isinstance(tree, Op) and tree.op == name else Op(name, (neutral, tree) if at == 0 else (tree, neutral))
+            for tree in trees
+        ]
+    raise _UnlikeError
+
+
+def _occurrence(state: State) -> str:
+    """Which of the stateful functions of its item it is; components of a vector share the number."""
+    return state.slot.partition("#")[2].partition(".")[0]
+
+
+def outer_states(tree: Scalar) -> list[State]:
+    """Stateful functions in order of evaluation, without those inside others."""
+    match tree:
+        case State():
+            return [tree]
+        case Op(_, args) | Draw(_, args, _):
+            return [state for argument in args for state in outer_states(argument)]
+        case _:
+            return []
+
+
+# Functions of poses, which stand in a program as what they are made of
+
+
+class _Local(NamedTuple):
+    """A component of a vector of the world, as a body sees it."""
+
+    body: str
+    axis: int
+    vector: tuple[Scalar, ...]
+
+
+_ONE, _OTHER = "one", "other"
+
+
+def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
+    """The trees of functions of poses, by their outermost operation."""
+    found: dict[str, list[tuple[str, Scalar]]] = {}
+    for function in FUNCTIONS.values():
+        if function.family is Family.WORLD and function.tree is not None:
+            tree = function.tree(*(_ONE, _OTHER)[: len(function.params)])
+            assert isinstance(tree, Op)
+            found.setdefault(tree.op, []).append((function.name, tree))
+    return found
+
+
+_PATTERNS = _patterns()
+_ROWS = [
+    Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3))) for axis in range(3)
+]  # what `lower` makes of `local`
+
+
+def _of_poses(tree: Op) -> tuple[str, list[str]] | None:
+    """The function of poses that a tree computes, and the bodies."""
+    for name, pattern in _PATTERNS.get(tree.op, ()):
+        bodies: dict[str, str] = {}
+        if _matches(pattern, tree, bodies, {}):
+            return name, [bodies[key] for key in (_ONE, _OTHER) if key in bodies]
+    return None
+
+
+def _local(tree: Scalar) -> _Local | None:
+    for axis, pattern in enumerate(_ROWS if isinstance(tree, Op) and tree.op == "add" else ()):
+        bodies: dict[str, str] = {}
+        vector: dict[str, Scalar] = {}
+        if _matches(pattern, tree, bodies, vector):
+            return _Local(bodies[_ONE], axis, tuple(vector[f"{row}"] for row in range(3)))
+    return None
+
+
+def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict[str, Scalar]) -> bool:
+    """Whether a tree is made like the pattern; `bodies` and `others` take what stands for its subjects and its names."""
+    match pattern, tree:
+        case Name(name), _:
+            others[name] = tree
+            return True
+        case World(function, (key,), component), World(other, (body,), axis):
+            return (function, component) == (other, axis) and bodies.setdefault(key, body) == body
+        case Op(name, args), Op(other, parts):
+            return (
+                name == other and len(args) == len(parts) and all(_matches(a, b, bodies, others) for a, b in zip(args, parts, strict=True))
+            )
+        case _:
+            return pattern == tree

@@ -1,0 +1,392 @@
+"""Prints what happens at a reset: what an episode draws and varies, and the world as it begins; language reference, "Reset".
+
+Where everything has its place, the bodies are simply put there. Where something looks for a place, where the start is required
+to be some way, or where copies come and go, `_arrange` is one attempt at it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+from deepbots_cli.codegen.layout import block, indent, quoted, quoted_tuple, tuple_code
+from deepbots_cli.codegen.names import Constants
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.robot import Drives
+from deepbots_cli.codegen.workspace import Workspace
+from deepbots_cli.expressions.scalar import Const, Scalar, names_in
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Cells, Disturbance, Group, JointStart, Placement, RandomizedParameter, Region, Top
+from deepbots_cli.program.robots import Route
+from deepbots_cli.program.values import Expression, Noise
+
+_ROUNDING = 1e-9
+"""In s: a period of a whole number of steps must not become one more by rounding."""
+
+
+def begin(space: Workspace) -> list[str]:
+    """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
+    scenario, reset = space.scenario, space.scenario.reset
+    printer = space.printer()
+    _print_first_draws(space, printer)
+    _print_stds(space, printer)
+    if is_arranged(scenario):
+        for index, variation in enumerate(reset.variations):
+            printer.assign(_varied(space, index), printer.vector(variation.scalars))
+        printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")
+    else:
+        printer.line("self.engine.reset()")
+        for variation in reset.variations:
+            printer.line(_setting(variation, *_values(printer, variation)))
+        printer.lines += _releasing(scenario)
+        for place in reset.placements:
+            printer.line(_placing(place, printer))
+        for start in reset.joint_starts:
+            _print_joints(start, printer)
+        printer.lines += _forgetting(space)
+    _print_first_pushes(space, printer)
+    printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Drives(scenario, robot, space.constants).actuators]
+    ticks = round(reset.settle / scenario.world.timestep)
+    if ticks:
+        printer.line(f"self.physics({ticks * scenario.world.substeps})")
+    doc = '"""Draw what this episode varies, and put the world where it begins."""'
+    method = block("def _begin(self) -> None:", printer.finished([doc]))
+    return [*method, *_arrange(space)] if is_arranged(scenario) else method
+
+
+def is_arranged(scenario: Program) -> bool:
+    """Whether the places of an episode have to be found."""
+    reset = scenario.reset
+    drawn = reset.groups or reset.layouts or reset.require is not None
+    pooled = any(thing.pooled for thing in scenario.world.objects)
+    return bool(drawn) or pooled or scenario.world.terrain is not None or any(is_sought(place) for place in reset.placements)
+
+
+def _arrange(space: Workspace) -> list[str]:
+    """The method that is one attempt at a start."""
+    reset = space.scenario.reset
+    printer = space.printer()
+    printer.line("bodies = self.bodies")
+    printer.lines += _place_lines(reset.placements, space, printer)
+    shares = ", ".join(f"({quoted(layout.name)}, {layout.share!r})" for layout in reset.layouts)
+    if len(reset.layouts) > 1:
+        printer.line(f'layout = bodies.layout("reset.layout", {shares})')
+    for index, layout in enumerate(reset.layouts):
+        lines = _place_lines(layout.placements, space, printer) or ["pass"]
+        if len(reset.layouts) > 1:
+            printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
+            lines = [f"    {line}" for line in lines]
+        printer.lines += lines
+    printer.lines += [f"{space.present(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
+    printer.line("self.engine.reset()")
+    if any(thing.variants for thing in space.scenario.world.objects):
+        printer.line("bodies.choose()")
+    for index, variation in enumerate(reset.variations):
+        varied = _varied(space, index)
+        printer.line(_setting(variation, varied, [f"{varied}[{number}]" for number in range(len(variation.scalars))]))
+    printer.lines += _releasing(space.scenario)
+    printer.line("bodies.put()")
+    for start in reset.joint_starts:
+        _print_joints(start, printer)
+    printer.lines += _forgetting(space)
+    if reset.require is None:
+        printer.line("return True")
+    else:
+        printer.read_here()
+        printer.line(f"return bool({printer.value(reset.require.scalar)})")
+    doc = '"""One attempt at a start: a place for each body; whether it is as required."""'
+    return block("def _arrange(self) -> bool:", printer.finished([doc]))
+
+
+def _releasing(scenario: Program) -> list[str]:
+    """Statements after which no actuator remembers the episode before."""
+    return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Drives(scenario, robot, Constants()).has_devices]
+
+
+def _forgetting(space: Workspace) -> list[str]:
+    """Statements after which no chart shows the episode before."""
+    return ["self.ways.reset()"] if space.readers.charts else []
+
+
+def _varied(space: Workspace, index: int) -> str:
+    """The attribute that holds the values of a randomized parameter while places are looked for."""
+    return f"self.{space.names(f'varied {index}')}"
+
+
+def _values(printer: Printer, variation: RandomizedParameter) -> tuple[str, list[str]]:
+    """The values of a randomized parameter as a vector, and one by one."""
+    if variation.what in _VECTORS:
+        return printer.vector(variation.scalars), []
+    return "", [printer.value(value) for value in variation.scalars]
+
+
+def _placing(place: Placement, printer: Printer) -> str:
+    """The statement that places a body whose place is known."""
+    xyz, rpy = printer.tuple(place.xyz), printer.tuple(place.rpy)
+    turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
+    moving = "".join(f", {name}={printer.tuple(values)}" for name, values in place.velocities)
+    return f"self.engine.place({quoted(place.body)}, {xyz}, {turn}{moving})"
+
+
+def _print_joints(start: JointStart, printer: Printer) -> None:
+    robot, (joints, positions, velocities) = quoted(start.robot), zip(*start.states, strict=True)
+    if len(joints) > 2:
+        moving = "" if _all_zero(velocities) else f", {printer.vector(velocities)}"
+        printer.line(f"self.set_joints({robot}, {printer.scope.constants.strings(joints)}, {printer.vector(positions)}{moving})")
+        return
+    for joint, position, velocity in start.states:
+        printer.line(f"self.engine.set_joint({robot}, {quoted(joint)}, {printer.value(position)}, {printer.value(velocity)})")
+
+
+def _all_zero(values: tuple[Scalar, ...]) -> bool:
+    return all(isinstance(value, Const) and value.value == 0.0 for value in values)
+
+
+# Places
+
+
+def is_sought(place: Placement) -> bool:
+    """Whether more than its coordinates decides where the body stands."""
+    return place.seeks_height or place.spot is not None
+
+
+def _place_lines(places: Sequence[Placement], space: Workspace, printer: Printer) -> list[str]:
+    """The statements of one layout: first what has coordinates, then what stands in cells, then what looks for a spot."""
+    groups = {group.name: group for group in space.scenario.reset.groups}
+    return [line for place in _ordered(places) for line in _place(place, groups.get(place.body), printer)]
+
+
+def _ordered(places: Sequence[Placement]) -> list[Placement]:
+    """Places by how they are found, then in file order; a body that stands on another comes after it."""
+    ranks = {Region: 2, Top: 2, Cells: 1}
+    waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
+    found: list[Placement] = []
+    while waiting:
+        bodies = {place.body for place in waiting}
+        ready = (index for index, place in enumerate(waiting) if not (isinstance(place.spot, Top) and place.spot.of in bodies))
+        found.append(waiting.pop(next(ready, 0)))
+    return found
+
+
+def _place(place: Placement, group: Group | None, printer: Printer) -> list[str]:
+    count = printer.value(group.count.scalar) if group else "1"
+    body, pad = ("body", "    ") if group else (quoted(place.body), "")
+    at_most = "" if place.at_most is None else f", {place.at_most}"
+    # A call in the head of a loop could not be cut into lines.
+    head = [f"copies = bodies.copies({quoted(place.body)}, {count}{at_most})", "for body in copies:"] if group else []
+    match place.spot:
+        case Region() | Top() as spot:
+            pose = f"lambda: ({printer.tuple(place.xyz)}, {printer.tuple(place.rpy)})"
+            region = spot if isinstance(spot, Region) else spot.region
+            area = tuple_code([repr(end) for end in (*region.low, *region.high)]) if region else "None"
+            options = _options(place, printer) + (f", mesh={spot.mesh!r}" if spot.mesh else "")
+            options += f", on={quoted(spot.of)}" if isinstance(spot, Top) else ""
+            return [*head, f"{pad}bodies.find({body}, {area}, {quoted(place.stream)}, {pose}{options})"]
+        case Cells(spots):
+            table = tuple_code([tuple_code([repr(x), repr(y)]) for x, y in spots])
+            xyz = tuple_code(["spot[0]", "spot[1]", printer.value(place.xyz[2])])
+            return [
+                f"spots = {table}",
+                f"cells = bodies.cells({quoted(place.body)}, {count}, spots, {quoted(place.stream)})",
+                "for body, spot in cells:",
+                f"    bodies.stand(body, {xyz}, {printer.tuple(place.rpy)}{_options(place, printer)})",
+            ]
+        case _:
+            spacing = f", spacing={place.spacing!r}" if group and any(place.spacing) else ""
+            xyz, rpy = printer.tuple(place.xyz), printer.tuple(place.rpy)
+            return [*head, f"{pad}bodies.stand({body}, {xyz}, {rpy}{_options(place, printer)}{spacing})"]
+
+
+def _options(place: Placement, printer: Printer) -> str:
+    parts = [f", {name}={printer.tuple(values)}" for name, values in place.velocities]
+    parts += [", rests=True"] if place.seeks_height else []
+    parts += [f", clearance={place.clearance!r}"] if place.clearance else []
+    return "".join(parts)
+
+
+# What varies
+
+
+Setter = Callable[[Sequence[str], Sequence[str]], str]
+"""The statement that sets a value of a thing with these names to these values, which are code."""
+
+
+def _engine(method: str) -> Setter:
+    """A call of the engine with the names, quoted, and the values."""
+    return lambda of, values: f"self.engine.{method}({', '.join([*map(quoted, of), *values])})"
+
+
+def _body(of: str, link: str) -> str:
+    return f"{quoted(of)}, {quoted(link) if link else None}"
+
+
+def _response(name: str) -> Setter:
+    return lambda of, values: f"self.robot_{of[0]}.drive_{of[1]}.response.{name} = {values[0]}"
+
+
+def _walls(of: Sequence[str], values: Sequence[str]) -> str:
+    """One value for all of some fixed bodies."""
+    return f"self.rub({quoted_tuple(of)}, {values[0]})"
+
+
+def _colour(of: Sequence[str], values: Sequence[str]) -> str:
+    """The first value says which of the colours behind it, three shares each."""
+    which, *shares = values
+    options = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
+    return f"self.paint({_body(of[0], of[1])}, {which}, {options})"
+
+
+def _friction(which: str) -> Setter:
+    return lambda of, values: f"self.engine.set_friction({_body(of[0], of[1])}, {which}={values[0]})"
+
+
+_SETTERS: Mapping[str, Setter] = {
+    "mass": lambda of, values: f"self.engine.set_mass({_body(of[0], of[1])}, {values[0]})",
+    **{f"{which}_friction": _friction(which) for which in ("lateral", "spinning", "rolling")},
+    "restitution": _friction("restitution"),
+    "joint_damping": lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
+    "joint_friction": lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
+    **{f"actuator_{name}": _response(name) for name in ("delay", "lag")},
+    "gravity": lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))",
+    "light": _engine("set_light"),
+    "walls_friction": _walls,
+    "colour": _colour,
+}
+"""A link is named by body and link, the root link of an object by an empty link; a fault of a sensor by robot, sensor and fault."""
+
+
+_VECTORS: Mapping[str, Callable[[Sequence[str], str], str]] = {
+    **{
+        f"actuator_{name}": lambda of, vector, name=name: f"self.robot_{of[0]}.drive_{of[1]}.{name} = {vector}"  # type: ignore[misc]
+        for name in ("strength", "max_torque", "stiffness", "damping")
+    },
+    "sensor": lambda of, vector: f"self.vary_sensor({', '.join(map(quoted, of))}, {vector})",
+}
+"""Values that are set together, one for each part of an actuator or each component of a sensor."""
+
+
+def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:
+    """The statement that sets a randomized parameter."""
+    if variation.what in _VECTORS:
+        return _VECTORS[variation.what](variation.of, vector)
+    return _SETTERS[variation.what](variation.of, values)
+
+
+# Draws
+
+_ROUNDING = 1e-9
+"""In s: a period of a whole number of steps must not become one more by rounding."""
+
+
+def _print_first_draws(space: Workspace, printer: Printer) -> None:
+    """Parameters and values of routes, as they are at the beginning of an episode."""
+    for entry in space.scenario.parameters:
+        _print_first_period(space, printer, entry, entry.name)
+        printer.assign(space.parameter(entry.name), printer.either(entry.components, entry.scalars), entry.text)
+    for name, value in _settings(space):
+        if not isinstance(value.scalar, Const) and not _of_message(value):
+            _print_first_period(space, printer, value, name)
+            printer.assign(f"self.{name}", printer.value(value.scalar))
+
+
+def print_redraws(space: Workspace, printer: Printer) -> None:
+    """What a step draws or computes anew before it sends anything; it is not yet counted itself."""
+    changing: set[str] = set()
+    for entry in space.scenario.parameters:
+        if entry.redraw is not None or _reads(entry.scalars, changing):
+            changing.add(entry.name)
+            drawn = f"{space.parameter(entry.name)} = {printer.either(entry.components, entry.scalars)}"
+            _print_when_due(space, printer, entry, entry.name, drawn)
+    for name, value in _settings(space):
+        if value.period is not None if value.redraw else _reads(value.scalars, changing):
+            _print_when_due(space, printer, value, name, f"self.{name} = {printer.value(value.scalar)}")
+
+
+def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
+    """The values of a route that are drawn for each message, before one is sent."""
+    for name, value in route.settings:
+        if _of_message(value):
+            printer.assign(f"{channel}.{name}", printer.value(value.scalar))
+
+
+def _settings(space: Workspace) -> Iterator[tuple[str, Expression]]:
+    """Every value of every route, with the attribute that holds it."""
+    for robot in space.scenario.robots:
+        for channel, route in ((f"to_{robot.name}", robot.to_route), (f"from_{robot.name}", robot.from_route)):
+            yield from ((f"{channel}.{name}", value) for name, value in route.settings)
+
+
+def _of_message(value: Expression) -> bool:
+    return value.redraw is not None and value.period is None
+
+
+def _due(space: Workspace, name: str) -> str:
+    """The attribute that holds the time (s) from which a value is drawn again."""
+    return f"self.{space.names('due', name)}"
+
+
+def _print_first_period(space: Workspace, printer: Printer, value: Expression, name: str) -> None:
+    if value.period is not None:
+        printer.line(f"{_due(space, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
+
+
+def _print_when_due(space: Workspace, printer: Printer, value: Expression, name: str, line: str) -> None:
+    if value.period is None:
+        printer.line(line)
+        return
+    due = _due(space, name)
+    printer.line(f"if {space.tick} * {space.scenario.world.timestep!r} >= {due}:")
+    printer.lines += indent([f"{due} += {printer.value(value.period)}", line])
+
+
+def _reads(values: Iterable[Scalar], names: set[str]) -> bool:
+    return any(leaf.name in names for value in values for leaf in names_in(value))
+
+
+def _print_stds(space: Workspace, printer: Printer) -> None:
+    """Draw the standard deviations of noise that differ between episodes."""
+    scenario = space.scenario
+    noisy: list[tuple[str, Noise | None]] = [(f"observation.{entry.name}", entry.noise) for entry in scenario.observation]
+    noisy += [(f"augment.{entry.name}", entry.noise) for entry in scenario.signals]
+    noisy += [("goal.achieved", scenario.goal.achieved.noise)] if scenario.goal else []
+    for stream, noise in noisy:
+        if noise is not None and not all(isinstance(std, Const) for std in noise.std.scalars):
+            printer.assign(std_attribute(printer, stream), printer.either(noise.std.scalars[1:], noise.std.scalars))
+
+
+def std_attribute(printer: Printer, stream: str) -> str:
+    """The attribute that holds the standard deviations of a noise which every episode draws."""
+    return f"self.{printer.names.called(f'std {stream}', 'std', stream.partition('.')[2])}"
+
+
+# Disturbances
+
+
+def bind_pushes(space: Workspace) -> list[str]:
+    """Statements that take what pushes from `engine`."""
+    substep = space.scenario.world.timestep / space.scenario.world.substeps
+    return [
+        f"self.push_{push.name} = Push(engine, ({quoted(push.body)}, {quoted(push.link) if push.link else None}), "
+        f"self._draw_{push.name}, {substep!r})"
+        for push in space.scenario.disturbances
+    ]
+
+
+def _print_first_pushes(space: Workspace, printer: Printer) -> None:
+    """Statements of a reset that say when the first push of each disturbance begins."""
+    settling = round(space.scenario.reset.settle / space.scenario.world.timestep) * space.scenario.world.substeps
+    for push in space.scenario.disturbances:
+        printer.line(f"self.push_{push.name}.reset({printer.value(push.begins)}, {settling})")
+
+
+def drawing(space: Workspace) -> list[str]:
+    """The methods that draw a push."""
+    return [line for push in space.scenario.disturbances for line in _drawing(space, push)]
+
+
+def _drawing(space: Workspace, push: Disturbance) -> list[str]:
+    printer = space.printer()
+    force, torque = (printer.tuple(vector) for vector in push.wrench)
+    lasts, every = printer.value(push.lasts.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
+    printer.line(f"return {force}, {torque}, {lasts}, {every}")
+    doc = '"""Force, torque and duration of a push, and the time from its beginning to that of the next."""'
+    return block(f"def _draw_{push.name}(self) -> Any:", printer.finished([doc]))

@@ -1,0 +1,290 @@
+"""Prints one controller class per robot: `use_message_data` and `create_message`, as in the paper; its sensors and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deepbots_cli import frames
+from deepbots_cli.codegen.layout import block, docstring, filled, quoted, repeated, sentence_list, targets_code, tuple_code
+from deepbots_cli.codegen.names import Constants, Names, class_name
+from deepbots_cli.codegen.printer import Printer, outer_states
+from deepbots_cli.codegen.readers import Needs, Readers
+from deepbots_cli.codegen.workspace import root_links, whole_vector
+from deepbots_cli.compiler.robots import held
+from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
+
+_CLASS = """
+class {name}(RobotController):
+    {doc}
+
+    def bind(self, engine: Any) -> None:
+        {binding}
+
+    {methods}
+"""
+
+
+class Controller:
+    """Prints the controller of one robot."""
+
+    def __init__(self, scenario: Program, robot: Robot, constants: Constants) -> None:
+        self._scenario = scenario
+        self._robot = robot
+        self.names = Names()
+        self.constants = constants
+        self.memories: dict[str, str] = {}
+        self.readers = Readers(self.names, constants, root_links(scenario))
+        self._received = {entry.name: entry.components for entry in robot.received}
+        self._sensors = {sensor.name: sensor for sensor in robot.sensors}
+        self._devices = devices(scenario, robot)
+        self._emitted = [[self._resolved(value) for value in entry.scalars] for entry in robot.emitted]
+        self._applied = [[self._resolved(value) for value in entry.scalars] for entry in robot.commands]
+        for actuator in robot.actuators:
+            if isinstance(actuator, Motor):
+                constants.know(f"{robot.name}_{actuator.name}", actuator.joints)
+
+    def lines(self) -> list[str]:
+        robot = self._robot
+        emitted = sentence_list([entry.name for entry in robot.emitted]) or "nothing"
+        driven = sentence_list([entry.name for entry in robot.commands]) or "nothing"
+        methods = [*self._reset(), *self._observe(), *self._use_message_data(), *self._create_message()]
+        writers = Drives(self._scenario, robot, self.constants).bind_lines()
+        devices = [f"self.sense_{name} = self.device({quoted(name)})" for name in self._devices]
+        memories = [f"self.{name} = {code}" for name, code in self.memories.items()]
+        return filled(
+            _CLASS,
+            name=controller_name(robot),
+            doc=docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."),
+            binding=[*self.readers.bind_lines(), *devices, *memories, *writers] or ["pass"],
+            methods=methods,
+        )
+
+    @property
+    def _keeps_state(self) -> bool:
+        """Whether what the robot emits has a memory, which advances once per tick."""
+        return any(outer_states(value) for values in self._emitted for value in values)
+
+    def _reset(self) -> list[str]:
+        """No messages have come yet, so what is computed from received values begins with zeros."""
+        applied = [value for values in self._applied for value in values]
+        if not (self._keeps_state or any(map(outer_states, applied))):
+            return []
+        printer = self._printer(dict.fromkeys(self._received, "0.0"))
+        printer.remember(applied)
+        lines = printer.finished()
+        return block("def reset(self) -> None:", [*lines, "self.compute()"] if self._keeps_state else lines)
+
+    def _observe(self) -> list[str]:
+        """Sampling, and what advances once per tick."""
+        sampling = [f"self.sense_{name}()" for name in self._devices]
+        if not self._keeps_state:
+            return block("def observe(self) -> None:", ['"""Read the sensors, once per tick."""', *sampling]) if sampling else []
+        printer = self._printer()
+        for entry, values in zip(self._robot.emitted, self._emitted, strict=True):
+            printer.assign(self._stored(entry.name), printer.either(entry.components, values))
+        doc = '"""Compute what is emitted; what it remembers advances."""'
+        return [
+            *block("def observe(self) -> None:", ['"""Read the sensors and compute, once per tick."""', *sampling, "self.compute()"]),
+            *block("def compute(self) -> None:", self._finished(printer, [doc])),
+        ]
+
+    def _use_message_data(self) -> list[str]:
+        printer = self._printer()
+        received = [self.names(name) for name in self._received]
+        if received:
+            printer.line(f"{targets_code(received)} = message")
+        printer.read_here()
+        for entry, values in zip(self._robot.commands, self._applied, strict=True):
+            printer.line(f"self.drive_{entry.name}({printer.vector(values)})")
+        doc = docstring(f"Drive the actuators by {sentence_list(list(self._received)) or 'an empty message'}.")
+        return block("def use_message_data(self, message: Any) -> None:", self._finished(printer, doc))
+
+    def _create_message(self) -> list[str]:
+        entries = self._robot.emitted
+        if self._keeps_state:
+            values, printer = [self._stored(entry.name) for entry in entries], None
+        else:
+            printer = self._printer()
+            values = [printer.either(entry.components, trees) for entry, trees in zip(entries, self._emitted, strict=True)]
+        listed = sentence_list([entry.name for entry in entries]) or "nothing"
+        lines = self._finished(printer, []) if printer and values else []
+        answer = f"return {tuple_code(values) if values else '()'}"
+        doc = docstring(f"The values of a message: {listed}.")
+        return block("def create_message(self) -> tuple[Any, ...]:", [*doc, *lines, answer])
+
+    def _stored(self, name: str) -> str:
+        return f"self.emitted_{self.names(name)}"
+
+    # What names mean
+
+    def _printer(self, renamed: dict[str, str] | None = None) -> Printer:
+        self._read: dict[str, str] = {}
+        return Printer(self, renamed=renamed or {})
+
+    def _finished(self, printer: Printer, doc: Sequence[str]) -> list[str]:
+        """The lines of a method; what devices delivered last is taken where engines are read."""
+        lines = [f"{local} = self.sense_{name}.reading" for name, local in self._read.items()]
+        printer.lines[printer.reads_at : printer.reads_at] = lines
+        return printer.finished(doc) if printer.lines or printer.needs or not doc else [*doc]
+
+    def scalar(self, leaf: Name | World, needs: Needs) -> str:
+        if isinstance(leaf, World):
+            return f"self.sense_{leaf.subjects[0].partition('.')[2]}.age" if leaf.function == "age" else self.readers.code(leaf, needs)
+        if leaf.name in self._received:
+            components = self._received[leaf.name]
+            return f"{self.names(leaf.name)}[{components.index(leaf.component)}]" if leaf.component else self.names(leaf.name)
+        components = self._devices[leaf.name].components
+        return f"{self._reading(leaf.name)}[{components.index(leaf.component) if leaf.component else 0}]"
+
+    def vector(self, leaves: Sequence[Name]) -> str | None:
+        if leaves[0].name in self._received:
+            return whole_vector(leaves, self._received, self.names)
+        components = {name: sensor.components for name, sensor in self._devices.items()}
+        return whole_vector(leaves, components, self._reading)
+
+    def _reading(self, sensor: str) -> str:
+        self._read[sensor] = (
+            self.names.called(f"reading {sensor}", sensor) if sensor not in self._received else self.names(sensor, "reading")
+        )
+        return self._read[sensor]
+
+    def _resolved(self, tree: Scalar) -> Scalar:
+        """The tree with the name of each sensor that is a fact replaced by that fact."""
+        match tree:
+            case Name(name, component) if name not in self._received and name not in self._devices:
+                return self._sensors[name].fact_of(self._robot.name, component)
+            case Op(op, args):
+                return Op(op, tuple(map(self._resolved, args)))
+            case State(function, args, slot):
+                return State(function, tuple(map(self._resolved, args)), slot)
+            case Draw(distribution, args, stream):
+                return Draw(distribution, tuple(map(self._resolved, args)), stream)
+            case _:
+                return tree
+
+
+def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
+    """The sensors that are sampled once per tick, by name: those that something reads, and that are no facts."""
+    on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
+    sent = [entry for other in scenario.robots for entry in other.receive]
+    judged = [value for entry in (*scenario.signals, *sent) for value in entry.scalars]
+    judged += [*(ending.value.scalar for ending in scenario.endings), *(term.scalar for term in scenario.reward)]
+    judged += [value for script in scenario.scripts for value in script.scalars]
+    judged += [*scenario.goal.achieved.scalars, *scenario.goal.targets] if scenario.goal is not None else []
+    read = {leaf.name for value in on_board for leaf in names_in(value)}
+    asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}
+    used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
+    return {sensor.name: sensor for sensor in used if not sensor.is_fact}
+
+
+def observes(scenario: Program, robot: Robot) -> bool:
+    """Whether anything on board happens once per tick: a device is sampled, or a memory advances."""
+    return bool(devices(scenario, robot)) or any(outer_states(value) for entry in robot.emitted for value in entry.scalars)
+
+
+def controller_name(robot: Robot) -> str:
+    return f"{class_name(robot.name)}Controller"
+
+
+class Drives:
+    """The actuators of one robot that have a command: plain motors of the engine, and devices of the runtime."""
+
+    def __init__(self, scenario: Program, robot: Robot, constants: Constants) -> None:
+        self._robot = robot
+        self._constants = constants
+        self._model = next(body.model for body in scenario.world.robots if body.name == robot.name)
+        self._substep = scenario.world.timestep / scenario.world.substeps
+        self._varied = {(*variation.of[1:], variation.what) for variation in scenario.reset.variations if variation.of[:1] == (robot.name,)}
+        commanded = {entry.name for entry in robot.commands}
+        self.actuators = [actuator for actuator in robot.actuators if actuator.name in commanded]
+
+    def bind_lines(self) -> list[str]:
+        """Statements that take each motor from `engine`."""
+        return [f"self.drive_{actuator.name} = {self._code(actuator)}" for actuator in self.actuators]
+
+    @property
+    def has_devices(self) -> bool:
+        return any(self._is_device(actuator) for actuator in self.actuators)
+
+    def _code(self, actuator: Actuator) -> str:
+        robot = quoted(self._robot.name)
+        match actuator:
+            case Thrust():
+                rotors = [self._rotor(link, actuator.drag * sense) for link, sense in zip(actuator.links, actuator.spin, strict=True)]
+                arguments = ["engine", robot, tuple_code(rotors), repr(self._substep), *_strength(actuator), *_late(actuator)]
+                return f"Thrust({', '.join(arguments)})"
+            case Cartesian():
+                arguments = ["engine", robot, quoted(actuator.link), self._constants.strings(actuator.joints), _limits(actuator)]
+                arguments += [f"rpy={actuator.rpy!r}"] if actuator.rpy is not None else []
+                return f"Cartesian({', '.join([*arguments, *self._answers(actuator)])})"
+            case CustomActuator():
+                return f"self.actuator({quoted(actuator.name)})"
+            case Motor() if self._is_device(actuator):
+                arguments = ["engine", quoted(actuator.kind), robot, self._constants.strings(actuator.joints), _limits(actuator)]
+                gains = (("stiffness", actuator.stiffness), ("damping", actuator.damping))
+                arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
+                return f"Motor({', '.join([*arguments, *self._answers(actuator)])})"
+            case Motor():
+                strength = actuator.response.strength
+                arguments = [robot, self._constants.strings(actuator.joints), _limits(actuator, strength)]
+                if actuator.kind == "position_motor":
+                    gains_ = (actuator.stiffness, actuator.damping)
+                    arguments += ["None" if gain is None else repeated([repr(strength * gain)] * len(actuator.joints)) for gain in gains_]
+                return f"engine.{actuator.kind}({', '.join(arguments)})"
+
+    def _is_device(self, actuator: Actuator) -> bool:
+        if not isinstance(actuator, Motor):
+            return True
+        varies = any(self._varies(actuator, value) for value in ("strength", "max_torque", "stiffness", "damping"))
+        return varies or self._responds(actuator) or (actuator.kind == "torque_motor" and actuator.response.strength != 1.0)
+
+    def _responds(self, actuator: Motor | Cartesian) -> bool:
+        """Whether it follows its commands in every substep, rather than at once."""
+        response = actuator.response
+        late = response.delay > 0.0 or response.lag > 0.0 or self._varies(actuator, "delay") or self._varies(actuator, "lag")
+        return late or bool(_rates(actuator))
+
+    def _answers(self, actuator: Motor | Cartesian) -> list[str]:
+        """The arguments that say how strongly and promptly it answers."""
+        if not self._responds(actuator):
+            return _strength(actuator)
+        rates = _rates(actuator)
+        limited = [f"rates={repeated([_number(rate) for rate in rates])}"] if rates else []
+        return [*_strength(actuator), f"substep={self._substep!r}", *_late(actuator), *limited]
+
+    def _varies(self, actuator: Actuator, what: str) -> bool:
+        return (actuator.name, f"actuator_{what}") in self._varied
+
+    def _rotor(self, link: str, drag: float) -> str:
+        """The link that carries a rotor, where on it the rotor sits, its axis and its drag."""
+        carrier, (position, turned) = held(self._model, link)
+        axis = frames.rotate(turned, (0.0, 0.0, 1.0))
+        return f"({quoted(carrier)}, {position!r}, {axis!r}, {drag!r})"
+
+
+def _strength(actuator: Actuator) -> list[str]:
+    return [f"strength={actuator.response.strength!r}"] if actuator.response.strength != 1.0 else []
+
+
+def _late(actuator: Actuator) -> list[str]:
+    values = (("delay", actuator.response.delay), ("lag", actuator.response.lag))
+    return [f"{name}={value!r}" for name, value in values if value]
+
+
+def _rates(motor: Motor | Cartesian) -> Sequence[float | None]:
+    """How fast the targets of each joint may change; empty where at once."""
+    if isinstance(motor, Motor) and motor.kind == "velocity_motor" and motor.max_acceleration is not None:
+        return (motor.max_acceleration,) * len(motor.joints)
+    if (isinstance(motor, Cartesian) or motor.kind == "position_motor") and any(limit is not None for limit in motor.max_velocity):
+        return motor.max_velocity
+    return ()
+
+
+def _limits(motor: Motor | Cartesian, strength: float = 1.0) -> str:
+    return repeated([_number(limit, strength) for limit in motor.max_torque])
+
+
+def _number(limit: float | None, strength: float = 1.0) -> str:
+    return "inf" if limit is None else repr(strength * limit)

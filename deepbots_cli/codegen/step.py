@@ -1,0 +1,469 @@
+"""Prints what a step does, and what is computed in each tick of it.
+
+A step of the agent decodes its action, sends one message to each robot, and goes on for `repeat` ticks or until the episode
+ends. `_observe` computes what follows from the world and the messages, in the order of the language: signals and the goal once,
+then terminations, truncation, rewards (which see the endings), then the observation. Failure beats success; terminated beats truncated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from deepbots_cli.codegen.layout import block, indent, noted, quoted, targets_code, tuple_code
+from deepbots_cli.codegen.printer import Printer, outer_states
+from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
+from deepbots_cli.codegen.robot import observes
+from deepbots_cli.codegen.workspace import Workspace, zeros
+from deepbots_cli.expressions.printer import number
+from deepbots_cli.expressions.scalar import Const, Name, names_in
+from deepbots_cli.program.robots import Robot
+from deepbots_cli.program.task import Ending, Observation, Option
+from deepbots_cli.program.values import Noise
+
+_SUMMANDS = 100
+
+
+def start(space: Workspace) -> list[str]:
+    """The method that runs right after a reset."""
+    lines = ['"""Observe the first moment of an episode."""', *space.readers.start_lines()]
+    lines += _zeroed(_terms(space))
+    lines.append(f"self._observe({', '.join(zeros(components) for _, components in space.acting)})")
+    return block("def _start(self) -> None:", [*lines, *_first_telling(space)])
+
+
+def advance(space: Workspace) -> list[str]:
+    """The method of a step, and that of a tick where a step has several."""
+    printer = space.printer()
+    _print_acting(space, printer)
+    result = "Iterator[None]" if space.shares else "None"
+    acting = [space.local(name) for name, _ in space.acting]
+    if not space.repeats:
+        _print_tick(space, printer)
+        doc = '"""Act, let the world go on for a timestep, and observe."""'
+        return block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc]))
+    repeat = space.scenario.agent.repeat
+    if space.uses("previous_reward"):
+        printer.line("self.previous_reward = self.reward")
+    printer.lines += _zeroed(["self.reward", *_terms(space)])
+    printer.line(f"for _ in range({repeat}):")
+    printer.line(f"    {'yield from ' if space.shares else ''}self._tick({', '.join(acting)})")
+    printer.lines += ["    if self.terminated or self.truncated:", "        break"]
+    ticking = space.printer()
+    ticking.line("self.tick_count += 1")
+    _print_tick(space, ticking)
+    arguments = ", ".join(["self", *_parameters(space)])
+    doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
+    return [
+        *block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc])),
+        *block(f"def _tick({arguments}) -> {result}:", ticking.finished(['"""Let the world go on for a timestep, and observe."""'])),
+    ]
+
+
+def observe(space: Workspace) -> list[str]:
+    """The method that computes everything, once per tick and right after a reset."""
+    printer = space.printer()
+    for robot in space.scenario.robots:
+        _print_receiving(space, printer, robot)
+    printer.read_here()
+    for entry in space.scenario.signals:
+        printer.assign(space.local(entry.name), printer.either(entry.components, entry.scalars), entry.text)
+        _print_noise(printer, space.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
+    _print_goal(space, printer)
+    _print_endings(space, printer)
+    _print_rewards(space, printer)
+    _print_observation(space, printer)
+    _print_masks(space, printer)
+    printer.lines += space.keeping()
+    arguments = ", ".join(["self", *_parameters(space)])
+    doc = '"""Receive, and compute signals, endings, the reward and the observation."""'
+    return block(f"def _observe({arguments}) -> None:", printer.finished([doc]))
+
+
+def _parameters(space: Workspace) -> list[str]:
+    return [f"{space.local(name)}: {'Any' if components else 'float'}" for name, components in space.acting]
+
+
+def _zeroed(targets: list[str]) -> list[str]:
+    """Statements that set these to 0, as many in one as fit."""
+    lines: list[str] = []
+    for target in targets:
+        if lines and len(lines[-1]) + len(target) < 90:
+            lines[-1] = f"{lines[-1].removesuffix('0.0')}{target} = 0.0"
+        else:
+            lines.append(f"{target} = 0.0")
+    return lines
+
+
+def _terms(space: Workspace) -> list[str]:
+    return [f"self.term_{term.name}" for term in space.scenario.reward]
+
+
+# Acting
+
+
+def choice_tables(space: Workspace) -> list[str]:
+    """What each choice sets, as one dictionary per discrete part of the action; and itself as one-hot where that is read."""
+    lines = []
+    hot = ("1.0", "0.0") if space.ranges else ("True", "False")
+    for part in space.choices:
+        rows = [[repr(value) for value in option.values] for option in part.options]
+        names = ", ".join(option.name for option in part.options)
+        lines.append(f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}  # {names}")
+        if space.given:
+            size = range(len(part.options))
+            lines.append(f"TAKEN_{part.name} = {_table([tuple_code([hot[index != other] for other in size]) for index in size])}")
+    return lines
+
+
+def _table(rows: list[str]) -> str:
+    return f"{{{', '.join(f'{index}: {row}' for index, row in enumerate(rows))}}}"
+
+
+def _print_acting(space: Workspace, printer: Printer) -> None:
+    """What happens once per step: the action, and the messages that carry it."""
+    _print_decoding(space, printer)
+    print_redraws(space, printer)
+    printer.line("self.step_count += 1")
+    if space.remembers:
+        printer.line("self.next_frame()")
+    printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
+    printer.read_here()
+    for robot in space.scenario.robots:
+        channel = f"self.to_{robot.name}"
+        values = [printer.either(entry.components, entry.scalars) for entry in robot.received]
+        print_draws_of_message(printer, channel, robot.to_route)
+        printer.line(f"{channel}.send({tuple_code(values) if values else '()'})")
+        if not _delivers_in_ticks(space, robot):
+            _print_delivering(space, printer, robot)
+
+
+def _print_decoding(space: Workspace, printer: Printer) -> None:
+    """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there are both."""
+    chosen = ranged = "action"
+    if space.choices and space.ranges:
+        chosen, ranged = space.names("chosen part"), space.names("ranged part")
+        printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
+    picks = [chosen] if len(space.choices) == 1 else [space.names(f"{part.name} pick") for part in space.choices]
+    if len(picks) > 1:
+        printer.line(f"{', '.join(picks)} = {chosen}")
+    taken = [f"*self.TAKEN_{part.name}[{pick}]" for part, pick in zip(space.choices, picks, strict=True)]
+    for part, pick in zip(space.choices, picks, strict=True):
+        printer.line(f"{', '.join(map(space.local, part.variables))} = self.CHOICES_{part.name}[{pick}]")
+    alone = len(space.ranges) == 1 and bool(space.ranges[0].components)
+    if space.ranges and (alone or all(not part.components for part in space.ranges)):
+        printer.line(f"{space.local(space.ranges[0].name) if alone else targets_code(_ranged(space))} = self.ranges({ranged})")
+        shares = ["*" + space.local(space.ranges[0].name)] if alone else _ranged(space)
+    elif space.ranges:
+        values, place = space.names("values of ranges"), 0
+        printer.line(f"{values} = self.ranges({ranged})")
+        for interval in space.ranges:
+            size = max(1, len(interval.components))
+            item = f"{place}:{place + size}" if interval.components else f"{place}"
+            printer.line(f"{space.local(interval.name)} = {values}[{item}]")
+            place += size
+        shares = [f"*{values}"]
+    else:
+        shares = []
+    if space.given:
+        given = [part for part in _in_order(space, taken, shares) if part]
+        code = given[0][1:] if len(given) == 1 and given[0][0] == "*" else tuple_code(given)
+        printer.line(f"{space.local('previous_action')} = {code}")
+    for interval in space.ranges:
+        half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
+        name = space.local(interval.name)
+        if (half, middle) != (1.0, 0.0):
+            item = "a" if interval.components else name
+            code = f"{middle!r} + {half!r} * {item}" if middle else f"{half!r} * {item}"
+            said = f"{interval.low:g} .. {interval.high:g} {interval.unit if interval.unit != '1' else ''}"
+            printer.lines += noted(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
+
+
+def _in_order(space: Workspace, taken: Sequence[str], shares: Sequence[str]) -> list[str]:
+    """What the agent gave in the order of the parts of its action."""
+    picked = dict(zip((part.name for part in space.choices), taken, strict=True))
+    if len(shares) == len(space.ranges) and not any(share.startswith("*") for share in shares):
+        ranged = dict(zip((part.name for part in space.ranges), shares, strict=True))
+    else:
+        ranged, start = {}, 0
+        for part in space.ranges:
+            size = max(1, len(part.components))
+            ranged[part.name] = f"{shares[0]}[{start}:{start + size}]" if len(space.ranges) > 1 else shares[0]
+            start += size
+    return [picked.get(part.name) or ranged[part.name] for part in space.scenario.action]
+
+
+def _ranged(space: Workspace) -> list[str]:
+    return [space.local(part.name) for part in space.ranges]
+
+
+# Messages
+
+
+def _delivers_in_ticks(space: Workspace, robot: Robot) -> bool:
+    """Whether a message to this robot may arrive in another tick than the one that follows its sending."""
+    late = space.scenario.timing == "paper" and space.repeats
+    return space.scenario.format != "none" and (late or not robot.to_route.perfect)
+
+
+def _print_delivering(space: Workspace, printer: Printer, robot: Robot) -> None:
+    controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
+    if space.is_direct(robot, "to_robot"):
+        printer.line(f"{controller}.use_message_data({channel}.receive())")
+    else:
+        printer.line(f"for message in {channel}.receive():")
+        printer.line(f"    {controller}.use_message_data(message)")
+
+
+def _print_receiving(space: Workspace, printer: Printer, robot: Robot) -> None:
+    """The message of one robot into local variables; the first of an episode arrives at once."""
+    controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
+    targets = [space.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
+    drawing = space.printer()
+    print_draws_of_message(drawing, channel, robot.from_route)
+    if drawing.lines and space.scenario.format != "none":
+        printer.lines += [f"if {space.tick}:", *indent(drawing.lines)]
+    printer.line(f"{channel}.send({controller}.create_message())")
+    receive = "receive" if space.is_direct(robot, "from_robot") else "newest"
+    printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
+
+
+def _print_tick(space: Workspace, printer: Printer) -> None:
+    for robot in space.scenario.robots:
+        if _delivers_in_ticks(space, robot):
+            _print_delivering(space, printer, robot)
+    if space.shares:
+        printer.line("yield  # the world goes on when every copy has acted")
+    else:
+        printer.line(f"self.physics({space.scenario.world.substeps})")
+    printer.lines += [f"self.robot_{robot.name}.observe()" for robot in space.scenario.robots if observes(space.scenario, robot)]
+    printer.line(f"self._observe({', '.join(space.local(name) for name, _ in space.acting)})")
+
+
+def _first_telling(space: Workspace) -> list[str]:
+    """Begin what the values sent to robots remember; such a value begins with an action of 0."""
+    if not any(outer_states(value) for value in space.sent):
+        return []
+    printer = space.printer()
+    used = {leaf.name for value in space.sent for state in outer_states(value) for leaf in names_in(state)}
+    printer.lines += [f"{space.local(name)} = {zeros(components)}" for name, components in space.variables if name in used]
+    printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
+    printer.read_here()
+    printer.remember(space.sent)
+    return printer.finished()
+
+
+# Goal and noise
+
+
+def _print_goal(space: Workspace, printer: Printer) -> None:
+    """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
+    goal = space.scenario.goal
+    if goal is None:
+        return
+    achieved, desired = space.local("achieved"), space.local("desired")
+    given = printer.vector(goal.achieved.scalars)
+    if goal.achieved.noise is not None:
+        printer.assign(achieved, given if goal.components else printer.value(goal.achieved.scalar))
+        _print_noise(printer, achieved, goal.components, "goal.achieved", goal.achieved.noise)
+        given = achieved if goal.components else f"({achieved},)"
+    targets = (achieved, desired) if goal.components else (f"({achieved},)", f"({desired},)")
+    printer.line(f"{', '.join(targets)} = self.aim({given}, {printer.vector(goal.targets)})")
+    printer.assign(space.local("goal_reached"), printer.value(goal.reached))
+
+
+def _print_noise(printer: Printer, local: str, components: Sequence[str], stream: str, noise: Noise | None) -> None:
+    """Add noise to the local variable of a value; nothing where the scenario gives it none."""
+    if noise is None:
+        return
+    std = _std(printer, stream, noise)
+    said = printer.names.called(f"noise {stream}", "noise", local)
+    count = max(1, len(components))
+    printer.line(f"{said if components else f'({said},)'} = self.streams.normals({quoted(stream)}, {count})")
+    if not components:
+        printer.line(f"{local} += {f'{std} * {local}' if noise.relative else std} * {said}")
+        return
+    many = len(noise.std.scalars) > 1
+    relative = " * a" if noise.relative else ""
+    scale = f"c{relative}" if many else f"{std}{relative}"
+    columns = ", ".join([local, said, *([std] if many else [])])
+    printer.line(f"{local} = [a + {scale} * b for a, b{', c' if many else ''} in zip({columns})]")
+
+
+def _std(printer: Printer, stream: str, noise: Noise) -> str:
+    """The standard deviation, one number or one per component: constants, or what the episode drew."""
+    scalars = noise.std.scalars
+    if all(isinstance(value, Const) for value in scalars):
+        return printer.either(scalars[1:], scalars)
+    return std_attribute(printer, stream)
+
+
+# Endings
+
+
+def _print_endings(space: Workspace, printer: Printer) -> None:
+    """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
+    endings = space.scenario.endings
+    for ending in _after_what_they_use(endings):
+        code = printer.value(ending.value.scalar) if ending.foreign is None else f"{called(space, 'ending', ending.name)}(self)"
+        printer.assign(space.local(ending.name), code, ending.value.text)
+    failures = [ending for ending in endings if ending.outcome == "failure"]
+    successes = [ending for ending in endings if ending.outcome == "success"]
+    if endings:
+        printer.line(f"if {' or '.join(space.local(ending.name) for ending in endings)}:")
+        held = ", ".join(f"{quoted(ending.name)}: {space.local(ending.name)}" for ending in [*failures, *successes])
+        success = ""
+        if successes:
+            reached = " or ".join(space.local(ending.name) for ending in successes)
+            refused = "".join(f" and not {space.local(ending.name)}" for ending in failures)
+            success = f", success={f'({reached})' if refused and len(successes) > 1 else reached}{refused}"
+        printer.line(f"    self._terminate({{{held}}}{success})")
+    limit = _tick_limit(space)
+    if limit is not None:
+        printer.line(f"{'elif' if endings else 'if'} {space.tick} >= {limit[0]}:")
+        printer.line(f"    self._truncate({quoted(limit[1])})")
+        if space.scenario.goal is not None and not successes:
+            printer.line(f"    self.is_success = {space.local('goal_reached')}")
+
+
+def _tick_limit(space: Workspace) -> tuple[int, str] | None:
+    """The number of ticks at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
+    limits = space.scenario.truncation
+    ticks = []
+    if limits.max_steps is not None:
+        ticks.append((limits.max_steps * space.scenario.agent.repeat, "max_steps"))
+    if limits.max_time is not None:
+        # a limit of a whole number of ticks must not gain one by rounding
+        ticks.append((max(1, math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9)), "max_time"))
+    return min(ticks) if ticks else None
+
+
+def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
+    """Endings may name each other; the compiler has refused circles."""
+    by_name = {ending.name: ending for ending in endings}
+    order: dict[str, Ending] = {}
+
+    def add(ending: Ending) -> None:
+        for leaf in names_in(ending.value.scalar):
+            if leaf.name in by_name and leaf.name not in order:
+                add(by_name[leaf.name])
+        order[ending.name] = ending
+
+    for ending in endings:
+        if ending.name not in order:
+            add(ending)
+    return list(order.values())
+
+
+def bind_foreign(space: Workspace) -> list[str]:
+    """Statements that import the functions of Python which the scenario names."""
+    items = [("reward term", term.name, term.foreign, False) for term in space.scenario.reward]
+    items += [("ending", ending.name, ending.foreign, True) for ending in space.scenario.endings]
+    lines = []
+    for what, name, function, truth in items:
+        if function is not None:
+            place = ", ".join(map(quoted, (what, name, function.module, function.function)))
+            lines.append(f"{called(space, what, name)} = foreign({place}, {truth})")
+    return lines
+
+
+def called(space: Workspace, what: str, name: str) -> str:
+    """The attribute that holds the function of an ending or a reward term."""
+    return f"self.{space.names(f'function of {what}', name)}"
+
+
+# Rewards
+
+
+def _print_rewards(space: Workspace, printer: Printer) -> None:
+    """The terms and their sum, but right after a reset; what they remember begins there."""
+    terms = space.scenario.reward
+    for flag in ("terminated", "truncated"):
+        if space.uses(flag):
+            printer.line(f"{space.local(flag)} = self.{flag}")
+    if space.uses("ended"):
+        printer.line(f"{space.local('ended')} = self.terminated or self.truncated")
+    for term in terms:
+        printer.remember([term.scalar])
+    names = [space.names(f"{term.name} term") if space.repeats else f"self.term_{term.name}" for term in terms]
+    lines: list[str] = []
+    for name, term in zip(names, terms, strict=True):
+        code = printer.value(term.scalar) if term.foreign is None else f"{called(space, 'reward term', term.name)}(self)"
+        lines += noted(f"{name} = {code}", term.text)
+    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
+    parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
+    for index, part in enumerate(parts):
+        last = index == len(parts) - 1 and not space.repeats
+        lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
+    if space.repeats:
+        lines += [f"self.term_{term.name} += {name}" for name, term in zip(names, terms, strict=True)]
+        lines.append("self.reward += reward")
+    lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"]
+    if space.uses("episode_return"):
+        lines.append("self.episode_return += reward")
+    printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)]
+
+
+# Observation
+
+
+def _print_observation(space: Workspace, printer: Printer) -> None:
+    seen = []
+    for entry in space.scenario.observation:
+        if entry in space.scenario.images:
+            continue
+        seen.append(_observed(space, printer, entry))
+    if seen:
+        printer.line(f"self.see({', '.join(seen)})")
+    for pictured in space.scenario.images:
+        printer.line(f"self.albums[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
+
+
+def _observed(space: Workspace, printer: Printer, entry: Observation) -> str:
+    """The code of one or several numbers, as the policy sees them."""
+    components = entry.value.components
+    # the reward of this step is known here; everywhere else the name means that of the step before
+    code = "self.reward" if entry.value.scalars == (Name("previous_reward"),) else printer.either(components, entry.value.scalars)
+    star = "*" if components else ""
+    if entry.numbers[0].truth:
+        return f"{star}{code}" if components or code.replace("_", "").isalnum() else f"bool({code})"
+    if entry.name == "previous_action" and entry.noise is None and {*entry.low, *entry.high} == {-1.0, 1.0}:
+        return f"{star}{code}"  # within the range as it is
+    if entry.noise is not None:
+        local = printer.names.called(f"seen {entry.name}", "seen", entry.name)
+        printer.assign(local, code)
+        _print_noise(printer, local, components, f"observation.{entry.name}", entry.noise)
+        code = local
+    if len({*entry.low}) == len({*entry.high}) == 1:
+        function = "scale" if entry.clip else "scale_freely"
+        ends = f"{number(entry.low[0]).text}, {number(entry.high[0]).text}"
+        if not components:
+            return f"{function}({code}, {ends})"
+        return f"*scale_each({code}, {ends})" if entry.clip else f"*[scale_freely(a, {ends}) for a in {code}]"
+    low, high = (printer.scope.constants.vector(ends) for ends in (entry.low, entry.high))
+    return f"*[{'scale' if entry.clip else 'scale_freely'}(a, b, c) for a, b, c in zip({code}, {low}, {high})]"
+
+
+# Masks
+
+
+def _print_masks(space: Workspace, printer: Printer) -> None:
+    """What the agent may choose next; where it has to choose, it must be something."""
+    if not space.forbids:
+        return
+    repeat = space.scenario.agent.repeat
+    chooses = "not self.terminated and not self.truncated" + (f" and self.tick_count % {repeat} == 0" if space.repeats else "")
+    for part in space.choices:
+        if any(option.forbidden is not None for option in part.options):
+            allowed = f"self.allowed_{part.name}"
+            printer.line(f"{allowed} = {tuple_code([_allowed(printer, option) for option in part.options])}")
+            if all(option.forbidden is not None for option in part.options):
+                printer.line(f"if not any({allowed}) and {chooses}:")
+                printer.line(f"    self._nothing_allowed({quoted(part.name)})")
+
+
+def _allowed(printer: Printer, option: Option) -> str:
+    if option.forbidden is None:
+        return "True"
+    code = printer.value(option.forbidden.scalar)
+    return f"not {code}" if code.replace("_", "").isalnum() else f"not ({code})"

@@ -1,0 +1,180 @@
+"""Prints the supervisor class: what it binds, the methods of resets and steps, the paper's methods and hand-written policies."""
+
+from __future__ import annotations
+
+from deepbots_cli.codegen.layout import block, docstring, filled, quoted, sentence_list, tuple_code
+from deepbots_cli.codegen.names import Constants, class_name
+from deepbots_cli.codegen.printer import Printer
+from deepbots_cli.codegen.reset import begin, bind_pushes, drawing, is_arranged
+from deepbots_cli.codegen.robot import controller_name
+from deepbots_cli.codegen.step import advance, bind_foreign, choice_tables, observe, start
+from deepbots_cli.codegen.workspace import Workspace
+from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.scalar import Const, Scalar
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
+
+_CLASS = '''
+class {name}Supervisor(Supervisor):
+    {doc}
+
+    {tables}
+    def bind(self, engine: Any) -> None:
+        {binding}
+
+    {methods}
+    def get_observations(self) -> Any:
+        {seen}
+        return {observation}
+
+    def get_reward(self) -> float:
+        {summed}
+        return self.reward
+
+    def is_done(self) -> tuple[bool, bool]:
+        {ended}
+        return self.terminated, self.truncated
+
+    def get_info(self) -> dict[str, Any]:
+        """How the episode ended, if it has, and the terms of the last reward."""
+        terms = {{{terms}}}
+        return {{{info}}}
+
+    {asked}
+'''
+
+
+def supervisor(scenario: Program, constants: Constants) -> list[str]:
+    """The lines of the class."""
+    space = Workspace(scenario, constants)
+    # What the other methods read says what a reset has to begin anew.
+    observing, acting, pushing = observe(space), advance(space), drawing(space)
+    asked = [*_allowed(space), *_compute_reward(space), *(line for script in scenario.scripts for line in _script(space, script))]
+    methods = [*begin(space), *pushing, *start(space), *acting, *observing]
+    tables = choice_tables(space)
+    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.reward)
+    info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
+    return filled(
+        _CLASS,
+        name=class_name(scenario.name),
+        doc=docstring(scenario.summary or scenario.name),
+        tables=[*tables, ""] if tables else [],
+        binding=_bind(space),
+        methods=methods,
+        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_seen(space)}."),
+        observation=_observation(space),
+        summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.reward])}."),
+        ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
+        terms=terms,
+        info=info + (', "action_mask": self.action_mask()' if space.forbids else "") + ', "reward_terms": terms',
+        asked=asked,
+    )
+
+
+def _bind(space: Workspace) -> list[str]:
+    scenario, lines = space.scenario, []
+    for robot in scenario.robots:
+        lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
+        for which, direction in (("to", "to_robot"), ("from", "from_robot")):
+            made = "channel" if space.is_direct(robot, direction) else "radio"  # type: ignore[arg-type]
+            lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
+    arranged = is_arranged(scenario)
+    lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
+    if space.readers.charts:
+        lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
+    memories = [f"self.{name} = {code}" for name, code in space.memories.items()]
+    return [*lines, *space.readers.bind_lines(), *memories, *bind_pushes(space), *bind_foreign(space)] or ["pass"]
+
+
+# The paper's methods, which read what `_observe` left and change nothing
+
+
+def _seen(space: Workspace) -> str:
+    histories = {entry.name: entry.history for entry in space.scenario.observation}
+    seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
+    seen += f"; {space.scenario.agent.stack} times in a row" if space.scenario.agent.stack > 1 else ""
+    return seen + ("; and what is achieved and desired" if space.scenario.goal is not None else "")
+
+
+def _observation(space: Workspace) -> str:
+    """The code of each part of an observation, under its key where there are several."""
+    scenario = space.scenario
+    parts = {"observation": "self.seen()"} if scenario.numbers or not scenario.images else {}
+    parts |= {pictured.key: f"self.albums[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.images}
+    if scenario.goal is not None:
+        size = len(scenario.goal.low)
+        parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}
+    if set(parts) == {"observation"}:
+        return parts["observation"]
+    return f"{{{', '.join(f'{quoted(key)}: {part}' for key, part in parts.items())}}}"
+
+
+def _ends(scenario: Program) -> list[str]:
+    ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
+    limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
+    return [*ends, f"a limit cut the episode short ({sentence_list(limits, 'or')})"]
+
+
+def _allowed(space: Workspace) -> list[str]:
+    """The method that tells what may be chosen next; nothing where no option is ever forbidden."""
+    if not space.forbids:
+        return []
+    rows = [
+        f"self.allowed_{part.name}" if any(option.forbidden for option in part.options) else tuple_code(["True"] * len(part.options))
+        for part in space.choices
+    ]
+    doc = docstring(f"Which options of {sentence_list([part.name for part in space.choices])} may be chosen next.")
+    return block("def allowed(self) -> tuple[tuple[bool, ...], ...]:", [*doc, f"return {tuple_code(rows)}"])
+
+
+def _compute_reward(space: Workspace) -> list[str]:
+    """The method that hindsight replay asks for; nothing without a goal."""
+    if space.scenario.goal is None:
+        return []
+    doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
+    head = "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:"
+    return block(head, [*doc, "return self.reward_for(achieved_goal, desired_goal)"])
+
+
+# Hand-written policies
+
+
+def _script(space: Workspace, script: Script) -> list[str]:
+    """A method that tells the next action from what the last tick left; it is called between two steps, by who asks for it."""
+    # Between two steps the reward of the last one is known.
+    printer = Printer(space, settable=space.settable, renamed={"previous_reward": "self.reward"})
+    used = space.named(script.scalars)
+    kept = [space.local(name) for name in space.kept() if name in used]
+    printer.lines += [f"{local} = self.told_{local}" for local in kept]
+    printer.read_here()
+    choices, ranges = [], []
+    for part, decided in zip(space.scenario.action, script.parts, strict=True):
+        if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
+            choices.append(_print_pick(space, printer, part, decided))
+        elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
+            ranges += [_share(printer, part, value) for value in decided.scalars]
+    printer.line(f"return self.acting({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
+    return block(f"def script_{script.name}(self) -> Any:", printer.finished(docstring(f"The next action of the script {script.name}.")))
+
+
+def _print_pick(space: Workspace, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
+    """The local that holds the number of the option."""
+    target, names = space.names(f"{part.name} pick"), [option.name for option in part.options]
+    for index, option in enumerate(pick.options):
+        setting = f"{target} = {names.index(option)}  # {option}"
+        if len(pick.options) == 1:
+            printer.line(setting)
+            break
+        last = index == len(pick.scalars)
+        head = "else:" if last else f"{'elif' if index else 'if'} {printer.value(pick.scalars[index])}:"
+        printer.lines += [head, f"    {setting}"]
+    return target
+
+
+def _share(printer: Printer, part: ActionRange, value: Scalar) -> str:
+    """Where in [-1, 1] the agent's number stands for the value; a constant is clamped here."""
+    half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
+    share = op("div", op("sub", value, Const(middle)), Const(half))
+    if isinstance(share, Const):
+        return repr(min(max(float(share.value), -1.0), 1.0))
+    return f"clip({printer.value(share)})"
