@@ -7,16 +7,14 @@ terminal.py  what goes to stdout and stderr, and when in colour
 outlets.py   stdout and stderr whose reader may be gone
 tables.py    aligned columns
 words.py     keys and functions, as `explain` tells of them
-folders.py   which files of a folder are scenarios
 linting.py   what `lint` looks at          reports.py   its formats
-settings.py  how a project wants it
 exits.py     from exceptions to exit codes
 anatomy.py   what `inspect` shows, robot_file.py of a robot file
 measure.py   what `bench` times
 ageing.py    when actions act, how old observations are
 picture.py   a picture as PNG              replay.py   episodes of a policy without a network
 progress.py  how many of them are done
-mending.py   fixes of findings           rewriting.py  files of the user written anew
+rewriting.py  files of the user written anew
 copying.py   what `copy` writes            project.py  what `eject` writes
 upgrading.py steps from one version of the language to the next
 comparison/  what `diff` shows              starters/   what `new` writes, editing.py with a schema beside it
