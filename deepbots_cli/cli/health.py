@@ -19,9 +19,9 @@ from deepbots_cli.errors import DeepbotsError, installing
 State = Literal["ok", "missing", "broken"]
 
 _PACKAGES = {
-    "base": ("pyyaml", "typer"),
+    "base": ("jinja2", "pydantic", "pyyaml", "rich", "typer"),
     "sim": ("gymnasium", "msgspec", "numpy", "pybullet"),
-    "train": ("imageio", "imageio-ffmpeg", "rich", "stable-baselines3", "tensorboard", "torch"),
+    "train": ("imageio", "imageio-ffmpeg", "stable-baselines3", "tensorboard", "torch"),
     "editor": ("pygls",),
 }
 

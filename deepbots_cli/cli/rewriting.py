@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 
+from deepbots_cli.atomic import atomic
 from deepbots_cli.cli.terminal import printable
 from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
@@ -55,17 +55,9 @@ def write(rewrite: Rewrite) -> None:
         UsageError: It is no longer what was read, or the system refuses it; nothing is written then.
     """
     path = rewrite.path
-    draft = path.with_name(f".deepbots-{os.getpid()}")  # not made of its name, which may be as long as names can be
-    try:
+    with atomic(path) as draft:
         if path.read_bytes() != rewrite.before:
             raise UsageError(f"{display(path)} was changed by someone else meanwhile, and is left alone")
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
-        with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
-            stream.write(rewrite.after)
-        shutil.copymode(path, draft)
-        draft.replace(path)
-    except OSError as error:
-        raise UsageError(f"{display(path)} cannot be written: {(error.strerror or 'no reason given').lower()}") from error
-    finally:
-        draft.unlink(missing_ok=True)
+        draft.write_bytes(rewrite.after)

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -15,6 +15,7 @@ from typing import TextIO
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import inert, render, summary
+from deepbots_cli.progress import ProgressBar
 
 
 def say(text: str = "") -> None:
@@ -42,6 +43,29 @@ def passing(text: str) -> Iterator[None]:
         yield
     finally:
         print(f"\r{'':<{len(shown)}}\r" if shown else "", end="", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield a function that shows how many of how many are done, again from 1 on for the next row of them.
+
+    Unless `always`, it is None where standard error is no terminal.
+    """
+    bar: ProgressBar | None = None
+
+    def show(done: int, total: int) -> None:
+        nonlocal bar
+        bar = bar or ProgressBar(total, unit, transient=True)
+        bar.update(done)
+        if done >= total:
+            bar.close()
+            bar = None
+
+    try:
+        yield show if always or sys.stderr.isatty() else None
+    finally:
+        if bar is not None:
+            bar.close()
 
 
 def show_findings(findings: Sequence[Finding]) -> None:

@@ -10,7 +10,6 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
-from deepbots_cli.cli.progress import Meter
 from deepbots_cli.cli.tables import pairs as aligned
 from deepbots_cli.errors import MissingExtraError
 
@@ -50,9 +49,8 @@ def command(
     usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
     steps, pairs = steps or usual_steps, pairs or usual_pairs
     terminal.note(f"timing {pairs} pairs of {steps:,} steps; --quick takes a tenth of the time")
-    meter = Meter(what="measurements")
-    result = measure.compare(compiled, engine=engine, steps=steps, pairs=pairs, seed=seed, on_measured=meter)
-    meter.clear()
+    with terminal.progress("measurements") as show:
+        result = measure.compare(compiled, engine=engine, steps=steps, pairs=pairs, seed=seed, on_measured=show)
     if as_json:
         terminal.show_json(asdict(result))
         return

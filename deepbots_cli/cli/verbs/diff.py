@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.comparison.changes import Change, changes
-from deepbots_cli.cli.comparison.items import Group
-from deepbots_cli.cli.comparison.sides import opened
+from deepbots_cli.cli.comparison import Change, Group, changes
 from deepbots_cli.cli.exits import FAILED, WRONG
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.sources import opened
 from deepbots_cli.errors import ScenarioError
 
 _HEADINGS = {

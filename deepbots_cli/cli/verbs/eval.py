@@ -14,7 +14,6 @@ from deepbots_cli.canonical import task_digest
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
-from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.learning import report
@@ -84,9 +83,9 @@ def command(
     }
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
-    with on_terminal() as meter:
-        result = evaluate(known, case=case, video_to=video, on_episode=meter, **chosen)
-        cases = evaluate_cases(known, on_episode=meter, **chosen) if case is None else ()
+    with terminal.progress(always=False) as show_episode:
+        result = evaluate(known, case=case, video_to=video, on_episode=show_episode, **chosen)
+        cases = evaluate_cases(known, on_episode=show_episode, **chosen) if case is None else ()
     if as_json:
         terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:

@@ -12,7 +12,6 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
-from deepbots_cli.cli.progress import told
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -81,7 +80,12 @@ def command(
         else:
             acting = getattr(replay, policy or Policy.random)(environment)
         running = replay.episodes(environment, acting, count=episodes, seed=seed, most_steps=steps)
-        done = list(told(running, episodes) if episodes > MANY else running)
+        done: list[Episode] = []
+        with terminal.progress() as show:
+            for episode in running:
+                done.append(episode)
+                if show and episodes > MANY:
+                    show(len(done), episodes)
     summary = Summary.of(done)
     if as_json:
         figures = {"success_defined": ir.defines_success, **vars(summary)}

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
+from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import editing, terminal
 from deepbots_cli.cli.options import AllowPaths
 from deepbots_cli.compiler import Checked
@@ -64,4 +65,5 @@ def _write(text: str, output: Path | None) -> None:
     if output is None:
         print(text, end="")
     else:
-        output.write_text(text, encoding="utf-8")
+        with atomic(output) as draft:
+            draft.write_text(text, encoding="utf-8")
