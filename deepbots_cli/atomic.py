@@ -22,9 +22,13 @@ def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]
     Raises:
         UsageError: The system refuses it; `refused` is the class to raise.
     """
+    path = path.resolve()
     # The name does not contain that of the file, which may be as long as names can be.
     draft = path.with_name(f".deepbots-{os.getpid()}-{threading.get_ident()}{path.suffix}")
     try:
+        if path.exists() and not path.is_file():  # a device or a pipe, which is written to as it is
+            yield path
+            return
         draft.unlink(missing_ok=True)
         os.close(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, path.stat().st_mode & 0o777 | 0o600 if path.exists() else 0o666))
         yield draft

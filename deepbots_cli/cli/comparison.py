@@ -1,35 +1,32 @@
 """Two scenarios compared by meaning: what `deepbots diff` shows.
 
-A compiled scenario is taken apart into items. An item has a path in the words of the language, the group of differences that it
-belongs to, and a value as plain data: dictionaries, lists, text and numbers of twelve digits. Items whose values differ are changes,
-which show what both scenarios say there.
+A compiled scenario is flattened into single values by path, such as `world/robots/cart/model/links/pole/inertial/mass`. Where two
+scenarios have different values, a table leads from the path to the words of the language, `robots.cart.links.pole`, and to the group of
+differences. A change shows what both scenarios say there.
 """
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from deepbots_cli import canonical, interface
 from deepbots_cli.cli.sources import Opened
 from deepbots_cli.cli.tables import cell, formula
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.program import Program
-from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
+from deepbots_cli.program.robots import Robot, Route
+from deepbots_cli.program.task import Agent, Truncation
+from deepbots_cli.program.training import Policy, Training
 from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import RobotModel
 
-VALUE = " value"
-"""Marks the meaning of an item, apart from the range that a policy relies on: `observation.speed value`."""
+Kind = Literal["changed", "added", "removed"]
 LOOK = "look of "
-_LOOKS = ("colour", "visuals")
-_AXES = {"rpy": "roll pitch yaw"} | dict.fromkeys(("", "xyz", "size", "axis", "spacing", "scale"), "x y z")
-"""Names of the three components of a member, and of a whole value such as gravity."""
-_LISTED = 3
-_NAME = re.compile(r"[a-z_][a-z0-9_]*")
 
 
 class Group(StrEnum):
@@ -40,20 +37,6 @@ class Group(StrEnum):
     world = "world"
     training = "training"
     cosmetic = "cosmetic"
-
-    @property
-    def rank(self) -> int:
-        return list(Group).index(self)
-
-
-class Item(NamedTuple):
-    """A part of a scenario; `value` is plain data."""
-
-    group: Group
-    value: Any
-
-
-Kind = Literal["changed", "added", "removed"]
 
 
 @dataclass(frozen=True)
@@ -68,71 +51,146 @@ class Change:
     through: tuple[str, ...] = ()
 
 
+_COLOURED = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
+_PATHS: tuple[tuple[str, str, Group], ...] = (
+    # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
+    (r"observation/([^/]+)/noise", r"observation.\1.noise", Group.task),
+    (r"observation/([^/]+)", r"observation.\1", Group.task),
+    (r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Group.task),
+    (r"action/([^/]+)", r"action.\1", Group.policy),
+    (r"agent/each/([^/]+)", r"robots.\1.count", Group.world),
+    (r"agent/(\w+)", r"agent.\1", Group.world),
+    (r"goal/achieved/noise", "goal.noise", Group.task),
+    (r"goal/(?:low|high)", "goal.range", Group.policy),
+    (r"goal/(\w+)", r"goal.\1", Group.task),
+    (r"signals/([^/]+)", r"signals.\1", Group.task),
+    (r"reward/([^/]+)", r"reward.\1", Group.task),
+    (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Group.task),
+    (r"truncation/(\w+)", r"truncation.\1", Group.task),
+    (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Group.world),
+    (r"robots/([^/]+)/commands/([^/]+)", r"robots.\1.apply.\2", Group.task),
+    (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Group.task),
+    (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.task),
+    (r"(name|summary)", r"\1", Group.cosmetic),
+    (r"world/robots/([^/]+)/model/links/([^/]+)" + _COLOURED, LOOK + r"robots.\1.links.\2", Group.cosmetic),
+    (r"world/objects/([^/#]+)[^/]*" + _COLOURED, LOOK + r"objects.\1", Group.cosmetic),
+    (r"world/lines/([^/]+)" + _COLOURED, LOOK + r"world.lines.\1", Group.cosmetic),
+    (r"world/(\w+)" + _COLOURED, LOOK + r"world.\1", Group.cosmetic),
+    (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Group.world),
+    (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Group.cosmetic),
+    (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Group.world),
+    (r"world/robots/([^/]+)/model/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.world),
+    (r"world/robots/([^/]+)/fixed_base", r"robots.\1.base", Group.world),
+    (r"world/robots/([^/]+)/(\w+)", r"robots.\1.\2", Group.world),
+    (r"world/objects/([^/#]+)[^/]*", r"objects.\1", Group.world),
+    (r"world/lines/([^/]+)", r"world.lines.\1", Group.world),
+    (r"(format|timing)", r"messages.\1", Group.world),
+    (r"(parameters|disturbances)/([^/]+)", r"\1.\2", Group.world),
+    (r"reset/variations/([^/]+)", r"\1", Group.world),
+    (r"reset/placements/([^/]+)", r"reset.place.\1", Group.world),
+    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.set.\1.\2", Group.world),
+    (r"reset/groups/([^/]+)", r"objects.\1.count", Group.world),
+    (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Group.world),
+    (r"reset/(\w+)", r"reset.\1", Group.world),
+    (r"(solved)", r"\1", Group.training),
+    (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
+    (r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
+    (r"training/policy/(\w+)", r"train.policy.\1", Group.training),
+    (r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
+    (r"scripts/([^/]+)", r"scripts.\1", Group.training),
+)
+_AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
+_PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Policy)
+"""Records that are mere places for others, whose kind says nothing."""
+_NAME = re.compile(r"[a-z_][a-z0-9_]*")
+_LISTED = 3
+
+
 def changes(one: Opened, other: Opened) -> list[Change]:
     """All differences, the gravest group first; empty if both scenarios compile to the same, except for the paths of files."""
-    found = [*_of_items(one, other), *_of_variants(one, other)]
+    found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.ir, other.ir)]
     if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
-        here, there = (_plain(_without_paths(side.ir)) for side in (one, other))
-        cosmetic = "last digits" if here == there else "order of keys" if _unordered(here) == _unordered(there) else None
-        found = [Change(cosmetic or "other parts", Group.cosmetic if cosmetic else Group.task, "changed", "", "")]
+        path = "last digits" if list(values(one.ir)) == list(values(other.ir)) else "order of keys"
+        found = [Change(path, Group.cosmetic, "changed", "", "")]
     gravest: dict[str, Change] = {}
-    for change in sorted(found, key=lambda change: change.group.rank):
-        gravest.setdefault(change.path, change)
+    for change in sorted(found, key=lambda change: list(Group).index(change.group)):
+        # The components of what a policy sees stand for the whole.
+        parts = [known for path, known in gravest.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
+        if change.path not in gravest and not parts:
+            gravest[change.path] = change
     return list(gravest.values())
 
 
-def _of_items(one: Opened, other: Opened) -> Iterator[Change]:
-    before, after, altered = items(one.ir), items(other.ir), _altered_parameters(one, other)
-    for path in dict.fromkeys((*before, *after)):
-        old, new = before.get(path), after.get(path)
-        if old and new and old.value == new.value:
-            continue
-        if path.startswith("order of ") and not (old and new and sorted(old.value) == sorted(new.value)):
-            continue  # names that only one of them has are changes of their own
-        shown = path.removesuffix(VALUE)
-        section, _, name = shown.partition(".")
-        if section == "signals" and any(name in side.names("augment") for side in (one, other)):
-            shown = f"augment.{name}"
-        written = f"{shown.removeprefix(LOOK)}.colour" if shown.startswith(LOOK) else shown
-        texts = one.wording(written), other.wording(written)
-        used = _NAME.findall(texts[0]) if texts[0] == texts[1] else ()
-        through = tuple(name for name in altered if name in used)
-        kind = "changed" if all(texts) else _kind(old is not None, new is not None)
-        if texts[0] == texts[1] and not through:
-            texts = _differing_values(old, new)
-        yield Change(shown, min((item.group for item in (old, new) if item), key=lambda group: group.rank), kind, *texts, through)
+def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
+    """What a policy relies on: ranges, choices and messages."""
+    before, after = interface.interface(one.ir), interface.interface(other.ir)
+    for name in dict.fromkeys((*before, *after)):
+        if before.get(name) != after.get(name):
+            path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
+            path = re.sub(r"^message from robot ([^.]+)\.", r"robots.\1.emit.", path)
+            old, new = ({"": side[name]} if name in side else {} for side in (before, after))
+            yield _change(path, Group.policy, old, new, one, other)
 
 
-def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
-    """Cases and stages, by what each changes in its scenario."""
-    for section, before, after in (
-        ("evaluation.cases", _variants(one.ir, one.ir.cases), _variants(other.ir, other.ir.cases)),
-        ("curriculum", _variants(one.ir, one.ir.curriculum), _variants(other.ir, other.ir.curriculum)),
-    ):
-        for name in dict.fromkeys((*before, *after)):
-            if before.get(name) != after.get(name):
-                kind: Literal["changed", "added", "removed"] = (
-                    "added" if name not in before else "removed" if name not in after else "changed"
-                )
-                yield Change(
-                    f"{section}.{name}", Group.training, kind, one.wording(f"{section}.{name}"), other.wording(f"{section}.{name}")
-                )
-        if before.keys() == after.keys() and list(before) != list(after):
-            yield Change(f"order of {section}", Group.training, "changed", ", ".join(before), ", ".join(after))
+def _of_values(one: Opened, other: Opened) -> Iterator[Change]:
+    before, after = values(one.ir), values(other.ir)
+    items: dict[tuple[int, str, Group], tuple[dict[str, str], dict[str, str]]] = {}
+    for raw in dict.fromkeys((*before, *after)):
+        item, rest = _translated(raw, one.ir, other.ir)
+        for side, there in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
+            if raw in there:
+                side[rest] = there[raw]
+    for (_, path, group), (old, new) in sorted(items.items(), key=lambda item: item[0][0]):
+        if old != new:
+            yield _change(path, group, old, new, one, other)
+
+
+def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Group], str]:
+    """The rank, the path in the language and the group of the item that a value belongs to, and its path from there."""
+    for rank, (pattern, template, group) in enumerate(_PATHS):
+        if match := re.match(pattern, raw):
+            path = match.expand(template)
+            if path.startswith(LOOK) and any(_is_seen(path, scenario) for scenario in scenarios):
+                group = Group.world
+            return (rank, path, group), raw[match.end() :].strip("/").replace("/", ".")
+    return (len(_PATHS), raw.replace("/", "."), Group.task), ""
+
+
+def _is_seen(path: str, scenario: Program) -> bool:
+    """Whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
+    name = path.removeprefix(LOOK).split(".")[1]
+    bodies = [body for body in scenario.world.robots if path.startswith(f"{LOOK}robots.") and body.name == name]
+    shapeless = any(not any(link.collisions for link in body.model.links) for body in bodies)
+    return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
+
+
+def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, str], one: Opened, other: Opened) -> Change:
+    """The change at a path, in the words of both texts, or by the values that differ where the texts say nothing of them."""
+    section, _, name = path.partition(".")
+    if section == "signals" and any(name in side.names("augment") for side in (one, other)):
+        path = f"augment.{name}"
+    written = f"{path.removeprefix(LOOK)}.colour" if path.startswith(LOOK) else path
+    texts = one.wording(written), other.wording(written)
+    kind = "changed" if all(texts) else _kind(bool(old), bool(new))
+    if texts[0] != texts[1]:
+        return Change(path, group, kind, *texts)
+    used = _NAME.findall(texts[0])
+    through = tuple(name for name in _altered_parameters(one, other) if name in used)
+    return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
 
 
 def _kind(before: bool, after: bool) -> Kind:
     return "changed" if before and after else "removed" if before else "added"
 
 
-def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
-    base = items(scenario)
-    found: dict[str, object] = {}
-    for entry in entries:
-        made = items(entry.program)
-        changed = {path: made.get(path) for path in {**base, **made} if base.get(path) != made.get(path)}
-        found[entry.name] = (getattr(entry, "episodes", None), _plain(getattr(entry, "until", None)), changed)
-    return found
+def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
+    """A few of the values that differ; of an item that only one has, all or none, since a link has dozens."""
+    names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
+    if len(names) > _LISTED and not (old and new):
+        return "", ""
+    rest = [f"... {len(names)} in all"] if len(names) > _LISTED else []
+    shown = [[f"{name} {side[name]}".strip() for name in names[:_LISTED] if name in side] for side in (old, new)]
+    return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
 
 
 def _altered_parameters(one: Opened, other: Opened) -> list[str]:
@@ -145,217 +203,106 @@ def _altered_parameters(one: Opened, other: Opened) -> list[str]:
     return altered
 
 
-# Items
+def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
+    """Cases and stages, by what each changes in its scenario."""
+    for section, before, after in (
+        ("evaluation.cases", _variants(one.ir, one.ir.cases), _variants(other.ir, other.ir.cases)),
+        ("curriculum", _variants(one.ir, one.ir.curriculum), _variants(other.ir, other.ir.curriculum)),
+    ):
+        for name in dict.fromkeys((*before, *after)):
+            if before.get(name) != after.get(name):
+                path = f"{section}.{name}"
+                yield Change(path, Group.training, _kind(name in before, name in after), one.wording(path), other.wording(path))
 
 
-def items(scenario: Program) -> dict[str, Item]:
-    """The items of a scenario by path, without its cases and stages; entries of the same path are one item."""
-    placeless = _without_paths(scenario)
-    found: dict[str, Item] = {}
-    for group, section in ((Group.policy, _policy), (Group.task, _task), (Group.world, _world), (Group.training, _training)):
-        for path, value, *other in section(placeless):
-            item = Item(other[0] if other else group, _plain(value))
-            known = found.get(path)
-            found[path] = Item(min(known.group, item.group, key=lambda group: group.rank), [known.value, item.value]) if known else item
+def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
+    base = values(scenario)
+    found: dict[str, object] = {}
+    for entry in entries:
+        made = values(entry.program)
+        changed = {path: made.get(path) for path in {**base, **made} if base.get(path) != made.get(path)}
+        found[entry.name] = {"set": changed, **dict(_leaves(replace(entry, program=None), ""))}
     return found
 
 
-Entry = tuple[str, object] | tuple[str, object, Group]
-"""A path, what stands there, and the group where it is not that of the section."""
+def _of_orders(one: Program, other: Program) -> Iterator[Change]:
+    """The same names in another order, where the order has a meaning."""
+    before, after = dict(_orders(one)), dict(_orders(other))
+    for (path, group), names in before.items():
+        there = after.get((path, group), names)
+        if names != there and sorted(names) == sorted(there):
+            yield Change(path, group, "changed", ", ".join(names), ", ".join(there))
 
 
-def _policy(scenario: Program) -> Iterator[Entry]:
-    """What a policy relies on: ranges, choices, messages."""
-    agreed = interface.interface(scenario)
-    for name, text in agreed.items():
-        match = re.match(r"message (to|from) robot ([^.]+)\.(.*)", name)
-        section = "receive" if match and match[1] == "to" else "emit"
-        yield f"robots.{match[2]}.{section}.{match[3]}" if match else "goal.range" if name.startswith("goal") else name, text
-    yield "order of what is observed, done and sent", tuple(agreed)
+def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Group], list[str]]]:
+    yield ("order of what is observed, done and sent", Group.policy), list(interface.interface(scenario))
+    yield ("order of endings", Group.task), [ending.name for ending in scenario.endings]
+    yield ("order of reset.place", Group.world), [place.body for place in scenario.reset.placements]
+    yield ("order of evaluation.cases", Group.training), [case.name for case in scenario.cases]
+    yield ("order of curriculum", Group.training), [stage.name for stage in scenario.curriculum]
 
 
-def _task(scenario: Program) -> Iterator[Entry]:
-    """Sensors, actuators, observation, reward and endings."""
-    for observed in scenario.numbers:
-        yield f"observation.{observed.full_name}{VALUE}", observed.scalar
-        if observed.noise is not None:
-            yield f"observation.{observed.name}.noise", observed.noise
-    yield from ((f"observation.{image.name}{VALUE}", image.value.scalar) for image in scenario.images)
-    for part in scenario.action:
-        forbidden = tuple((option.name, option.forbidden.scalar) for option in getattr(part, "options", ()) if option.forbidden)
-        if forbidden:
-            yield f"action.{part.name}.forbid", forbidden
-    if (goal := scenario.goal) is not None:
-        known = {"achieved": goal.achieved.scalars, "desired": goal.targets, "within": goal.within, "noise": goal.achieved.noise}
-        yield from ((f"goal.{key}", value) for key, value in known.items() if value is not None)
-    yield from _named("signals", scenario.signals)
-    yield from _named("reward", scenario.reward)
-    yield from ((f"termination.{ending.outcome}.{ending.name}", ending) for ending in scenario.endings)
-    yield "order of endings", tuple(ending.name for ending in scenario.endings)
-    yield "truncation.max_steps", scenario.truncation.max_steps
-    yield "truncation.max_time", scenario.truncation.max_time
-    for robot in scenario.robots:
-        parts = {"sensors": robot.sensors, "actuators": robot.actuators, "receive": robot.received}
-        for section, entries in (parts | {"emit": robot.emitted, "apply": robot.commands}).items():
-            yield from _named(f"robots.{robot.name}.{section}", entries, VALUE)
-        for layout in (robot.to_robot, robot.from_robot):
-            yield f"order of fields {layout.direction} {robot.name}", tuple(field.name for field in layout.fields), Group.policy
+# Values by path
 
 
-def _world(scenario: Program) -> Iterator[Entry]:
-    """World, bodies, routes of messages, and starts."""
-    world, reset = scenario.world, scenario.reset
-    seen = any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
-    for name in ("timestep", "substeps", "gravity", "ground", "arena", "terrain", "light"):
-        yield from _with_look(f"world.{name}", getattr(world, name), seen)
-    for line in world.lines:
-        yield from _with_look(f"world.lines.{line.name}", line, seen)
-    for body in world.objects:
-        yield from _with_look(f"objects.{body.name.partition('#')[0]}", body, seen)
-    for robot in world.robots:
-        yield from _body(robot, seen)
-    yield "messages.format", scenario.format
-    yield "messages.timing", scenario.timing
-    for controller in scenario.robots:
-        yield "messages.to_robot", controller.to_route
-        yield "messages.from_robot", controller.from_route
-    yield "agent.repeat", scenario.agent.repeat
-    if scenario.agent.each is not None:
-        yield f"robots.{scenario.agent.each.robot}.count", scenario.agent.each
-    yield from _named("parameters", scenario.parameters)
-    yield from _named("disturbances", scenario.disturbances)
-    yield from ((f"reset.place.{place.body}", place) for place in reset.placements)
-    yield "order of reset.place", tuple(place.body for place in reset.placements)
-    for start in reset.joint_starts:
-        yield from ((f"reset.set.{start.robot}.{joint}", (position, velocity)) for joint, position, velocity in start.states)
-    yield from ((_path_of_draw(entry, world), entry.scalars) for entry in reset.variations)
-    yield from ((f"objects.{group.name}.count", group) for group in reset.groups)
-    yield from _named("reset.layouts", reset.layouts)
-    yield from ((f"reset.{name}", getattr(reset, name)) for name in ("settle", "require", "attempts"))
+def values(scenario: Program) -> dict[str, str]:
+    """Every value of a scenario as text, by path; without its cases and stages, and the paths of files."""
+    placeless = canonical.with_files(replace(scenario, cases=(), curriculum=()), lambda file: replace(file, path=""))
+    return dict(_leaves(placeless, ""))
 
 
-def _body(robot: RobotBody, seen: bool) -> Iterator[Entry]:
-    here, model = f"robots.{robot.name}", robot.model
-    yield f"{here}.base", "fixed" if robot.fixed_base else "free"
-    yield f"{here}.pose", robot.pose
-    yield f"{here}.urdf", model.root
-    yield f"name of {here}.urdf", model.name, Group.cosmetic
-    touches = any(link.collisions for link in model.links)
-    for link in model.links:
-        yield from _with_look(f"{here}.links.{link.name}", link, seen or not touches)
-    yield from _named(f"{here}.joints", model.joints)
+def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
+    """The single values in a record, with their paths; numbers to twelve digits, since units are converted in floats."""
+    value = value.value if isinstance(value, Const) else value
+    members = None if isinstance(value, Scalar) else canonical.members(value)
+    if members is not None and "scalars" in members:
+        members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
+    elif members is not None:
+        kind = {} if type(value) in _PLACES else {"kind": type(value).__name__.lower()}
+        key = path.rpartition("/")[2]
+        members = kind | {name: member for name, member in members.items() if name not in ("name", "body", "robot") or member != key}
+    elif isinstance(value, tuple) and not isinstance(value, Scalar) and not all(isinstance(entry, str) for entry in value):
+        members = _keyed(value, path)
+    elif isinstance(value, Mapping):
+        members = dict(value)
+    if members is not None:
+        for name, member in members.items():
+            yield from _leaves(member, f"{path}/{name}".strip("/"))
+    elif path.endswith("/fixed_base"):
+        yield path, "fixed" if value else "free"
+    elif isinstance(value, Scalar):
+        yield path, formula(value)
+    elif isinstance(value, float):
+        yield path, f"{value:.12g}"
+    elif value not in (None, ()):
+        yield path, cell(list(value)) if isinstance(value, tuple) else cell(value)
 
 
-def _path_of_draw(entry: RandomizedParameter, world: WorldModel) -> str:
+def _keyed(entries: tuple[Any, ...], path: str) -> dict[str, Any]:
+    """The entries of a list by name where they have one, or by axis or position."""
+    axes = _AXES.get(path.rpartition("/")[2], ())
+    if len(entries) == len(axes):
+        return dict(zip(axes, entries, strict=True))
+    return {_key(entry) or (str(index) if len(entries) > 1 else ""): entry for index, entry in enumerate(entries)}
+
+
+def _key(entry: Any) -> str:
+    if isinstance(entry, Scalar):
+        return ""
+    if isinstance(entry, RandomizedParameter):
+        return _path_of_draw(entry)
+    if isinstance(entry, tuple):
+        return entry[0] if entry and isinstance(entry[0], str) else ""
+    name = next((str(getattr(entry, key)) for key in ("name", "body", "robot") if hasattr(entry, key)), "")
+    return f"{entry.outcome}/{name}" if hasattr(entry, "outcome") else name
+
+
+def _path_of_draw(entry: RandomizedParameter) -> str:
     """Where a value that is drawn per episode is written; a drawn colour belongs to the look of its body."""
+    body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
     if entry.what == "colour":
-        body, link = entry.of
-        is_robot = any(robot.name == body for robot in world.robots)
-        return f"{LOOK}robots.{body}.links.{link}" if is_robot else f"{LOOK}objects.{body.partition('#')[0]}"
+        return f"{LOOK}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{LOOK}objects.{body}"
     first = entry.scalars[0]
     if isinstance(first, Draw):
         return first.stream.partition("#")[0].partition(":")[0]
     return " of ".join(filter(None, (f"drawn {entry.what}", ".".join(filter(None, entry.of)))))
-
-
-def _training(scenario: Program) -> Iterator[Entry]:
-    """Training, evaluation and scripts; and the names of the scenario."""
-    yield "name", scenario.name, Group.cosmetic
-    yield "summary", scenario.summary, Group.cosmetic
-    yield "solved", scenario.solved
-    yield "evaluation.episodes", scenario.evaluation.episodes
-    if (training := scenario.training) is not None:
-        for name in ("algorithm", "total_timesteps", "environments", "action_noise", "replay"):
-            yield f"train.{name}", getattr(training, name)
-        yield "train.policy.hidden", training.policy.hidden
-        yield "train.policy.activation", training.policy.activation
-        yield from ((f"train.{entry.name}", entry.value) for entry in training.hyperparameters)
-    yield from _named("scripts", scenario.scripts)
-
-
-def _named(section: str, entries: Iterable[Any], suffix: str = "") -> Iterator[Entry]:
-    return ((f"{section}.{entry.name}{suffix}", entry) for entry in entries)
-
-
-def _with_look(path: str, value: object, seen: bool) -> Iterator[Entry]:
-    """What acts, and what only shows; a look counts as the world where a camera sees it or nothing else has a size."""
-    acting, looks = _without_looks(_plain(value))
-    yield path, acting
-    if looks:
-        yield f"{LOOK}{path}", looks, Group.world if seen else Group.cosmetic
-
-
-def _without_looks(data: Any) -> tuple[Any, list[Any]]:
-    """Plain data without colours and visuals, and these."""
-    if not isinstance(data, dict | list):
-        return data, []
-    pairs = list(data.items() if isinstance(data, dict) else enumerate(data))
-    looks = [value for key, value in pairs if key in _LOOKS and value]
-    kept = {}
-    for key, value in pairs:
-        if key not in _LOOKS:
-            kept[key], more = _without_looks(value)
-            looks += more
-    return (kept if isinstance(data, dict) else list(kept.values())), looks
-
-
-# Plain data
-
-
-def _without_paths(scenario: Program) -> Program:
-    return canonical.with_files(scenario, lambda file: replace(file, path=""))
-
-
-def _plain(value: Any) -> Any:
-    """A value as plain data: expressions as text, floats to twelve digits, records as dictionaries, named entries by name."""
-    if isinstance(value, Const):
-        value = value.value
-    if isinstance(value, Scalar):
-        return formula(value)
-    if isinstance(value, float):
-        return float(f"{value:.12g}")
-    members = canonical.members(value)
-    if members is not None:
-        return {"kind": type(value).__name__.lower(), **{name: _plain(member) for name, member in members.items()}}
-    if isinstance(value, Mapping):
-        return {name: _plain(member) for name, member in value.items()}
-    if not isinstance(value, tuple | list):
-        return value
-    if value and all(type(entry) is tuple and len(entry) == 2 and isinstance(entry[0], str) for entry in value):
-        return {name: _plain(member) for name, member in value}
-    return [_plain(entry) for entry in value]
-
-
-def _unordered(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _unordered(value) for key, value in data.items()}
-    return sorted(map(_unordered, data), key=json.dumps) if isinstance(data, list) else data
-
-
-def _differing_values(old: Item | None, new: Item | None) -> tuple[str, str]:
-    """The values that differ, where the texts of the scenarios say nothing of them: a default, or another file.
-
-    An item that only one scenario has is shown by a few values at most, since a link has dozens.
-    """
-    here, there = (dict(_leaves(item.value)) if item else {} for item in (old, new))
-    differing = [name for name in dict.fromkeys((*here, *there)) if here.get(name) != there.get(name)]
-    if len(differing) > _LISTED and not (old and new):
-        return "", ""
-    rest = f", ... {len(differing)} in all" if len(differing) > _LISTED else ""
-    one, other = (", ".join(f"{name} {leaves[name]}".strip() for name in differing[:_LISTED] if name in leaves) for leaves in (here, there))
-    return (one + rest if one else "", other + rest if other else "")
-
-
-def _leaves(data: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """The single values in plain data, each with its path there."""
-    if isinstance(data, dict):
-        for key, value in data.items():
-            yield from _leaves(value, f"{path}.{key}".strip("."))
-    elif isinstance(data, list) and not all(isinstance(entry, str) for entry in data):
-        axes = _AXES.get(path.rpartition(".")[2], "").split() if all(isinstance(entry, float) for entry in data) else []
-        keys = axes if len(axes) == len(data) else [""] if len(data) == 1 else range(len(data))
-        for index, value in zip(keys, data, strict=True):
-            yield from _leaves(value, f"{path}.{index}".strip("."))
-    elif data is not None:
-        text = ", ".join(data) if isinstance(data, list) else f"{data:.12g}" if isinstance(data, float) else cell(data)
-        yield path, text

@@ -1,4 +1,4 @@
-"""Files of the user written anew: shown as a difference, or put in place as a whole."""
+"""Files that commands write: changes of the user's files, shown or made, and new files, which never replace others."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ import os
 import sys
 from dataclasses import dataclass
 from io import StringIO
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
+from deepbots_cli import api
 from deepbots_cli.atomic import atomic
 from deepbots_cli.cli.terminal import printable
+from deepbots_cli.compiler.inventory import known
 from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
+from deepbots_cli.scenario.json_schema import to_text
+
+Files = dict[PurePosixPath, bytes]
+"""Contents by path below the folder that they are written to."""
 
 
 @dataclass(frozen=True)
@@ -61,3 +67,47 @@ def write(rewrite: Rewrite) -> None:
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
         draft.write_bytes(rewrite.after)
+
+
+# New files
+
+
+def write_new(files: Files, folder: Path) -> list[Path]:
+    """Write the files into `folder`; one that is already there with the same content is left alone.
+
+    Raises:
+        UsageError: Other files are in the way; lists them, and nothing is written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
+    wanted = {folder / target: content for target, content in files.items()}
+    present = {path for path in wanted if path.exists() or path.is_symlink()}
+    in_the_way = [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]
+    if in_the_way:
+        raise UsageError(f"nothing was written, since there are already: {', '.join(sorted(map(str, in_the_way)))}")
+    for path in wanted.keys() - present:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            file.write(wanted[path])
+    return list(wanted)
+
+
+def modeline(scenario: Path, schema: Path) -> str:
+    """The first line of a scenario that leads a language server for YAML to the schema."""
+    way = os.path.relpath(schema.resolve(), scenario.resolve().parent)
+    return f"# yaml-language-server: $schema={Path(way).as_posix()}"
+
+
+def write_with_schema(files: Files, folder: Path) -> list[Path]:
+    """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that were written.
+
+    Raises:
+        UsageError: Other files are in the way; nothing is written.
+    """
+    (target, text), *others = files.items()
+    schema = target.with_suffix(".schema.json")
+    if os.path.lexists(folder / schema):
+        raise UsageError(f"nothing was written, since there is already: {folder / schema}")
+    led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
+    written = write_new({target: led, **dict(others)}, folder)
+    return [*written, *write_new({PurePosixPath(schema): to_text(known(api.load(written[0]))).encode()}, folder)]

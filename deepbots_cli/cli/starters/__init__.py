@@ -1,8 +1,9 @@
 """First scenarios: what `deepbots new` writes.
 
-cartpole.yaml ...  whole scenarios, one for each --template; arm.urdf is the robot of arm.yaml
-tasks.py           a task for a robot file: the values that the templates in for_robots/ leave open
-build.py           the build of a robot: wheels, limbs, rotors
+cartpole.yaml, wheeled.yaml, arm.yaml and pit.yaml are whole scenarios, one for each --template; arm.urdf is the robot of arm.yaml.
+
+tasks.py     a task for a robot file: the values that the templates in for_robots/ leave open
+build.py     the build of a robot: wheels, limbs, rotors
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import re
 from pathlib import Path, PurePosixPath
 from shlex import quote
 
-from deepbots_cli.cli.copying import Files
+from deepbots_cli.cli.rewriting import Files
 from deepbots_cli.cli.sources import opened_robot
 from deepbots_cli.document import shipped
 from deepbots_cli.document.files import Refused, project_root, resolve

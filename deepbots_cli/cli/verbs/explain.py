@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.glossary import explained, unknown
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.cli.words import explained, unknown
 from deepbots_cli.diagnostics import Rule
 from deepbots_cli.diagnostics.registry import Retired, with_prefix
 from deepbots_cli.diagnostics.registry import unknown as unknown_finding
@@ -85,11 +85,11 @@ def _lines(entry: Rule | Retired) -> Iterator[str]:
     if isinstance(entry, Rule):
         for page in pages_of(entry.code):
             yield from ("", page.text(_width()))
-        yield from _manners(entry)
+        yield from _suppression(entry)
 
 
-def _manners(rule: Rule) -> Iterator[str]:
-    """How to live with a finding that one does not want to mend."""
+def _suppression(rule: Rule) -> Iterator[str]:
+    """How to suppress a finding, or why it cannot be suppressed."""
     yield ""
     if rule.preview:
         yield "It may still misfire, and is looked for with --preview only."

@@ -10,8 +10,9 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import copying, editing, starters, terminal
+from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.rewriting import write_new, write_with_schema
 from deepbots_cli.errors import UsageError
 
 
@@ -56,7 +57,7 @@ def command(
     if not (template or urdf):
         raise UsageError(f"say what to begin with: --template {'|'.join(Template)}, or --urdf ROBOT")
     made = starters.from_robot(urdf, name, folder) if urdf else starters.from_template(template or "", name)
-    written = editing.write(made, folder) if schema else copying.write(made, folder)
+    written = write_with_schema(made, folder) if schema else write_new(made, folder)
     if urdf:
         terminal.mention(api.lint(written[0]), str(written[0]))
     if as_json:

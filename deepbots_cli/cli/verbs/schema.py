@@ -10,8 +10,9 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.atomic import atomic
-from deepbots_cli.cli import editing, terminal
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowPaths
+from deepbots_cli.cli.rewriting import modeline
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics.render import summary
@@ -51,7 +52,7 @@ def command(
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
-        terminal.note(f"as the first line of {checked.document.path.name}: {editing.modeline(checked.document.path, output)}")
+        terminal.note(f"as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
 
 
 def _is_read(checked: Checked, output: Path) -> bool:
