@@ -29,21 +29,21 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def guarded(run: Callable[[], object]) -> int:
-    """Call `run`, tell what goes wrong, and return the exit code, which does not depend on whether anyone reads the output."""
+    """Call `run`, report errors, and return the exit code, which does not depend on whether anyone reads the output."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
     with _lasting_streams():
-        code = _told(run)
-        # What is left in the buffer may still fail to be written.
-        return _told(sys.stdout.flush) or code
+        code = _exit_code(run)
+        # The rest of the buffer may still fail to be written.
+        return _exit_code(sys.stdout.flush) or code
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """SIGTERM ends a command as Ctrl-C does: what is open is closed, and a run knows that it was interrupted."""
+    """SIGTERM ends a command like Ctrl-C: files are closed, and a run records that it was interrupted."""
     raise KeyboardInterrupt
 
 
-def _told(run: Callable[[], object]) -> int:
+def _exit_code(run: Callable[[], object]) -> int:
     try:
         run()
     except SystemExit as end:
@@ -57,7 +57,7 @@ def _told(run: Callable[[], object]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except OSError as error:
-        # Of a failed write (in contrast to opening) the system does not say in which file.
+        # The system names no file where writing fails, in contrast to opening.
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
         terminal.complain(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
@@ -83,10 +83,10 @@ def _fault(error: Exception) -> int:
 
 
 class _Stream(io.BufferedIOBase):
-    """Passes on what is written; after the first failure everything goes nowhere, so that none is told twice.
+    """A stream that survives its reader: after the first failure everything is discarded, so that it is reported once.
 
-    A reader that has gone has seen enough (`| head`), which is no reason to end a training. A disk that is full is an
-    error of standard output; of standard error there is no one left to tell.
+    A reader that is gone (`| head`) is no reason to end a training. A full disk is an error of standard output only: nobody could
+    read that of standard error.
     """
 
     def __init__(self, target: BinaryIO, name: str, *, essential: bool) -> None:
@@ -124,10 +124,9 @@ class _Stream(io.BufferedIOBase):
 
 @contextmanager
 def _lasting_streams() -> Iterator[None]:
-    """Within, printing fails only where a file that stdout is written to cannot be; and no character fails to be printed.
+    """Within, printing fails only where stdout is a file that cannot be written, and every character can be printed.
 
-    A terminal of another encoding shows an escape instead. Streams that a caller has put in place of the process's own
-    stay what they are.
+    A terminal of another encoding shows escapes. Streams that a caller has put in place of the process's own stay as they are.
     """
     kept = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _lasting(sys.stdout, 1), _lasting(sys.stderr, 2)

@@ -22,7 +22,7 @@ Files = dict[PurePosixPath, bytes]
 
 @dataclass(frozen=True)
 class Rewrite:
-    """One file, by its resolved path: what it held when it was read, and what it shall hold."""
+    """A file by its resolved path, with its content when it was read and its new content."""
 
     path: Path
     before: bytes
@@ -55,10 +55,10 @@ def _quoted(byte: int) -> str:
 
 
 def write(rewrite: Rewrite) -> None:
-    """Put the file in place as a whole, with the permissions that it had.
+    """Replace the file as a whole.
 
     Raises:
-        UsageError: It is no longer what was read, or the system refuses it; nothing is written then.
+        UsageError: It has changed since it was read, or the system refuses it; nothing is written.
     """
     path = rewrite.path
     with atomic(path) as draft:
@@ -93,7 +93,7 @@ def write_new(files: Files, folder: Path) -> list[Path]:
 
 
 def modeline(scenario: Path, schema: Path) -> str:
-    """The first line of a scenario that leads a language server for YAML to the schema."""
+    """The first line of a scenario, from which a YAML language server finds the schema."""
     way = os.path.relpath(schema.resolve(), scenario.resolve().parent)
     return f"# yaml-language-server: $schema={Path(way).as_posix()}"
 

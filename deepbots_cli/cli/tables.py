@@ -17,6 +17,8 @@ from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State
 
 Row = Mapping[str, object]
 
+_READABLE = 12
+"""The width that a column of text keeps at least: in a narrower one words fall apart."""
 _NUMBERS = (int, float, type(None))
 _LISTED = 4  # items of a list in one cell, beyond which there are too many to read
 _NOTHING: tuple[object, ...] = (None, "", [], ())
@@ -33,14 +35,15 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
     cells = [[cell(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
     widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
+    least = [width if is_number else min(width, _READABLE) for width, is_number in zip(widths, right, strict=True)]
     grid = Table.grid(padding=(0, 2))
-    for is_number in right:
-        grid.add_column(justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
+    for width, is_number in zip(least, right, strict=True):
+        grid.add_column(justify="right" if is_number else "left", no_wrap=is_number, overflow="fold", min_width=width)
     for line in (names, *cells):
         grid.add_row(*(Text(text) for text in line))
         if line is names:
             grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))
-    return _lines(grid, sum(widths) + 2 * len(widths), indent)
+    return _lines(grid, sum(least) + 2 * len(least), sum(widths) + 2 * len(widths), indent)
 
 
 def pairs(row: Row, indent: str = "  ") -> str:
@@ -51,15 +54,17 @@ def pairs(row: Row, indent: str = "  ") -> str:
     grid.add_column(overflow="fold")
     for name, value in shown.items():
         grid.add_row(Text(name), Text(value))
-    return _lines(grid, sum(max(map(cell_len, column), default=0) for column in (shown, shown.values())) + 4, indent)
+    names, values = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
+    return _lines(grid, names + _READABLE + 4, names + values + 4, indent)
 
 
-def _lines(grid: Table, needed: int, indent: str) -> str:
-    """A grid as text, no wider than the terminal that standard output is."""
+def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
+    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the `least` width."""
     room = terminal.width() - len(indent) if sys.stdout.isatty() else needed
-    console = Console(file=StringIO(), width=min(needed, room), color_system=None, force_terminal=False, legacy_windows=False)
-    console.print(grid, soft_wrap=False)
-    return "\n".join(f"{indent}{line}".rstrip() for line in console.file.getvalue().splitlines())  # type: ignore[attr-defined]
+    out = StringIO()
+    console = Console(file=out, width=min(needed, room) if room >= least else needed, color_system=None, legacy_windows=False)
+    console.print(grid)
+    return "\n".join(f"{indent}{line}".rstrip() for line in out.getvalue().splitlines())
 
 
 def cell(value: object) -> str:

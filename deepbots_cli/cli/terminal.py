@@ -1,4 +1,4 @@
-"""What reaches the terminal: results on stdout, everything else on stderr; colour on terminals only."""
+"""Output: results on stdout, everything else on stderr; colour on terminals only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def say(text: str = "") -> None:
 
 
 def note(text: str) -> None:
-    """Something beside the result, on stderr."""
+    """A remark, on stderr."""
     print(printable(text), file=sys.stderr)
 
 
@@ -36,7 +36,7 @@ def complain(text: str) -> None:
 
 @contextmanager
 def passing(text: str) -> Iterator[None]:
-    """A line on stderr that is gone when what it tells of is over; on a terminal only."""
+    """A line on stderr, on a terminal only, which disappears at the end of the block."""
     shown = printable(text)[: width() - 1] if sys.stderr.isatty() else ""
     print(shown, end="", file=sys.stderr, flush=True)
     try:
@@ -75,7 +75,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
 
 
 def mention(warnings: Sequence[Finding], scenario: str) -> None:
-    """Say on stderr that there are warnings, and how to see them."""
+    """A note that there are warnings, and how to see them."""
     if warnings:
         note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")
 
@@ -86,29 +86,29 @@ def show_json(data: object) -> None:
 
 
 def json_text(data: object) -> str:
-    """Data as JSON, with a line feed; what JSON cannot hold (infinite numbers) is null."""
+    """Data as JSON with a final line feed; infinite numbers are null, since JSON has none."""
     return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
 
 
 def colourful(stream: TextIO) -> bool:
-    """Whether to colour what is written to `stream`; the variable NO_COLOR says no."""
+    """Whether to write colour to `stream`: a terminal, unless NO_COLOR is set."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def width() -> int:
-    """Columns to write in."""
+    """Columns of the terminal, at most 140."""
     return min(get_terminal_size((100, 24)).columns, 140)
 
 
 def printable(text: str) -> str:
-    """`text`, which may quote a file, without characters that a terminal would obey or hide, and words that a log would."""
+    """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs made inert."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
     return inert(text)
 
 
 def plain(data: object) -> object:
-    """`data` in lists, dictionaries, text and finite numbers."""
+    """`data` as lists, dictionaries, text and finite numbers."""
     match data:
         case float() if not math.isfinite(data):
             return None

@@ -51,7 +51,7 @@ def command(
 def collect(name: str) -> Files:
     """The files of the shipped scenario `name`, the scenario first, by their paths in the new folder.
 
-    What stood in `scenarios/` moves to the top, and every path in a scenario is rewritten to fit; comments stay.
+    Files of `scenarios/` move to the top, and the paths in scenarios are rewritten to fit; comments stay.
 
     Raises:
         UsageError: No scenario of that name comes with deepbots; lists those that do.

@@ -44,8 +44,8 @@ class Check:
 def command(as_json: Json = False) -> None:
     """Check the installation.
 
-    Versions, extras, the shipped data, and whether a world can be built and stepped. What is missing is only needed for what it is
-    needed for; the exit code is 1 if something is broken.
+    Versions, extras, the shipped data, and whether a world can be built and stepped. Missing extras are no fault; the exit code is 1
+    if something is broken.
 
     \b
       deepbots doctor
@@ -65,7 +65,7 @@ def command(as_json: Json = False) -> None:
 
 
 def _verdict(broken: list[str], missing: list[str]) -> str:
-    """The table in a sentence. Without an extra the rest works, and it is worth saying what does not."""
+    """The table in a sentence: what works, and what does not without an extra."""
     if broken:
         return f"broken: {', '.join(broken)}"
     if "sim" in missing:

@@ -20,7 +20,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.rules.pages import pages_of
 
 _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
-"""Begins a code, or has what only names of findings have."""
+"""Codes begin like this; of all words, only names of findings hold hyphens."""
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Say what a finding means, why it matters and what to write instead.
+    """Explain a finding: what it means, why it matters, what to write instead.
 
     Without a code, all findings are listed. Words of the language are explained as well: keys, functions, units, kinds of sensors,
     actuators, objects and algorithms; and concepts such as HER, domain randomisation or checkpoint.

@@ -57,8 +57,8 @@ def command(
 
     Of a run directory it shows the scenario that the run was trained with, and how far the training has come.
 
-    Figures are in SI units. The table of poses tells where the ends of robots are when an episode begins, if the simulator is installed.
-    The table of timing tells from which physics step an action acts and how old each observation is.
+    Values are in SI units. If the simulator is installed, the table of poses shows where the ends of robots are when an episode begins.
+    The table of timing shows the physics step from which an action acts, and the age of each observation.
 
     \b
       deepbots inspect cartpole

@@ -56,7 +56,7 @@ def command(
 ) -> None:
     """Run episodes without a trained policy, and show the reward terms.
 
-    What a scenario pays, and how its episodes end, is best looked at before any training.
+    Look at the rewards and endings of a scenario before any training.
 
     \b
       deepbots run cartpole
@@ -65,7 +65,7 @@ def command(
       deepbots run pit_escape --script rocking --episodes 100
       deepbots run find_ball_random --stage crowded
 
-    The numbers of an action of several are parted by colons, the actions by commas: --actions 0.5:0.5,0.5:-0.5
+    Colons separate the numbers of one action, commas the actions: --actions 0.5:0.5,0.5:-0.5
     """
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
@@ -139,19 +139,19 @@ def zero(environment: Supervisor) -> Acting:
 
 
 def repeated(scenario: Program, text: str) -> Acting:
-    """The actions of `text`, over and over: separated by commas, the parts of one action by colons; copies of a robot all take the same.
+    """The actions in `text`, repeated: separated by commas, the parts of one action by colons. All copies of a robot act alike.
 
     A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
 
     Raises:
-        UsageError: If one of them is no action of the scenario; says what is.
+        UsageError: One of them is no action of the scenario.
     """
     actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
     return lambda: next(actions)
 
 
 def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, most_steps: int | None) -> Iterator[Episode]:
-    """Up to `count` episodes, the first reset with `seed`; an episode that the limit of steps cuts is ended by `--steps`."""
+    """Up to `count` episodes, the first reset with `seed`; an episode that is cut by the limit of steps is ended by `--steps`."""
     left = most_steps
     for number in range(count):
         environment.reset(seed=seed if number == 0 else None)

@@ -44,8 +44,8 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    The run directory keeps whatever the training was made from and has made; none is ever overwritten. Training ends when
-    the scenario counts as solved. Ctrl-C ends it early and keeps what was learned.
+    The run directory keeps the inputs and the results of the training; none is ever overwritten. Training ends when the
+    scenario counts as solved. Ctrl-C ends it early and keeps the policy.
 
     \b
       deepbots train cartpole
@@ -54,7 +54,7 @@ def command(
       deepbots train find_ball_random --stage crowded
       deepbots train --resume runs/cartpole-0-1
 
-    Steps count over all copies of the environment. A resumed training takes up networks, optimiser and counts, and begins
+    Steps are counted over all copies of the environment. A resumed training continues with its networks, optimiser and counts in
     new episodes; with --timesteps it gets a new goal, counted from the very start.
     """
     told = not quiet
