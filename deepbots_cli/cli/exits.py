@@ -1,20 +1,25 @@
-"""From exceptions to exit codes, and to one line each on stderr."""
+"""Exit codes: an exception becomes a code and a line on stderr, and output whose reader is gone becomes neither."""
 
 from __future__ import annotations
 
 import errno
+import io
 import os
 import signal
 import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING, BinaryIO, TextIO
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.outlets import outlets
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 FAILED, WRONG, FAULT, INTERRUPTED = 1, 2, 3, 130
 """The same for every verb: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
@@ -24,21 +29,21 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def guarded(run: Callable[[], object]) -> int:
-    """Call `run`, tell what goes wrong, and return the exit code, which does not depend on whether anyone reads the output."""
+    """Call `run`, report errors, and return the exit code, which does not depend on whether anyone reads the output."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
-    with outlets():
-        code = _told(run)
-        # What is left in the buffer may still fail to be written.
-        return _told(sys.stdout.flush) or code
+    with _lasting_streams():
+        code = _exit_code(run)
+        # The rest of the buffer may still fail to be written.
+        return _exit_code(sys.stdout.flush) or code
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """SIGTERM ends a command as Ctrl-C does: what is open is closed, and a run knows that it was interrupted."""
+    """SIGTERM ends a command like Ctrl-C: files are closed, and a run records that it was interrupted."""
     raise KeyboardInterrupt
 
 
-def _told(run: Callable[[], object]) -> int:
+def _exit_code(run: Callable[[], object]) -> int:
     try:
         run()
     except SystemExit as end:
@@ -52,7 +57,7 @@ def _told(run: Callable[[], object]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except OSError as error:
-        # Of a failed write (in contrast to opening) the system does not say in which file.
+        # The system names no file where writing fails, in contrast to opening.
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
         terminal.complain(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
@@ -75,3 +80,79 @@ def _fault(error: Exception) -> int:
         f"  the traceback is in {file.name}; DEEPBOTS_DEBUG=1 shows it here"
     )
     return FAULT
+
+
+class _Stream(io.BufferedIOBase):
+    """A stream that survives its reader: after the first failure everything is discarded, so that it is reported once.
+
+    A reader that is gone (`| head`) is no reason to end a training. A full disk is an error of standard output only: nobody could
+    read that of standard error.
+    """
+
+    def __init__(self, target: BinaryIO, name: str, *, essential: bool) -> None:
+        self._target = target
+        self._essential = essential
+        self.name = name
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._target.fileno()
+
+    def isatty(self) -> bool:
+        return self._target.isatty()
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return self._target.write(data)
+        except OSError as error:
+            self._shut(error)
+            return memoryview(data).nbytes
+
+    def flush(self) -> None:
+        try:
+            self._target.flush()
+        except OSError as error:
+            self._shut(error)
+
+    def _shut(self, error: OSError) -> None:
+        _lead_nowhere(self.fileno())
+        if self._essential and not isinstance(error, BrokenPipeError):
+            raise OSError(error.errno, error.strerror, self.name) from None
+
+
+@contextmanager
+def _lasting_streams() -> Iterator[None]:
+    """Within, printing fails only where stdout is a file that cannot be written, and every character can be printed.
+
+    A terminal of another encoding shows escapes. Streams that a caller has put in place of the process's own stay as they are.
+    """
+    kept = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = _lasting(sys.stdout, 1), _lasting(sys.stderr, 2)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = kept
+
+
+def _lasting(stream: TextIO | None, number: int) -> TextIO:
+    if stream is None:
+        # The process was started without it (`>&-`); the next file to be opened would get its number, and all that is printed.
+        _lead_nowhere(number)
+        return open(number, "w", encoding="utf-8", errors="backslashreplace", closefd=False)
+    if not isinstance(stream, io.TextIOWrapper):
+        return stream
+    stream.reconfigure(errors="backslashreplace")
+    if stream not in (sys.__stdout__, sys.__stderr__):
+        return stream
+    lasting = _Stream(stream.buffer, "standard output" if number == 1 else "standard error", essential=number == 1)
+    by_line = stream.line_buffering or stream.write_through
+    return io.TextIOWrapper(lasting, stream.encoding, "backslashreplace", line_buffering=by_line)
+
+
+def _lead_nowhere(number: int) -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    if nowhere != number:
+        os.dup2(nowhere, number)
+        os.close(nowhere)

@@ -1,4 +1,4 @@
-"""The verbs as one command, each imported only when it is asked for: `lint` must not pay for `train`."""
+"""The verbs as one command. Each is imported when it is asked for: `lint` must not pay for `train`."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ MOST_SEED = 2**63 - 1
 
 
 def known_engine(name: str | None) -> str | None:
-    """A callback: refuses an engine that does not exist."""
+    """A callback that rejects unknown engines."""
     from deepbots_cli import engines
 
     if name is not None and name not in engines.names():

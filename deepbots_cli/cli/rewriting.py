@@ -1,16 +1,23 @@
-"""Files of the user written anew: shown as a difference, or put in place as a whole."""
+"""Files that commands write: changes of the user's files, shown or made, and new files, which never replace others."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from io import StringIO
+from pathlib import Path, PurePosixPath
 
+from deepbots_cli import api
+from deepbots_cli.atomic import atomic
 from deepbots_cli.cli.terminal import printable
+from deepbots_cli.compiler.inventory import known
 from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Rewrite
+from deepbots_cli.scenario.json_schema import to_text
+
+Files = dict[PurePosixPath, bytes]
+"""Contents by path below the folder that they are written to."""
 
 
 def show(rewrite: Rewrite) -> None:
@@ -39,23 +46,59 @@ def _quoted(byte: int) -> str:
 
 
 def write(rewrite: Rewrite) -> None:
-    """Put the file in place as a whole, with the permissions that it had.
+    """Replace the file as a whole.
 
     Raises:
-        UsageError: It is no longer what was read, or the system refuses it; nothing is written then.
+        UsageError: It has changed since it was read, or the system refuses it; nothing is written.
     """
     path = rewrite.path
-    draft = path.with_name(f".deepbots-{os.getpid()}")  # not made of its name, which may be as long as names can be
-    try:
+    with atomic(path) as draft:
         if path.read_bytes() != rewrite.before:
             raise UsageError(f"{display(path)} was changed by someone else meanwhile, and is left alone")
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
-        with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
-            stream.write(rewrite.after)
-        shutil.copymode(path, draft)
-        draft.replace(path)
-    except OSError as error:
-        raise UsageError(f"{display(path)} cannot be written: {(error.strerror or 'no reason given').lower()}") from error
-    finally:
-        draft.unlink(missing_ok=True)
+        draft.write_bytes(rewrite.after)
+
+
+# New files
+
+
+def write_new(files: Files, folder: Path) -> list[Path]:
+    """Write the files into `folder`; one that is already there with the same content is left alone.
+
+    Raises:
+        UsageError: Other files are in the way; lists them, and nothing is written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
+    wanted = {folder / target: content for target, content in files.items()}
+    present = {path for path in wanted if path.exists() or path.is_symlink()}
+    in_the_way = [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]
+    if in_the_way:
+        raise UsageError(f"nothing was written, since there are already: {', '.join(sorted(map(str, in_the_way)))}")
+    for path in wanted.keys() - present:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            file.write(wanted[path])
+    return list(wanted)
+
+
+def modeline(scenario: Path, schema: Path) -> str:
+    """The first line of a scenario, from which a YAML language server finds the schema."""
+    way = os.path.relpath(schema.resolve(), scenario.resolve().parent)
+    return f"# yaml-language-server: $schema={Path(way).as_posix()}"
+
+
+def write_with_schema(files: Files, folder: Path) -> list[Path]:
+    """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that were written.
+
+    Raises:
+        UsageError: Other files are in the way; nothing is written.
+    """
+    (target, text), *others = files.items()
+    schema = target.with_suffix(".schema.json")
+    if os.path.lexists(folder / schema):
+        raise UsageError(f"nothing was written, since there is already: {folder / schema}")
+    led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
+    written = write_new({target: led, **dict(others)}, folder)
+    return [*written, *write_new({PurePosixPath(schema): to_text(known(api.load(written[0]))).encode()}, folder)]

@@ -1,16 +1,24 @@
-"""Aligned columns of text."""
+"""Tables as plain text."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from io import StringIO
 
-from deepbots_cli.cli.terminal import printable
-from deepbots_cli.diagnostics.render import columns
+from rich.cells import cell_len
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from deepbots_cli.cli import terminal
 from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]
 
+_READABLE = 12
+"""The width that a column of text keeps at least: in a narrower one words fall apart."""
 _NUMBERS = (int, float, type(None))
 _LISTED = 4  # items of a list in one cell, beyond which there are too many to read
 _NOTHING: tuple[object, ...] = (None, "", [], ())
@@ -19,21 +27,44 @@ _NOTHING: tuple[object, ...] = (None, "", [], ())
 def table(rows: Sequence[Row], indent: str = "  ") -> str:
     """Rows under the names of their keys; columns of numbers are aligned to the right.
 
-    The keys of the first row are the columns. A column that is empty in every row is left out.
+    The keys of the first row are the columns. A column that is empty in every row is left out. On a terminal that is too narrow,
+    long cells continue on further lines.
     """
-    names = [name for name in rows[0] if any(row.get(name) not in _NOTHING for row in rows)] if rows else []
+    columns = [*rows[0]] if rows else []
+    names = [name for name in columns if any(row.get(name) not in _NOTHING for row in rows)] or columns
     cells = [[cell(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
-    widths = [max(map(columns, column)) for column in zip(names, *cells, strict=True)]
-    lines = [_line(line, widths, right) for line in (names, ["-" * width for width in widths], *cells)]
-    return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+    widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
+    least = [width if is_number else min(width, _READABLE) for width, is_number in zip(widths, right, strict=True)]
+    grid = Table.grid(padding=(0, 2))
+    for width, is_number in zip(least, right, strict=True):
+        grid.add_column(justify="right" if is_number else "left", no_wrap=is_number, overflow="fold", min_width=width)
+    for line in (names, *cells):
+        grid.add_row(*(Text(text) for text in line))
+        if line is names:
+            grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))
+    return _lines(grid, sum(least) + 2 * len(least), sum(widths) + 2 * len(widths), indent)
 
 
 def pairs(row: Row, indent: str = "  ") -> str:
     """One row as lines of name and value; empty values are left out."""
     shown = {name: cell(value) for name, value in row.items() if value not in _NOTHING}
-    width = max(map(columns, shown), default=0)
-    return "\n".join(f"{indent}{name}{' ' * (width - columns(name))}  {value}" for name, value in shown.items())
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(no_wrap=True)
+    grid.add_column(overflow="fold")
+    for name, value in shown.items():
+        grid.add_row(Text(name), Text(value))
+    names, values = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
+    return _lines(grid, names + _READABLE + 4, names + values + 4, indent)
+
+
+def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
+    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the `least` width."""
+    room = terminal.width() - len(indent) if sys.stdout.isatty() else needed
+    out = StringIO()
+    console = Console(file=out, width=min(needed, room) if room >= least else needed, color_system=None, legacy_windows=False)
+    console.print(grid)
+    return "\n".join(f"{indent}{line}".rstrip() for line in out.getvalue().splitlines())
 
 
 def cell(value: object) -> str:
@@ -54,7 +85,7 @@ def cell(value: object) -> str:
             rest = [] if len(shown) == len(value) else [f"... {len(value)} in all"]
             return ", ".join([*map(cell, shown), *rest]) or "-"
         case _:
-            return printable(str(value).replace("\n", " ")) or "-"
+            return terminal.printable(str(value).replace("\n", " ")) or "-"
 
 
 def formula(scalar: Scalar, digits: int = 12) -> str:
@@ -85,11 +116,3 @@ def _read(leaf: Name | World | State | Draw) -> str:
         case State(name, args) | Draw(name, args):
             between = _BETWEEN.get(name, ", ") if isinstance(leaf, Draw) else ", "
             return f"{name}({between.join(python(arg, _read) for arg in args)})"
-
-
-def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
-    padded = []
-    for text, width, to_right in zip(cells, widths, right, strict=True):
-        gap = " " * (width - columns(text))
-        padded.append(gap + text if to_right else text + gap)
-    return "  ".join(padded)

@@ -1,4 +1,4 @@
-"""What reaches the terminal: results on stdout, everything else on stderr; colour on terminals only."""
+"""Output: results on stdout, everything else on stderr; colour on terminals only."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -15,6 +15,7 @@ from typing import TextIO
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import inert, render, summary
+from deepbots_cli.progress import ProgressBar
 
 
 def say(text: str = "") -> None:
@@ -23,7 +24,7 @@ def say(text: str = "") -> None:
 
 
 def note(text: str) -> None:
-    """Something beside the result, on stderr."""
+    """A remark, on stderr."""
     print(printable(text), file=sys.stderr)
 
 
@@ -35,13 +36,36 @@ def complain(text: str) -> None:
 
 @contextmanager
 def passing(text: str) -> Iterator[None]:
-    """A line on stderr that is gone when what it tells of is over; on a terminal only."""
+    """A line on stderr, on a terminal only, which disappears at the end of the block."""
     shown = printable(text)[: width() - 1] if sys.stderr.isatty() else ""
     print(shown, end="", file=sys.stderr, flush=True)
     try:
         yield
     finally:
         print(f"\r{'':<{len(shown)}}\r" if shown else "", end="", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield a function that shows how many of how many are done, again from 1 on for the next row of them.
+
+    Unless `always`, it is None where standard error is no terminal.
+    """
+    bar: ProgressBar | None = None
+
+    def show(done: int, total: int) -> None:
+        nonlocal bar
+        bar = bar or ProgressBar(total, unit, transient=True)
+        bar.update(done)
+        if done >= total:
+            bar.close()
+            bar = None
+
+    try:
+        yield show if always or sys.stderr.isatty() else None
+    finally:
+        if bar is not None:
+            bar.close()
 
 
 def show_findings(findings: Sequence[Finding]) -> None:
@@ -51,7 +75,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
 
 
 def mention(warnings: Sequence[Finding], scenario: str) -> None:
-    """Say on stderr that there are warnings, and how to see them."""
+    """A note that there are warnings, and how to see them."""
     if warnings:
         note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")
 
@@ -62,29 +86,29 @@ def show_json(data: object) -> None:
 
 
 def json_text(data: object) -> str:
-    """Data as JSON, with a line feed; what JSON cannot hold (infinite numbers) is null."""
+    """Data as JSON with a final line feed; infinite numbers are null, since JSON has none."""
     return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
 
 
 def colourful(stream: TextIO) -> bool:
-    """Whether to colour what is written to `stream`; the variable NO_COLOR says no."""
+    """Whether to write colour to `stream`: a terminal, unless NO_COLOR is set."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def width() -> int:
-    """Columns to write in."""
+    """Columns of the terminal, at most 140."""
     return min(get_terminal_size((100, 24)).columns, 140)
 
 
 def printable(text: str) -> str:
-    """`text`, which may quote a file, without characters that a terminal would obey or hide, and words that a log would."""
+    """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs made inert."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
     return inert(text)
 
 
 def plain(data: object) -> object:
-    """`data` in lists, dictionaries, text and finite numbers."""
+    """`data` as lists, dictionaries, text and finite numbers."""
     match data:
         case float() if not math.isfinite(data):
             return None

@@ -19,7 +19,7 @@ callbacks.py     what happens during training: best model, checkpoints, logging
 trials.py        what the networks of a moment do: they choose the best model, and confirm that a task is solved
 interruption.py  Ctrl-C and SIGTERM end a training between two steps
 intervals.py     confidence intervals
-progress.py      a bar on a terminal, plain lines elsewhere
+progress.py      how a training is reported
 report.py        results as text and as JSON
 video.py         one episode as mp4
 

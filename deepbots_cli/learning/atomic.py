@@ -1,42 +1,21 @@
-"""Files that are either whole or absent, and JSON that is read with suspicion."""
+"""Files of a run: written whole, and JSON that is read with suspicion."""
 
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
+from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import RunError
 
 T = TypeVar("T")
 
 
-@contextmanager
-def atomic(path: Path) -> Iterator[IO[bytes]]:
-    """Write `path` through a neighbour that takes its place at the end; readers never see half a file.
-
-    There is no fsync: what matters here is a killed process, not a power cut.
-
-    Raises:
-        RunError: The disk refuses it.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with draft.open("wb") as stream:
-            yield stream
-        draft.replace(path)
-    except OSError as error:
-        raise RunError(f"{path} cannot be written: {error.strerror}") from error
-    finally:
-        draft.unlink(missing_ok=True)
-
-
 def write_text(path: Path, text: str) -> None:
-    with atomic(path) as stream:
-        stream.write(text.encode())
+    with atomic(path, RunError) as draft:
+        draft.write_bytes(text.encode())
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

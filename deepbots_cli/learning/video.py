@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -12,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.environments import World
 
@@ -46,16 +46,9 @@ def filmed(world: World, path: Path, rate: float) -> Iterator[World]:
     """
     import imageio.v2 as imageio
 
-    draft = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
-    try:
-        # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
-        with imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
-            yield _Filmed(world, writer)
-        draft.replace(path)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written: {error}") from error
-    finally:
-        draft.unlink(missing_ok=True)
+    # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
+    with atomic(path) as draft, imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
+        yield _Filmed(world, writer)
 
 
 class _Filmed(gym.Wrapper[Any, Any, Any, Any]):

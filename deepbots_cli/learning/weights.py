@@ -34,8 +34,9 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.her import HerReplayBuffer
 
+from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.atomic import Entries, atomic, parse_object
+from deepbots_cli.learning.atomic import Entries, parse_object
 
 Array = npt.NDArray[Any]
 
@@ -124,7 +125,7 @@ def not_finite(arrays: Mapping[str, Array]) -> str | None:
 
 
 def write(path: Path, arrays: Mapping[str, Array], state: Mapping[str, Any]) -> None:
-    with atomic(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+    with atomic(path, RunError) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
         archive.writestr(_STATE, json.dumps(state, allow_nan=False))
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

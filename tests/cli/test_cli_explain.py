@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.cli.words import Topic, topics
+from deepbots_cli.cli.glossary import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
@@ -89,7 +89,7 @@ def test_a_word_like_no_other_is_told_where_findings_are_listed(deepbots):
 
 
 def test_explaining_needs_no_extra():
-    block = "".join(f"sys.modules['{name}'] = None; " for name in ("numpy", "gymnasium", "pybullet", "torch", "rich"))
+    block = "".join(f"sys.modules['{name}'] = None; " for name in ("numpy", "gymnasium", "pybullet", "torch"))
     code = f"import sys; {block}from deepbots_cli.cli import main; sys.exit(main(['explain', 'DB603']))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
 

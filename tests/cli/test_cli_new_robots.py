@@ -9,8 +9,7 @@ from math import cos, pi, sin
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.starters.limbs import bring
-from deepbots_cli.cli.starters.survey import Survey
+from deepbots_cli.cli.starters.build import Build
 from tests.few import few
 
 FREE = 'lower="-1" upper="1" effort="40" velocity="6"'
@@ -137,12 +136,10 @@ def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_l
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     low, high = ([float(word) for word in end.split()] for end in re.findall(r"target: uniform\((.*) \.\. (.*) m\)", text)[0])
     lift = float(re.findall(r"robot: \{z: (\S+) m", text)[0])
-    survey = Survey(api.compile("first.yaml").ir.world.robots[0].model)
-    limb = survey.limbs[0]
-    start = survey.frames[limb.joints[0].parent]
+    limb = Build(api.compile("first.yaml").ir.world.robots[0].model).limbs[0]
     assert lift > 0.1
     for x, y, z in product(*zip(low, high, strict=True)):
-        assert bring(limb, start, (x, y, z - lift))[1] < 0.03 * limb.reach
+        assert limb.positions_for((x, y, z - lift))[1] < 0.03 * limb.reach
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(-1.0, -0.999), (-3.0, -2.9), (0.0001, 0.0007), (2.9999, 9.0)])

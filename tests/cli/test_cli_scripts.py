@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.progress import Meter, told
-from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.cli import terminal
 from deepbots_cli.learning.intervals import mean_interval, wilson
+from deepbots_cli.progress import ProgressBar
 
 BASE = Path(__file__).parents[1] / "golden" / "lint" / "cartpole.yaml"
 SCRIPTED = """\
@@ -145,21 +145,26 @@ class Terminal(io.StringIO):
 
 def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
     screen = Terminal()
-    assert len(list(told([Episode(1.0, 2, False, None)] * 40, 40, screen))) == 40
-    assert "\n" not in screen.getvalue()
-    assert "1 of 40 episodes" in screen.getvalue()
-    assert screen.getvalue().endswith(" \r")
+    bar = ProgressBar(40, "episodes", transient=True, stream=screen)
+    for number in range(1, 41):
+        bar.update(number)
+    bar.close()
+    shown = screen.getvalue()
+    assert "1 of 40 episodes" in shown
+    assert "40 of 40 episodes" in shown
+    assert shown.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
 
 
-def test_a_second_row_of_episodes_is_told_from_its_own_first_one_on():
-    log = io.StringIO()
-    meter = Meter(log)
-    for number in (*range(1, 11), *range(1, 11)):
-        meter(number, 10)
-    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*"123456789"] * 2
+def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(capsys):
+    with terminal.progress() as show:
+        for number in (*range(1, 11), *range(1, 11)):
+            show(number, 10)
+    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [*map(str, range(1, 11))] * 2
 
 
 def test_elsewhere_there_is_a_line_for_every_tenth():
     log = io.StringIO()
-    list(told([Episode(1.0, 2, False, None)] * 40, 40, log))
-    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == ["4", "8", "12", "16", "20", "24", "28", "32", "36"]
+    bar = ProgressBar(40, "episodes", stream=log)
+    for number in range(1, 41):
+        bar.update(number)
+    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*map(str, range(4, 41, 4))]

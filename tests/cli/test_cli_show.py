@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import zlib
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli import measure
+from deepbots_cli.cli.verbs.bench import measure
 from deepbots_cli.learning import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
@@ -63,7 +64,7 @@ def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
 
 @pytest.mark.parametrize("format", ["struct", "msgpack"])
 def test_the_size_of_a_message_is_what_its_codec_makes(format):
-    from deepbots_cli.cli.anatomy import message_size
+    from deepbots_cli.cli.inspection import message_size
     from deepbots_cli.runtime.messages import codec
 
     ir = api.compile("cartpole", sets=[f"messages.format={format}"]).ir
@@ -329,7 +330,8 @@ def test_a_quick_bench_measures_less(deepbots):
 
 def test_bench_tells_how_far_it_is():
     said = []
-    measure.compare(api.compile("cartpole"), engine="pybullet", steps=100, pairs=2, seed=0, on_measured=lambda *at: said.append(at))
+    with closing(api.make("cartpole")) as environment, closing(api.make("cartpole")) as bare:
+        measure(environment, bare, steps=100, pairs=2, seed=0, on_measured=lambda *at: said.append(at))
     assert said == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 

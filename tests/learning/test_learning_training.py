@@ -24,7 +24,7 @@ from stable_baselines3.common.env_checker import check_env
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
 from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
 from deepbots_cli.learning.exclusive import sole_trainer
-from deepbots_cli.learning.progress import Lines, Standing
+from deepbots_cli.learning.progress import Display, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.training import Hyperparameter, Policy, Schedule, Solved, Training
@@ -289,7 +289,7 @@ def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
 
 def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -> None:
     stream = io.StringIO()
-    short(tmp_path, total=2_000, progress=Lines(stream), build=stand_in.build)
+    short(tmp_path, total=2_000, progress=Display(stream), build=stand_in.build)
     lines = stream.getvalue().splitlines()
     assert 5 <= len(lines) <= 11
     assert all("steps/s" in line and "return" in line for line in lines)

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.starters import templates
+from deepbots_cli.cli.starters import from_template
+from deepbots_cli.cli.verbs.new import Template
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import review, simulate
 
@@ -23,11 +24,9 @@ def test_a_shipped_scenario_is_silent_when_it_is_simulated(name: str) -> None:
     assert review(checked, preview=True, measured=probed.findings) == []
 
 
-@pytest.mark.parametrize(
-    "template", [pytest.param(name, marks=() if name == "wheeled" else pytest.mark.slow) for name in templates.TEMPLATES]
-)
+@pytest.mark.parametrize("template", [pytest.param(name, marks=() if name == "wheeled" else pytest.mark.slow) for name in Template])
 def test_a_template_is_silent_when_it_is_simulated(template: str, tmp_path: Path) -> None:
-    for name, data in templates.files(template, "mine").items():
+    for name, data in from_template(template, "mine").items():
         (tmp_path / name).write_bytes(data)
     checked = api.load(tmp_path / "mine.yaml")
     assert review(checked, preview=True, measured=simulate(checked, preview=True).findings) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import message_formats
-from deepbots_cli.cli.anatomy import message_size
+from deepbots_cli.cli.inspection import message_size
 from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.runtime.messages import MALFORMED, codec, explain, zeros
 

@@ -1,18 +1,34 @@
-"""`deepbots bench`."""
+"""`deepbots bench`: the cost of a step of the environment beside the physics in it.
+
+The same episodes run twice per pair, from the same seeds: by `env.step`, and by the engine's bare step in an environment that was
+reset alike. In each episode one random action is held. The bare side takes its first steps like the other, so that its motors drive:
+both sides make the same motion, and contacts cost the same. First steps and resets are not timed. Times are CPU times of the process,
+and the two sides take turns in being first.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import Annotated
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from itertools import repeat
+from statistics import median
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
-from deepbots_cli.cli.progress import Meter
 from deepbots_cli.cli.tables import pairs as aligned
-from deepbots_cli.errors import MissingExtraError
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.runtime import Supervisor
+
+UNTIMED = 3
+"""First steps of an episode, after which delayed commands have reached the motors too."""
 
 
 def command(
@@ -43,16 +59,12 @@ def command(
     """
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
-    try:
-        from deepbots_cli.cli import measure
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("sim", "timing a scenario") from error
     usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
     steps, pairs = steps or usual_steps, pairs or usual_pairs
-    terminal.note(f"timing {pairs} pairs of {steps:,} steps; --quick takes a tenth of the time")
-    meter = Meter(what="measurements")
-    result = measure.compare(compiled, engine=engine, steps=steps, pairs=pairs, seed=seed, on_measured=meter)
-    meter.clear()
+    with closing(api.make(compiled, engine=engine)) as environment, closing(api.make(compiled, engine=engine)) as bare:
+        terminal.note(f"timing {pairs} pairs of {steps:,} steps; --quick takes a tenth of the time")
+        with terminal.progress("measurements") as show:
+            result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show)
     if as_json:
         terminal.show_json(asdict(result))
         return
@@ -66,3 +78,96 @@ def command(
             }
         )
     )
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Medians over `pairs` pairs of `steps` timed steps each; times in us per step of the agent.
+
+    `ratio` is the median of the pairs' ratios, which differ less than the times do.
+    """
+
+    scenario: str
+    engine: str
+    format: str
+    pairs: int
+    steps: int
+    step_us: float
+    bare_us: float
+    ratio: float
+    least_ratio: float
+    greatest_ratio: float
+    steps_per_second: float
+
+
+@dataclass(frozen=True)
+class _Held:
+    """An episode with one action, held for `steps` steps after the untimed ones."""
+
+    seed: int
+    action: Any
+    steps: int
+
+
+def measure(
+    environment: Supervisor, other: Supervisor, *, steps: int, pairs: int, seed: int, on_measured: Callable[[int, int], None] | None = None
+) -> Timing:
+    """Time about `steps` steps of an environment, and the bare physics in another one of the same scenario, `pairs` times.
+
+    `on_measured` is called with the number of measured pairs and of all pairs; the first pair only warms up.
+
+    Raises:
+        UsageError: An episode ends in its first steps, so nothing can be timed.
+    """
+    ir, name = environment.scenario, environment.engine.name
+    show = on_measured or (lambda _done, _all: None)
+    measured: list[tuple[float, float]] = []
+    plan = _plan(environment, steps, seed)
+    timed = sum(episode.steps for episode in plan)
+    sides = (
+        lambda: _time(environment, plan, environment.step, lambda episode: episode.action),
+        lambda: _time(other, plan, other.engine.step, lambda _: ir.world.substeps * ir.agent.repeat),
+    )
+    for number in range(pairs + 1):
+        show(number, pairs + 1)
+        seconds = {side: sides[side]() for side in ((1, 0) if number % 2 else (0, 1))}
+        measured.append((seconds[0], seconds[1]))
+    show(pairs + 1, pairs + 1)
+    del measured[0]  # caches and clocks warm up
+    ratios = [step / base for step, base in measured]
+    step_us, bare_us = (1e6 / timed * median(side) for side in zip(*measured, strict=True))
+    return Timing(ir.name, name, ir.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us)
+
+
+def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Held]:
+    """Episodes that together have `steps` steps after the untimed ones of each."""
+    plan: list[_Held] = []
+    left = steps
+    while left > 0:
+        number = seed + len(plan)
+        environment.reset(seed=number)
+        action = environment.action_space.sample()
+        length, ended = 0, False
+        while not ended and length < left + UNTIMED:
+            _, _, terminated, truncated, _ = environment.step(action)
+            length, ended = length + 1, terminated or truncated
+        if length <= UNTIMED:
+            raise UsageError(f"an episode ends in its first {UNTIMED} steps, so there is nothing to time")
+        plan.append(_Held(number, action, length - UNTIMED))
+        left -= length - UNTIMED
+    return plan
+
+
+def _time(environment: Supervisor, plan: list[_Held], call: Callable[[Any], object], argument_of: Callable[[_Held], Any]) -> float:
+    """CPU seconds of `call` in all steps but the untimed ones of each episode."""
+    total = 0.0
+    for episode in plan:
+        environment.reset(seed=episode.seed)
+        for _ in range(UNTIMED):
+            environment.step(episode.action)
+        argument = argument_of(episode)
+        start = time.process_time()
+        for _ in repeat(None, episode.steps):
+            call(argument)
+        total += time.process_time() - start
+    return total

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api, canonical
+from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.errors import UsageError
@@ -45,4 +46,5 @@ def command(
     if output is None:
         print(text, end="")
     else:
-        output.write_text(text, encoding="utf-8")
+        with atomic(output) as draft:
+            draft.write_text(text, encoding="utf-8")

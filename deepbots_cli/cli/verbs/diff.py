@@ -8,19 +8,18 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.comparison.changes import Change, changes
-from deepbots_cli.cli.comparison.items import Group
-from deepbots_cli.cli.comparison.sides import opened
+from deepbots_cli.cli.comparison import Change, Group, changes
 from deepbots_cli.cli.exits import FAILED, WRONG
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.sources import opened
 from deepbots_cli.errors import ScenarioError
 
 _HEADINGS = {
     Group.policy: "a policy trained on one does not fit the other",
-    Group.task: "what is sensed, done, paid for or ended",
-    Group.world: "world and starts, and so how hard it is",
-    Group.training: "training and judgement",
-    Group.cosmetic: "names, looks, the order of keys and last digits, which change nothing that is meant",
+    Group.task: "sensors, actions, rewards or endings differ",
+    Group.world: "world, messages or starts differ, and so how hard the task is",
+    Group.training: "training and evaluation",
+    Group.cosmetic: "names, looks, the order of keys and last digits, which change no meaning",
 }
 _Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A file, the name of a shipped scenario, or a run directory.")]
 
@@ -33,12 +32,12 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Say in what two scenarios differ by meaning.
+    """Compare two scenarios by meaning.
 
-    Both are compiled, and what they come to is compared: layout, comments and units count for nothing. Of a run
-    directory, the scenario is the one that it was trained on. --set is for the second scenario.
+    Both are compiled and then compared: layout, comments and units make no difference. The scenario of a run directory
+    is the one that it was trained on. --set changes the second scenario.
 
-    The exit code is 0 if there is no difference but in what is cosmetic, 1 if there is one, and 2 if one of the two cannot be compiled.
+    The exit code is 0 if at most cosmetic differences were found, 1 for other differences, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed

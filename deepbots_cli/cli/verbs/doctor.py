@@ -2,31 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Literal
 
 import typer
 
-from deepbots_cli.cli import health, terminal
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import table
+from deepbots_cli.document import shipped
+from deepbots_cli.errors import DeepbotsError, installing
+
+State = Literal["ok", "missing", "broken"]
+
+_PACKAGES = {
+    "base": ("jinja2", "pydantic", "pyyaml", "rich", "typer"),
+    "sim": ("gymnasium", "msgspec", "numpy", "pybullet"),
+    "train": ("imageio", "imageio-ffmpeg", "stable-baselines3", "tensorboard", "torch"),
+    "editor": ("pygls",),
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """The state of one part: a missing part can be installed, a broken one needs repair."""
+
+    what: str
+    state: State
+    found: str
 
 
 def command(as_json: Json = False) -> None:
     """Check the installation.
 
-    Versions, extras, the shipped data, and whether a world can be built and stepped. What is missing is only needed for what it is
-    needed for; the exit code is 1 if something is broken.
+    Versions, extras, the shipped data, and whether a world can be built and stepped. Missing extras are no fault; the exit code is 1
+    if something is broken.
 
     \b
       deepbots doctor
       deepbots doctor --json
     """
-    found = [asdict(look) for look in health.looks()]
-    broken = [look["what"] for look in found if look["state"] == "broken"]
-    missing = [look["what"].removeprefix("extra ") for look in found if look["what"].startswith("extra ") and look["state"] == "missing"]
+    found = [asdict(check) for check in checks()]
+    broken = [check["what"] for check in found if check["state"] == "broken"]
+    extras = [check for check in found if check["what"].startswith("extra ")]
+    missing = [check["what"].removeprefix("extra ") for check in extras if check["state"] == "missing"]
     if as_json:
-        terminal.show_json({"ok": not broken, "looks": found})
+        terminal.show_json({"ok": not broken, "checks": found})
     else:
         terminal.say(table(found, indent=""))
         terminal.note(_verdict(broken, missing))
@@ -35,7 +65,7 @@ def command(as_json: Json = False) -> None:
 
 
 def _verdict(broken: list[str], missing: list[str]) -> str:
-    """The table in a sentence. Without an extra the rest works, and it is worth saying what does not."""
+    """The table in a sentence: what works, and what does not without an extra."""
     if broken:
         return f"broken: {', '.join(broken)}"
     if "sim" in missing:
@@ -45,3 +75,64 @@ def _verdict(broken: list[str], missing: list[str]) -> str:
     if "editor" in missing:
         return "everything works but the language server, which needs the extra that is missing"
     return "everything works"
+
+
+def checks() -> Iterator[Check]:
+    """Everything that deepbots depends on, in the order of dependence."""
+    yield Check("deepbots", "ok", deepbots_cli.__version__)
+    yield Check("python", "ok" if sys.version_info >= (3, 11) else "broken", f"{platform.python_version()} at {sys.executable}")
+    yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
+    extras = [check for extra, names in _PACKAGES.items() for check in _extra(extra, names)]
+    yield from extras
+    yield _data()
+    yield _linting()
+    present = {check.what: check.state == "ok" for check in extras}
+    if present["extra sim"]:
+        yield _stepping()
+    if present["extra train"]:
+        yield _threads()
+
+
+def _extra(extra: str, names: tuple[str, ...]) -> Iterator[Check]:
+    missing = []
+    for name in names:
+        try:
+            yield Check(name, "ok", version(name))
+        except PackageNotFoundError:
+            missing.append(name)
+            yield Check(name, "broken" if extra == "base" else "missing", "not installed")
+    if extra != "base":
+        found = installing(extra) if missing else "complete"
+        yield Check(f"extra {extra}", "missing" if missing else "ok", found)
+
+
+def _data() -> Check:
+    names = shipped.scenario_names()
+    return Check("scenarios", "ok" if names else "broken", f"{', '.join(names) or 'none'} in {shipped.data_dir()}")
+
+
+def _linting() -> Check:
+    try:
+        errors = [finding for finding in api.lint("cartpole") if finding.severity == "error"]
+    except DeepbotsError as error:
+        return Check("linting", "broken", str(error))
+    return Check("linting", "broken" if errors else "ok", f"cartpole: {len(errors)} errors")
+
+
+def _stepping() -> Check:
+    try:
+        with closing(api.make("cartpole")) as environment:
+            environment.reset(seed=0)
+            environment.step(environment.action_space.sample())
+            name = environment.engine.name
+    except (DeepbotsError, ImportError, OSError) as error:
+        return Check("physics", "broken", str(error))
+    return Check("physics", "ok", f"cartpole makes a step on {name}")
+
+
+def _threads() -> Check:
+    try:
+        import torch
+    except (ImportError, OSError) as error:
+        return Check("learning", "broken", str(error))
+    return Check("learning", "ok", f"torch on {torch.get_num_threads()} threads; training uses one")

@@ -14,7 +14,6 @@ from deepbots_cli.canonical import task_digest
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
-from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.learning import report
@@ -54,8 +53,8 @@ def command(
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
 
-    The scenario's `evaluation.cases` are gone through too, from the same starts. What is required of the result is required of
-    the scenario itself, or of the case that --case names.
+    The cases in `evaluation.cases` are evaluated too, from the same starts. --require-solved and --min-success apply to the scenario
+    itself, or to the case that --case names.
 
     --set changes the scenario of the run, or the one that --scenario names. Either must have the observation, the action and the
     messages that the policy was trained with; its world may differ.
@@ -84,9 +83,9 @@ def command(
     }
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
-    with on_terminal() as meter:
-        result = evaluate(known, case=case, video_to=video, on_episode=meter, **chosen)
-        cases = evaluate_cases(known, on_episode=meter, **chosen) if case is None else ()
+    with terminal.progress(always=False) as show_episode:
+        result = evaluate(known, case=case, video_to=video, on_episode=show_episode, **chosen)
+        cases = evaluate_cases(known, on_episode=show_episode, **chosen) if case is None else ()
     if as_json:
         terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:
@@ -95,7 +94,7 @@ def command(
 
 
 def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
-    """The words for a scenario that was asked for in place of the run's."""
+    """How the report names a scenario that replaces that of the run."""
     if compiled is None:
         return None
     same = task_digest(compiled.ir) == task_digest(run.ir)
@@ -116,7 +115,7 @@ def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> d
 
 
 def _require(result: EvaluationResult, *, require_solved: bool, min_success: float | None) -> None:
-    """End with an exit code where the result is not what was asked for."""
+    """Exit with 1 where the result does not meet the requirements."""
     unmet = []
     if require_solved and not result.solved:
         unmet.append(

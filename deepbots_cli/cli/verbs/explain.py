@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.glossary import explained, unknown
 from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.cli.words import explained, unknown
 from deepbots_cli.diagnostics import Rule
 from deepbots_cli.diagnostics.registry import unknown as unknown_finding
 from deepbots_cli.diagnostics.registry import with_prefix
@@ -20,7 +20,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.pages import pages_of
 
 _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
-"""Begins a code, or has what only names of findings have."""
+"""Codes begin like this; of all words, only names of findings hold hyphens."""
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Say what a finding means, why it matters and what to write instead.
+    """Explain a finding: what it means, why it matters, what to write instead.
 
     Without a code, all findings are listed. Words of the language are explained as well: keys, functions, units, kinds of sensors,
     actuators, objects and algorithms; and concepts such as HER, domain randomisation or checkpoint.
@@ -80,11 +80,11 @@ def _lines(entry: Rule) -> Iterator[str]:
     yield _wrapped(str(row["about"]))
     for page in pages_of(entry.code):
         yield from ("", page.text(_width()))
-    yield from _manners(entry)
+    yield from _suppression(entry)
 
 
-def _manners(rule: Rule) -> Iterator[str]:
-    """How to live with a finding that one does not want to mend."""
+def _suppression(rule: Rule) -> Iterator[str]:
+    """How to suppress a finding, or why it cannot be suppressed."""
     yield ""
     if rule.preview:
         yield "It may still misfire, and is looked for with --preview only."

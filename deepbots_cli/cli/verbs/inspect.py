@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import anatomy, robot_file, terminal
-from deepbots_cli.cli import picture as drawing
-from deepbots_cli.cli.comparison.sides import opened
+from deepbots_cli.atomic import atomic
+from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Json, Sets, Stage, chosen
+from deepbots_cli.cli.sources import is_robot, opened, opened_robot
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import Mapping
 from deepbots_cli.document.load import under
-from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
+from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
+from deepbots_cli.footprint import bounds, resting
+from deepbots_cli.frames import add
 from deepbots_cli.program import Program
+from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import Pose, RobotModel
+
+if TYPE_CHECKING:
+    from deepbots_cli.port import Image
 
 _CAPTIONS = {
     "observation": "low .. high becomes what the policy sees; values beyond are clipped",
@@ -50,8 +57,8 @@ def command(
 
     Of a run directory it shows the scenario that the run was trained with, and how far the training has come.
 
-    Figures are in SI units. The table of poses tells where the ends of robots are when an episode begins, if the simulator is installed.
-    The table of timing tells from which physics step an action acts and how old each observation is.
+    Values are in SI units. If the simulator is installed, the table of poses shows where the ends of robots are when an episode begins.
+    The table of timing shows the physics step from which an action acts, and the age of each observation.
 
     \b
       deepbots inspect cartpole
@@ -62,8 +69,8 @@ def command(
       deepbots inspect package://pybullet_data/husky/husky.urdf --picture husky.png
     """
     if picture is not None:
-        drawing.check(picture)
-    if robot_file.named(scenario):
+        _check(picture)
+    if is_robot(scenario):
         _inspect_robot(scenario, picture, as_json)
         return
     side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code)
@@ -74,7 +81,7 @@ def command(
         root = under(root, ("evaluation", "cases", case))
     elif stage is not None:
         root = under(root, ("curriculum", [known.name for known in side.ir.curriculum].index(stage)))
-    tables = {**anatomy.sections(ir, root, side.run), **_start(ir, picture, allow_code=allow_code)}
+    tables = {**inspection.of_scenario(ir, root, side.run), **_start(ir, picture, allow_code=allow_code)}
     if as_json:
         terminal.show_json(tables)
     else:
@@ -83,17 +90,17 @@ def command(
         terminal.note(f"the world is drawn in {picture}")
 
 
-def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> anatomy.Sections:
+def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> inspection.Tables:
     """Where the ends of robots are at the start of an episode, if the simulator is installed; draws the world if a picture is asked for."""
-    links = anatomy.end_links(ir)
+    links = inspection.end_links(ir)
     if picture is None and not links:
         return {}
     try:
         with closing(api.make(ir, render_mode="rgb_array" if picture else None, allow_code=allow_code)) as environment:
             environment.reset(seed=0)
             if picture is not None:
-                picture.write_bytes(drawing.png(environment.render()))
-            rows = anatomy.poses(environment, links)
+                _draw(environment.render(), picture)
+            rows = inspection.poses(environment, links)
             return {"poses": rows} if rows else {}
     except MissingExtraError:
         if picture is not None:
@@ -106,10 +113,10 @@ def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> anatomy.Se
 
 
 def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:
-    robot, findings = robot_file.opened(reference)
-    tables = robot_file.sections(robot, findings)
+    robot, findings = opened_robot(reference)
+    tables = inspection.of_robot(robot, findings)
     if picture is not None:
-        picture.write_bytes(robot_file.photograph(robot.model))
+        _draw(_rendered(robot.model), picture)
     if as_json:
         terminal.show_json(tables)
     else:
@@ -120,7 +127,36 @@ def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:
         terminal.note(f"the robot is drawn in {picture}")
 
 
-def _show(tables: anatomy.Sections) -> None:
+def _rendered(model: RobotModel) -> Image:
+    """The robot on a floor, its joints at 0."""
+    from deepbots_cli import engines
+    from deepbots_cli.runtime.view import around
+
+    pose = Pose((0.0, 0.0, resting(model)))
+    world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
+    low, high = bounds(model)
+    view = around([(add(low, pose.xyz), add(high, pose.xyz))])
+    with closing(engines.create("pybullet", world)) as engine:
+        return engine.render(view)
+
+
+def _check(picture: Path) -> None:
+    """Raises: UsageError: No picture can be written there; found out before anything is drawn."""
+    if picture.suffix.lower() != ".png":
+        raise UsageError(f"{picture} cannot be a picture: its name does not end in .png")
+    if not picture.parent.is_dir():
+        raise UsageError(f"{picture} cannot be written: there is no folder {picture.parent}")
+
+
+def _draw(image: Image, picture: Path) -> None:
+    """Write an image (uint8, height x width x 3) as PNG."""
+    import PIL.Image  # of the extra that draws
+
+    with atomic(picture) as draft:
+        PIL.Image.fromarray(image).save(draft, format="PNG")
+
+
+def _show(tables: inspection.Tables) -> None:
     for name, rows in tables.items():
         terminal.say(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
         terminal.say((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")

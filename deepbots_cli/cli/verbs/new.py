@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import copying, editing, terminal
+from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.options import Json
-from deepbots_cli.cli.starters import robots, templates
+from deepbots_cli.cli.rewriting import write_new, write_with_schema
 from deepbots_cli.errors import UsageError
 
 
@@ -51,13 +51,13 @@ def command(
       deepbots new reach experiments --template arm
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
     """
-    name = templates.check(name)
+    name = starters.checked(name)
     if template and urdf:
         raise UsageError("--template and --urdf exclude each other: a template brings its robot along")
     if not (template or urdf):
-        raise UsageError(f"say what to begin with: --template {'|'.join(templates.TEMPLATES)}, or --urdf ROBOT")
-    made = robots.files(urdf, name, folder) if urdf else templates.files(template or "", name)
-    written = editing.write(made, folder) if schema else copying.write(made, folder)
+        raise UsageError(f"say what to begin with: --template {'|'.join(Template)}, or --urdf ROBOT")
+    made = starters.from_robot(urdf, name, folder) if urdf else starters.from_template(template or "", name)
+    written = write_with_schema(made, folder) if schema else write_new(made, folder)
     if urdf:
         terminal.mention(api.lint(written[0]), str(written[0]))
     if as_json:

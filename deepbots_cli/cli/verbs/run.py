@@ -1,26 +1,30 @@
-"""`deepbots run`."""
+"""`deepbots run`: episodes of policies without learning: random, zero, a list of actions, or a script of the scenario."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from enum import StrEnum
+from functools import partial
+from itertools import cycle
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
-from deepbots_cli.cli.progress import told
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.episodes import Episode, Tally
 from deepbots_cli.learning.summary import Summary
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.episodes import Episode
-
+    from deepbots_cli.runtime import Supervisor
 
 MANY = 20
 """More episodes than these are no longer shown one by one, but for the `FIRST` of them."""
@@ -52,7 +56,7 @@ def command(
 ) -> None:
     """Run episodes without a trained policy, and show the reward terms.
 
-    What a scenario pays, and how its episodes end, is best looked at before any training.
+    Look at the rewards and endings of a scenario before any training.
 
     \b
       deepbots run cartpole
@@ -61,7 +65,7 @@ def command(
       deepbots run pit_escape --script rocking --episodes 100
       deepbots run find_ball_random --stage crowded
 
-    The numbers of an action of several are parted by colons, the actions by commas: --actions 0.5:0.5,0.5:-0.5
+    Colons separate the numbers of one action, commas the actions: --actions 0.5:0.5,0.5:-0.5
     """
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
@@ -72,16 +76,19 @@ def command(
     if script is not None:
         ir.script(script)
     with closing(api.make(ir, engine=engine, allow_code=allow_code)) as environment:
-        from deepbots_cli.cli import replay  # needs the simulator, whose absence `make` has reported by now
-
         if script is not None:
-            acting = replay.written(environment, script)
+            acting: Acting = partial(environment.script, script)
         elif actions is not None:
-            acting = replay.repeated(ir, actions)
+            acting = repeated(ir, actions)
         else:
-            acting = getattr(replay, policy or Policy.random)(environment)
-        running = replay.episodes(environment, acting, count=episodes, seed=seed, most_steps=steps)
-        done = list(told(running, episodes) if episodes > MANY else running)
+            acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # which the reset seeds
+        running = play(environment, acting, count=episodes, seed=seed, most_steps=steps)
+        done: list[Episode] = []
+        with terminal.progress() as show:
+            for episode in running:
+                done.append(episode)
+                if show and episodes > MANY:
+                    show(len(done), episodes)
     summary = Summary.of(done)
     if as_json:
         figures = {"success_defined": ir.defines_success, **vars(summary)}
@@ -116,3 +123,98 @@ def _term(done: list[Episode], name: str) -> Row:
     sums = [episode.terms[name] for episode in done]
     steps = sum(episode.length for episode in done)
     return {"term": name, "per_episode": fmean(sums), "per_step": sum(sums) / steps, "least": min(sums), "greatest": max(sums)}
+
+
+# Policies
+
+Acting = Callable[[], Any]
+"""Returns the next action."""
+
+
+def zero(environment: Supervisor) -> Acting:
+    """The middle of every range, and the first of every choice."""
+    drawn = environment.action_space.sample()
+    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
+    return lambda: action
+
+
+def repeated(scenario: Program, text: str) -> Acting:
+    """The actions in `text`, repeated: separated by commas, the parts of one action by colons. All copies of a robot act alike.
+
+    A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
+
+    Raises:
+        UsageError: One of them is no action of the scenario.
+    """
+    actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
+    return lambda: next(actions)
+
+
+def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, most_steps: int | None) -> Iterator[Episode]:
+    """Up to `count` episodes, the first reset with `seed`; an episode that is cut by the limit of steps is ended by `--steps`."""
+    left = most_steps
+    for number in range(count):
+        environment.reset(seed=seed if number == 0 else None)
+        tally, ended = Tally(), False
+        while not ended:
+            _, reward, terminated, truncated, info = environment.step(policy())
+            tally.add(reward, info)
+            left = None if left is None else left - 1
+            ended = terminated or truncated or left == 0
+            if left == 0 and not (terminated or truncated):
+                info = info | {"ended_by": "--steps"}
+        yield tally.close(info)
+        if left == 0:
+            return
+
+
+def _action(scenario: Program, text: str) -> Any:
+    import numpy as np
+
+    parts = [width for part in scenario.action for width in _slots(part)]
+    words = text.split(":")
+    if len(words) != len(parts):
+        raise UsageError(f"the action '{text}' has {len(words)} parts, the scenario's has {len(parts)}; separate them by colons")
+    values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
+    ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
+    choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
+    if not choices:
+        return np.array(ranges, np.float32)
+    chosen = choices[0] if len(choices) == 1 else np.array(choices, np.int64)
+    return {"choices": chosen, "ranges": np.array(ranges, np.float32)} if ranges else chosen
+
+
+def _of_all(scenario: Program, action: Any) -> Any:
+    """The action of one robot as that of all its copies, where there are any."""
+    import numpy as np
+
+    copies = scenario.agent.each
+    if copies is None:
+        return action
+    if isinstance(action, dict):
+        return {key: _of_all(scenario, part) for key, part in action.items()}
+    return np.array([action] * copies.count)
+
+
+def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
+    """The part once for each number of the action that it takes."""
+    return [part] * (max(1, len(part.components)) if isinstance(part, ActionRange) else 1)
+
+
+def _value(part: Choices | ActionRange, word: str) -> float:
+    if isinstance(part, Choices):
+        names = [option.name for option in part.options]
+        if word in names:
+            return names.index(word)
+        if word.isdecimal() and int(word) < len(names):
+            return int(word)
+        raise UsageError(f"'{word}' is no choice of '{part.name}'; there are: {', '.join(names)}")
+    try:
+        value = float(word)
+    except ValueError:
+        value = float("nan")
+    if not -1 <= value <= 1:
+        order = f"; its numbers go in the order {':'.join(part.components)}" if len(part.components) > 1 else ""
+        meaning = f"which mean {part.low:g} and {part.high:g} {part.unit}{order}"
+        raise UsageError(f"'{word}' is no value of '{part.name}'; the agent acts from -1 to 1, {meaning}")
+    return value

@@ -9,8 +9,10 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import editing, terminal
+from deepbots_cli.atomic import atomic
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.options import AllowPaths
+from deepbots_cli.cli.rewriting import modeline
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics.render import summary
@@ -50,7 +52,7 @@ def command(
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
-        terminal.note(f"as the first line of {checked.document.path.name}: {editing.modeline(checked.document.path, output)}")
+        terminal.note(f"as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
 
 
 def _is_read(checked: Checked, output: Path) -> bool:
@@ -64,4 +66,5 @@ def _write(text: str, output: Path | None) -> None:
     if output is None:
         print(text, end="")
     else:
-        output.write_text(text, encoding="utf-8")
+        with atomic(output) as draft:
+            draft.write_text(text, encoding="utf-8")

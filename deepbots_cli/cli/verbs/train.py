@@ -13,7 +13,6 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, known_engine, whole
-from deepbots_cli.cli.progress import on_terminal
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -45,8 +44,8 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    The run directory keeps whatever the training was made from and has made; none is ever overwritten. Training ends when
-    the scenario counts as solved. Ctrl-C ends it early and keeps what was learned.
+    The run directory keeps the inputs and the results of the training; none is ever overwritten. Training ends when the
+    scenario counts as solved. Ctrl-C ends it early and keeps the policy.
 
     \b
       deepbots train cartpole
@@ -55,7 +54,7 @@ def command(
       deepbots train find_ball_random --stage crowded
       deepbots train --resume runs/cartpole-0-1
 
-    Steps count over all copies of the environment. A resumed training takes up networks, optimiser and counts, and begins
+    Steps are counted over all copies of the environment. A resumed training continues with its networks, optimiser and counts in
     new episodes; with --timesteps it gets a new goal, counted from the very start.
     """
     told = not quiet
@@ -98,9 +97,9 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out starts ...")
-    with on_terminal() as meter:
-        evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=meter)
-        cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=meter)
+    with terminal.progress(always=False) as show_episode:
+        evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
+        cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return

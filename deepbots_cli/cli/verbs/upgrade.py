@@ -1,7 +1,13 @@
-"""`deepbots upgrade`."""
+"""`deepbots upgrade`: files of an older version of the language, a step for each version.
+
+A step changes the text and keeps comments and layout. A file that names no version counts as version 0: before version 1 there is only
+a file that has lost its first line, or never had it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -11,8 +17,19 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.rewriting import show, write
-from deepbots_cli.cli.upgrading import upgrade
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.document import Mapping as Tree
+from deepbots_cli.document import Scalar, files
+from deepbots_cli.document.parse import parse
+from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.lint.fixes import Rewrite
 from deepbots_cli.scenario.scenario import VERSION
+
+Step = Callable[[str, Tree], str]
+"""From a text and its tree to the text in the next version of the language."""
+
+_TELLING = frozenset({"extends", "action", "observation", "reward", "robots"})
+_BOM = "\ufeff"
 
 
 def command(
@@ -28,7 +45,7 @@ def command(
       deepbots upgrade old.yaml --diff
       deepbots upgrade old.yaml
     """
-    found = upgrade(file)
+    found = upgraded(file)
     if found.rewrite is None:
         terminal.say(f"{file} is written in version {VERSION} of the language, the current one: nothing to do")
     elif diff:
@@ -39,3 +56,81 @@ def command(
         was = f"version {found.version}" if found.version else "no version"
         terminal.say(f"{file} is now written in version {VERSION} of the language; it named {was}")
         terminal.note(f"what is wrong with it otherwise: deepbots lint {quote(str(file))}")
+
+
+@dataclass(frozen=True)
+class Upgraded:
+    """Which version a file was written in, and what it becomes; nothing where it is current."""
+
+    version: int
+    rewrite: Rewrite | None
+
+
+def upgraded(path: Path) -> Upgraded:
+    """What the file has to become for this deepbots.
+
+    Raises:
+        UsageError: It is no scenario, or of a version that is newer or never was; says what to do.
+        ScenarioError: It cannot be read as YAML.
+    """
+    before = _read(path)
+    root = _tree(path, before)
+    version = _version(path, root)
+    text = before.decode("utf-8")
+    for step in range(version, VERSION):
+        text = STEPS[step](text, _tree(path, text.encode()))
+    after = text.encode()
+    changed = _tree(path, after)
+    if _version(path, changed) != VERSION:
+        raise UsageError(f"{path} cannot be upgraded by itself; write `deepbots: {VERSION}` as its first line")
+    return Upgraded(version, None if after == before else Rewrite(path.resolve(), before, after))
+
+
+def _name_the_version(text: str, root: Tree) -> str:
+    """From 0 to 1: the line that says which version a file is written in, above its first key and as far indented."""
+    start = root.span.start + text.startswith(_BOM)  # places count from behind the mark
+    end = "\r\n" if "\r\n" in text else "\n"
+    if text[start : start + 1] == "{":
+        return f"{text[: start + 1]}deepbots: 1, {text[start + 1 :]}"
+    indentation = text[text.rfind("\n", 0, start) + 1 : start].removeprefix(_BOM)
+    return f"{text[:start]}deepbots: 1{end}{indentation}{text[start:]}"
+
+
+STEPS: Mapping[int, Step] = {0: _name_the_version}
+"""By the version that a step begins with."""
+
+
+def _read(path: Path) -> bytes:
+    if not path.is_file():
+        raise UsageError(f"{path} is {'no regular file' if path.exists() else 'not there'}; name the file of a scenario")
+    return files.read(path)
+
+
+def _tree(path: Path, data: bytes) -> Tree:
+    findings = Findings()
+    source, sound = files.decode(data, files.display(path.resolve()), findings)
+    root = parse(source, findings) if sound else None
+    if findings.errors or root is None:
+        raise ScenarioError(list(findings))
+    if not isinstance(root, Tree):
+        raise UsageError(f"{path} is no scenario: it holds no keys")
+    return root
+
+
+def _version(path: Path, root: Tree) -> int:
+    """The version that a file says it is written in; 0 if it says nothing."""
+    entry = root.entries.get("deepbots")
+    if entry is None:
+        if not _TELLING & root.entries.keys():
+            raise UsageError(f"{path} is no whole scenario, but at most a part that others include; parts name no version")
+        return 0
+    version = entry.value.value if isinstance(entry.value, Scalar) else None
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        said = " ".join(entry.value.span.text.split())[:40]
+        raise UsageError(f"{path} says `deepbots: {said}`, which is no version of the language; write `deepbots: {VERSION}`")
+    if version > VERSION:
+        raise UsageError(
+            f"{path} is written in version {version} of the language, and this deepbots reads up to version {VERSION}; "
+            "get a newer one: pip install --upgrade deepbots-cli"
+        )
+    return version

@@ -1,20 +1,28 @@
-"""What a scenario means, as tables: `inspect` prints them, or gives them to programs as they are.
+"""The tables of `deepbots inspect`: what a scenario, a run or a robot file comes to.
 
-A table is a list of rows; figures are in SI units. Expressions are shown as the user wrote them.
+A table is a list of rows, or one row; values are in SI units. Expressions are shown as they are written in the scenario, whose text is
+the tree `root`.
 """
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Iterable
 from collections.abc import Mapping as Dictionary
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli import canonical
-from deepbots_cli.cli.ageing import timing
+from deepbots_cli.cli.sources import wording
 from deepbots_cli.cli.tables import Row, formula
+from deepbots_cli.cli.timing import timing
 from deepbots_cli.compiler.robots import carries
-from deepbots_cli.document import Mapping, Node, descend, one_line
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.render import render
+from deepbots_cli.document import Mapping, Node, descend
 from deepbots_cli.expressions.scalar import names_in
+from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.record import number, solved
@@ -24,48 +32,162 @@ from deepbots_cli.program.resets import RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, Thrust
 from deepbots_cli.program.task import ActionRange, Choices, ImageObservation, viewed
 from deepbots_cli.program.training import ActionNoise, Hindsight, Schedule
-from deepbots_cli.robots.model import Joint
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
+from deepbots_cli.robots.reader import RobotFile
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
-Sections = Dictionary[str, Row | list[Row]]
+Tables = Dictionary[str, Row | list[Row]]
 
-
-_DIGITS = 6  # of a pose; um and udeg
+_DIGITS = 6
+"""Of a pose: um and udeg."""
 _FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
 
 
-def sections(scenario: Program, root: Node, run: Run | None = None) -> Sections:
-    """All tables of a compiled scenario, whose text is the tree `root`, and of the run that it comes from; empty ones are left out."""
-    tables: dict[str, Row | list[Row]] = {
-        "run": {} if run is None else _run(run),
-        "scenario": _scenario(scenario),
-        "drawn": _drawn(scenario),
-        "robots": _robots(scenario),
-        "joints": [_joint(robot.name, joint) for robot in scenario.world.robots for joint in robot.model.joints],
-        "objects": [_object(scenario, index) for index in range(len(scenario.world.objects))],
-        "parameters": _parameters(scenario, root),
-        "sensors": _sensors(scenario, root),
-        "actuators": _actuators(scenario),
-        "messages": _messages(scenario),
-        "message_fields": _fields(scenario),
-        "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
-        "action": [_action(part) for part in scenario.action],
-        "signals": _signals(scenario, root),
-        "goal": _goal(root) if scenario.goal else {},
-        "observation": _observation(scenario),
-        "timing": timing(scenario),
-        "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.reward],
-        "endings": _endings(scenario, root),
-        "reset": _reset(scenario, root),
-        "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
-        "curriculum": _curriculum(scenario, root),
-        "scripts": _scripts(scenario, root),
-        "training": _training(scenario, run),
-        "hyperparameters": _hyperparameters(scenario, root, run),
-    }
+def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables:
+    """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out."""
+    goal = {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range", "noise")}
+    return _filled(
+        {
+            "run": _run(run) if run else {},
+            "scenario": _scenario(scenario),
+            "drawn": [
+                {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
+                for entry in scenario.reset.variations
+            ],
+            "robots": [
+                {"robot": body.name, "model": body.model.name, **_counts(body.model), "base": "fixed" if body.fixed_base else "free"}
+                for body in scenario.world.robots
+            ],
+            "joints": [{"robot": body.name, **_joint(joint)} for body in scenario.world.robots for joint in body.model.joints],
+            "objects": _objects(scenario),
+            "parameters": _parameters(scenario, root),
+            "sensors": _sensors(scenario, root),
+            "actuators": [row for robot in scenario.robots for actuator in robot.actuators for row in _driven_parts(robot.name, actuator)],
+            "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
+            "message_fields": [_field(layout, field) for layout in _layouts(scenario) for field in layout.fields],
+            "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
+            "action": [_action(part) for part in scenario.action],
+            "signals": _signals(scenario, root),
+            "goal": {key: text for key, text in goal.items() if text} if scenario.goal else {},
+            "observation": _observation(scenario),
+            "timing": timing(scenario),
+            "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.reward],
+            "endings": [
+                {"ending": ending.name, "outcome": ending.outcome, "when": wording(root, "termination", ending.outcome, ending.name)}
+                for ending in scenario.endings
+            ],
+            "reset": _reset(scenario, root),
+            "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
+            "curriculum": [
+                {"stage": stage.name, **{key: wording(root, "curriculum", index, key) for key in ("set", "until")}}
+                for index, stage in enumerate(scenario.curriculum)
+            ],
+            "scripts": [
+                {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
+                for script in scenario.scripts
+                for part in scenario.action
+            ],
+            **_training(scenario, root, run),
+        }
+    )
+
+
+def of_robot(file: RobotFile, findings: list[Finding]) -> Tables:
+    """The tables of a robot file: the whole, its links and joints, and the findings; all joints are at 0."""
+    model = file.model
+    low, high = bounds(model)
+    listed = json.loads(render(findings, "json"))
+    above = {joint.child: joint.name for joint in model.joints}
+    return _filled(
+        {
+            "robot": {
+                "name": model.name,
+                "file": file.source.name,
+                "digest": file.digest,
+                **_counts(model),
+                "size_m": [round(b - a, 6) for a, b in zip(low, high, strict=True)],
+                "root_above_ground_m": round(resting(model), 6) + 0.0,  # no -0
+                "meshes": len(file.meshes),
+            },
+            "links": [_link(link, above.get(link.name, "")) for link in model.links],
+            "joints": [_joint(joint, whole=True) for joint in model.joints],
+            "findings": [
+                {key: row[key] for key in ("code", "severity", "file", "line", "message") if key in row}
+                for row in (listed["findings"] if isinstance(listed, dict) else listed)
+            ],
+        }
+    )
+
+
+def _filled(tables: Dictionary[str, Row | list[Row]]) -> Tables:
     return {name: rows for name, rows in tables.items() if rows}
+
+
+# Robots
+
+
+def _counts(model: RobotModel) -> Row:
+    return {
+        "root": model.root,
+        "links": len(model.links),
+        "joints": len(model.joints),
+        "moving_joints": len(model.moving_joints),
+        "mass_kg": sum(link.inertial.mass for link in model.links if link.inertial),
+    }
+
+
+def _link(link: Link, joint: str) -> Row:
+    return {
+        "link": link.name,
+        "joint": joint,
+        "mass_kg": link.inertial.mass if link.inertial else None,
+        "collides_as": [_shape(part) for part in link.collisions],
+        "seen_as": [_shape(part) for part in link.visuals],
+        "friction": link.friction.lateral,
+    }
+
+
+def _shape(part: Geometry) -> str:
+    match part.shape:
+        case Box(size):
+            return f"box {_numbers(size)}"
+        case Sphere(radius):
+            return f"sphere r {radius:.4g}"
+        case Cylinder(radius, length):
+            return f"cylinder r {radius:.4g} l {length:.4g}"
+        case Capsule(radius, length):
+            return f"capsule r {radius:.4g} l {length:.4g}"
+        case Mesh(path=path):
+            return f"mesh {Path(path).name}"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.4g}" for value in values)
+
+
+def _joint(joint: Joint, *, whole: bool = False) -> Row:
+    """A joint and its limits; as a `whole` with its origin, damping and friction."""
+    limit = joint.limit
+    more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": joint.mimic.joint if joint.mimic else ""}
+    return {
+        "joint": joint.name,
+        "type": joint.type,
+        "parent": joint.parent,
+        "child": joint.child,
+        **({"origin_m": _numbers(joint.origin.xyz)} if whole else {}),
+        "axis": _numbers(joint.axis) if joint.moves else "",
+        "unit": ("m" if joint.type == "prismatic" else "rad") if joint.moves else "",
+        "lower": limit.lower,
+        "upper": limit.upper,
+        "max_velocity": limit.velocity,
+        "max_effort": limit.effort,
+        **(more if whole else {}),
+    }
+
+
+# Scenarios
 
 
 def _run(run: Run) -> Row:
@@ -92,14 +214,6 @@ def _run(run: Run) -> Row:
         "solved": solved(result.get("solved_at")) if run.ir.solved else "the scenario does not say what counts as solved",
         "notes": run.notes(),
     }
-
-
-def wording(root: Node, *path: str | int) -> str:
-    """What the user wrote at `path`, on one line; nothing if nothing is there."""
-    node, _, reached = descend(root, path)
-    if reached < len(path):
-        return ""
-    return one_line(node)
 
 
 def _scenario(scenario: Program) -> Row:
@@ -155,58 +269,13 @@ def _solved(scenario: Program) -> str:
     return f"{' and '.join(wanted)} over {solved.episodes} episodes"
 
 
-def _robots(scenario: Program) -> list[Row]:
-    return [
-        {
-            "robot": robot.name,
-            "model": robot.model.name,
-            "root": robot.model.root,
-            "base": "fixed" if robot.fixed_base else "free",
-            "links": len(robot.model.links),
-            "joints": len(robot.model.joints),
-            "moving_joints": len(robot.model.moving_joints),
-            "mass_kg": sum(link.inertial.mass for link in robot.model.links if link.inertial),
-        }
-        for robot in scenario.world.robots
-    ]
-
-
-def _joint(robot: str, joint: Joint) -> Row:
-    limit = joint.limit
-    return {
-        "robot": robot,
-        "joint": joint.name,
-        "type": joint.type,
-        "parent": joint.parent,
-        "child": joint.child,
-        "axis": " ".join(f"{value:.3g}" for value in joint.axis) if joint.moves else "",
-        "unit": ("m" if joint.type == "prismatic" else "rad") if joint.moves else "",
-        "lower": limit.lower,
-        "upper": limit.upper,
-        "max_velocity": limit.velocity,
-        "max_effort": limit.effort,
-    }
-
-
-def _object(scenario: Program, index: int) -> Row:
-    body = scenario.world.objects[index]
-    drawn = {entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")}
-    return {
-        "object": body.name,
-        "shape": type(body.shape).__name__.lower(),
-        "mass_kg": drawn.get("mass", body.mass),
-        "fixed": body.fixed,
-        "solid": body.solid,
-        "friction": drawn.get("lateral_friction", body.friction),
-    }
-
-
-def _drawn(scenario: Program) -> list[Row]:
-    """What every episode draws anew, in SI units; elsewhere in the tables stands its nominal value."""
-    return [
-        {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
-        for entry in scenario.reset.variations
-    ]
+def _objects(scenario: Program) -> list[Row]:
+    rows: list[Row] = []
+    for body in scenario.world.objects:
+        drawn = {entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")}
+        row = {"object": body.name, "shape": type(body.shape).__name__.lower(), "mass_kg": drawn.get("mass", body.mass)}
+        rows.append(row | {"fixed": body.fixed, "solid": body.solid, "friction": drawn.get("lateral_friction", body.friction)})
+    return rows
 
 
 def _draws(entry: RandomizedParameter) -> str:
@@ -244,11 +313,7 @@ def _sensors(scenario: Program, root: Node) -> list[Row]:
     ]
 
 
-def _actuators(scenario: Program) -> list[Row]:
-    return [row for robot in scenario.robots for actuator in robot.actuators for row in _parts_of(robot.name, actuator)]
-
-
-def _parts_of(robot: str, actuator: Actuator) -> list[Row]:
+def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
     """One row for each part that an actuator drives; all have the same columns."""
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
@@ -310,18 +375,15 @@ def _layouts(scenario: Program) -> list[MessageLayout]:
     return [layout for robot in scenario.robots for layout in (robot.to_robot, robot.from_robot)]
 
 
-def _messages(scenario: Program) -> list[Row]:
-    return [
-        {
-            "robot": layout.robot,
-            "direction": layout.direction.replace("_", " "),
-            "format": scenario.format,
-            "values": sum(max(1, len(field.components)) for field in layout.fields),
-            "stamp": f"{layout.layout_hash:08x}",
-            "bytes": message_size(layout, scenario.format) or "varies",
-        }
-        for layout in _layouts(scenario)
-    ]
+def _message(layout: MessageLayout, format: str) -> Row:
+    return {
+        "robot": layout.robot,
+        "direction": layout.direction.replace("_", " "),
+        "format": format,
+        "values": sum(max(1, len(field.components)) for field in layout.fields),
+        "stamp": f"{layout.layout_hash:08x}",
+        "bytes": message_size(layout, format) or "varies",
+    }
 
 
 def message_size(layout: MessageLayout, format: str) -> int | None:
@@ -346,19 +408,15 @@ def _size(field: MessageField) -> int:
     return {"bool": 1, "float64": 8}.get(field.dtype) or math.prod(field.shape)
 
 
-def _fields(scenario: Program) -> list[Row]:
-    return [
-        {
-            "robot": layout.robot,
-            "direction": layout.direction.replace("_", " "),
-            "field": field.name,
-            "components": list(field.components),
-            "dtype": field.dtype + "".join(f" x {count}" for count in field.shape),
-            "unit": field.unit,
-        }
-        for layout in _layouts(scenario)
-        for field in layout.fields
-    ]
+def _field(layout: MessageLayout, field: MessageField) -> Row:
+    return {
+        "robot": layout.robot,
+        "direction": layout.direction.replace("_", " "),
+        "field": field.name,
+        "components": list(field.components),
+        "dtype": field.dtype + "".join(f" x {count}" for count in field.shape),
+        "unit": field.unit,
+    }
 
 
 def _route(root: Node, direction: str) -> list[Row]:
@@ -375,11 +433,6 @@ def _action(part: Choices | ActionRange) -> Row:
         for option in part.options
     )
     return {"action": part.name, "kind": "choice", "options": " | ".join(options)}
-
-
-def _goal(root: Node) -> Row:
-    texts = {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range", "noise")}
-    return {key: text for key, text in texts.items() if text}
 
 
 def _signals(scenario: Program, root: Node) -> list[Row]:
@@ -421,13 +474,6 @@ def _observation(scenario: Program) -> list[Row]:
     return rows + pictures
 
 
-def _endings(scenario: Program, root: Node) -> list[Row]:
-    return [
-        {"ending": ending.name, "outcome": ending.outcome, "when": wording(root, "termination", ending.outcome, ending.name)}
-        for ending in scenario.endings
-    ]
-
-
 def _reset(scenario: Program, root: Node) -> list[Row]:
     rows: list[Row] = []
     for section in ("place", "set"):
@@ -439,37 +485,12 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
     return rows
 
 
-def _curriculum(scenario: Program, root: Node) -> list[Row]:
-    return [
-        {"stage": stage.name, "set": wording(root, "curriculum", index, "set"), "until": wording(root, "curriculum", index, "until")}
-        for index, stage in enumerate(scenario.curriculum)
-    ]
-
-
-def _scripts(scenario: Program, root: Node) -> list[Row]:
-    return [
-        {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
-        for script in scenario.scripts
-        for part in scenario.action
-    ]
-
-
-def _training(scenario: Program, run: Run | None) -> Row:
+def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
+    """The training, and its hyperparameters with the source of each value."""
     training = scenario.training
     if training is None:
         return {}
-    return {
-        "algorithm": training.algorithm,
-        "total_timesteps": run.record.total_timesteps if run else training.total_timesteps,
-        "evaluation_episodes": scenario.evaluation.episodes,
-    }
-
-
-def _hyperparameters(scenario: Program, root: Node, run: Run | None) -> list[Row]:
-    """What a training takes, and where each value is from."""
-    training = scenario.training
-    if training is None:
-        return []
+    total = run.record.total_timesteps if run else training.total_timesteps
     common = {
         "environments": training.environments,
         "policy.hidden": training.policy.hidden,
@@ -478,8 +499,15 @@ def _hyperparameters(scenario: Program, root: Node, run: Run | None) -> list[Row
     rows = [
         Effective(name, value, "scenario" if wording(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
     ]
-    rows += effective(scenario, run.record.total_timesteps if run else training.total_timesteps)
-    return [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
+    rows += effective(scenario, total)
+    return {
+        "training": {
+            "algorithm": training.algorithm,
+            "total_timesteps": total,
+            "evaluation_episodes": scenario.evaluation.episodes,
+        },
+        "hyperparameters": [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows],
+    }
 
 
 def _setting(value: object) -> object:

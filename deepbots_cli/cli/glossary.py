@@ -1,4 +1,4 @@
-"""What a key, a kind, a function, a unit or a concept is, as `deepbots explain` tells it."""
+"""Explanations of keys, kinds, functions, units and concepts, for `deepbots explain`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.scenario import Scenario
 
 TOPICS = Path(__file__).with_name("topics.yaml")
-# A name such as `range` is a key of many parts.
 _SHOWN = 8
+"""Places: a name such as `range` is a key of many sections."""
 
-Said = tuple[str, ...]
+Lines = tuple[str, ...]
+"""What a word is, such as `key`, and the lines that explain it."""
 
 
 class Topic(NamedTuple):
-    """A concept: what else it is called, a paragraph, a fragment of a scenario (which may be empty), and the section to read."""
+    """A concept: its other names, a paragraph, a fragment of a scenario (may be empty), and the page to read."""
 
     name: str
     names: tuple[str, ...]
@@ -53,10 +54,10 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
 
 
 def explained(word: str) -> list[str]:
-    """Paragraphs and examples about `word`; none if nothing is called so.
+    """Paragraphs and examples about `word`; empty if nothing has this name.
 
-    A concept of exactly this name comes first, then functions, units, kinds and keys. Another name of a concept counts only where the
-    language has no such word. A line at the end lists what else the word occurs in.
+    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only where the language
+    has no such word. The last line lists other entries that contain the word.
     """
     spelt = word if word in _words() else next((other for other in _words() if other.lower() == word.lower()), word)
     blocks = _blocks(spelt)
@@ -72,18 +73,16 @@ def explained(word: str) -> list[str]:
 
 
 def _blocks(word: str) -> list[list[str]]:
-    """About the function, the unit, the kinds and the keys of exactly this name."""
-    places: dict[Said, list[str]] = {}
+    """The function, the unit, the kinds and the keys of this name."""
+    places: dict[Lines, dict[str, None]] = {}
     for path, part, mark in sections(Scenario):
         place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
-        for said in _told(part, mark, word):
-            found = places.setdefault(said, [])
-            if place not in found:
-                found.append(place)
+        for lines in _explained_in(part, mark, word):
+            places.setdefault(lines, {})[place] = None
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
-    for (what, *lines), paths in list(places.items())[:_SHOWN]:
+    for (what, *text), paths in list(places.items())[:_SHOWN]:
         more = f" and {len(paths) - _SHOWN} more places" if len(paths) > _SHOWN else ""
-        blocks.append([f"{word}: {article(what)} of {', '.join(paths[:_SHOWN])}{more}", *lines])
+        blocks.append([f"{word}: {article(what)} of {', '.join([*paths][:_SHOWN])}{more}", *text])
     return blocks
 
 
@@ -119,7 +118,7 @@ def _words() -> dict[str, None]:
 
 
 def unknown(word: str) -> str:
-    """What to say of a word that nothing is called by."""
+    """The error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     near = nearest(word, concepts, 0.8) or nearest(word, list(_words())) or nearest(word, concepts)
     hint = f"; did you mean {near}?" if near else "; deepbots explain without a word lists the findings"
@@ -145,8 +144,8 @@ def _of_unit(word: str) -> Iterator[str]:
         yield f"1 {word} is {unit.scale / unit.divisor:.9g} {unit.dimension}." if str(unit.dimension) != word else "Figures are kept in it."
 
 
-def _told(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Said]:
-    """What a word is to a part: its key, its kind; of `mark`, the key that tells the kind, the kinds themselves tell."""
+def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Lines]:
+    """The explanations of a word as a key or a kind of a section; `mark` is the key that names the kind."""
     if not isinstance(part, Kinds):
         if word in fields(part) and word != mark:
             yield "key", *_of_key(part, word)

@@ -1,4 +1,4 @@
-"""When actions act, and how old observations are."""
+"""When actions act, and how old observations are: a table of `deepbots inspect`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Ages = dict[str, float]
 
 
 def timing(scenario: Program) -> list[Row]:
-    """For step n of the agent, counted from 0: from which physics step the action acts, after which one each observation is measured.
+    """For step n of the agent, from 0: the physics step from which its action acts, and after which each observation is measured.
 
-    Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest of the values that it is
-    computed from: routes, `timing: paper`, the latency of sensors and `previous` add to its age. Other functions with a memory
-    (`delta`, `smooth`) count as measured when their argument is. Where a delay is drawn, messages may be lost, or a sensor
-    measures less often than the supervisor, the age varies.
+    Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value that it is computed from:
+    routes, `timing: paper`, the latency of sensors and `previous` add to its age. Other functions with a memory (`delta`, `smooth`)
+    have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
+    the supervisor.
     """
     substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.agent.repeat
     rows: list[Row] = []

@@ -1,0 +1,96 @@
+"""The argument of a command: a scenario, a run directory, or a robot file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli import api
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.diagnostics import Finding, Findings, Source
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.document import Mapping, Node, descend, files, one_line, shipped
+from deepbots_cli.document.parse import parse
+from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
+from deepbots_cli.robots import meshes
+from deepbots_cli.robots.reader import RobotFile, read
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any."""
+
+    ir: Program
+    root: Node | None
+    run: Run | None = None
+    findings: Sequence[Finding] = ()
+
+    def wording(self, path: str) -> str:
+        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
+        words = path.split(".")
+        if words[0] == "curriculum" and len(words) > 1:
+            names = [stage.name for stage in self.ir.curriculum]
+            return wording(self.root, "curriculum", names.index(words[1])) if words[1] in names else ""
+        # A name may hold dots: `observation.cart.pole_angle`, `reset.set.cart.pole_hinge`.
+        splits = ((*words[: first - 1], ".".join(words[first - 1 :])) for first in range(len(words), 0, -1))
+        return next((text for keys in splits if (text := wording(self.root, *keys))), "")
+
+    def names(self, section: str) -> list[str]:
+        """The keys that are written in a section."""
+        node = self.root.get(section) if isinstance(self.root, Mapping) else None
+        return list(node.entries) if isinstance(node, Mapping) else []
+
+
+def wording(root: Node | None, *path: str | int) -> str:
+    """What is written at `path`, on one line; empty where nothing is."""
+    node, _, reached = descend(root, path) if root else (None, None, 0)
+    return one_line(node) if node is not None and reached == len(path) else ""
+
+
+def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool) -> Opened:
+    """The scenario of a file or of a shipped name, or that of a run directory.
+
+    Raises:
+        UsageError: There is no such file or run.
+        ScenarioError: The scenario has errors.
+    """
+    path = Path(source)
+    if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
+        if sets:
+            raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
+        run, resolved = Run.open(path), path / RESOLVED
+        return Opened(run.ir, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
+    checked = api.load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    compiled = api.compile(checked)
+    return Opened(compiled.ir, checked.document.root, findings=compiled.findings)
+
+
+def is_robot(reference: str) -> bool:
+    """Whether this is a robot file, or the name of a shipped robot and of no scenario."""
+    if reference.startswith("package://") or reference.lower().endswith((".urdf", ".xacro")):
+        return True
+    return shipped.robot_path(reference) is not None and shipped.scenario_path(reference) is None and not Path(reference).exists()
+
+
+def opened_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
+    """A robot file, and the warnings about it.
+
+    Raises:
+        UsageError: There is no such file.
+        ScenarioError: It cannot be read as a robot.
+    """
+    found = meshes.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
+    if isinstance(found, meshes.Refusal) or not found.is_file():
+        names = shipped.robot_names()
+        near = meshes.library_reference(reference) or nearest(reference, names)
+        hint = f" (did you mean {near}?)" if near else ""
+        raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
+    findings = Findings()
+    resolve_mesh = meshes.beside(found.absolute().parent, meshes.package_of(reference))
+    file = read(found, files.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
+    if file is None or findings.errors:
+        raise ScenarioError(list(findings))
+    return file, list(findings)

@@ -1,0 +1,312 @@
+"""The build of a robot: wheels, steering, limbs, rotors, and joints without a motor.
+
+It is read from shapes and joints with all joints at 0. Names count only for rotors, which look like any other link.
+All coordinates are in the frame of the root link, in m and rad.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import atan2, dist, hypot, pi
+
+from deepbots_cli import frames
+from deepbots_cli.footprint import Bounds, behind, bounds, bounds_of_shape, link_frames
+from deepbots_cli.frames import UPRIGHT, Frame, Quaternion, Triple
+from deepbots_cli.robots import inertia
+from deepbots_cli.robots.model import Joint, Link, RobotModel
+
+Positions = Mapping[str, float]
+"""Joint positions by name, in rad or m; joints that are not named are at 0."""
+
+_ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
+_LEVEL, _UPRIGHT = 0.3, 0.7
+"""The z component of a unit axis: at most of a level one, at least of an upright one."""
+_ROUND = 0.15
+"""Tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
+_ROUNDS = 80
+_BENT = 0.4
+"""Where a search for joint positions begins, in rad: a straight limb does not know which way to bend."""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A wheel that stands on the ground; `axle` is a level unit vector."""
+
+    joint: Joint
+    radius: float
+    axle: Triple
+    centre: Triple
+
+
+@dataclass(frozen=True)
+class Limb:
+    """A chain of joints that does not branch. `path` holds its joints in order, fixed ones too; `base` is the frame it begins in."""
+
+    path: tuple[Joint, ...]
+    base: Frame
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        return tuple(joint for joint in self.path if joint.moves)
+
+    @property
+    def tip(self) -> str:
+        return self.path[-1].child
+
+    @property
+    def reach(self) -> float:
+        """The length from the first joint that moves to the tip when stretched out, at most."""
+        first = self.path.index(self.joints[0])
+        return sum(hypot(*joint.origin.xyz) for joint in self.path[first + 1 :])
+
+    def frames(self, positions: Positions) -> dict[str, Frame]:
+        """The frame of the link behind each joint."""
+        here, found = self.base, {}
+        for joint in self.path:
+            found[joint.name] = here = behind(joint, here, positions.get(joint.name, 0.0))
+        return found
+
+    def positions_for(self, target: Triple, using: Sequence[Joint] | None = None) -> tuple[dict[str, float], float]:
+        """Joint positions that bring the tip near `target`, and the distance that remains.
+
+        Cyclic coordinate descent: each of the joints `using`, from the last to the first, takes the position within its range
+        that brings the tip nearest to the target, round after round. It needs no numpy, which `deepbots new` does without.
+        """
+        used = self.joints if using is None else using
+        positions = {joint.name: neutral(joint) for joint in self.joints}
+        positions |= {joint.name: _bent(joint, number) for number, joint in enumerate(used)}
+        for _ in range(_ROUNDS):
+            for joint in reversed(used):
+                placed = self.frames(positions)
+                (pivot, turn), tip = placed[joint.name], placed[self.path[-1].name][0]
+                axis = frames.rotate(turn, joint.axis)
+                if joint.type == "prismatic":
+                    change = frames.dot(frames.subtract(target, tip), axis)
+                else:
+                    arm, wanted = frames.subtract(tip, pivot), frames.subtract(target, pivot)
+                    level = frames.subtract(arm, frames.scaled(axis, frames.dot(arm, axis)))
+                    change = atan2(frames.dot(frames.cross(axis, level), wanted), frames.dot(level, wanted))
+                positions[joint.name] = _clamped(joint, positions[joint.name] + change)
+            missing = dist(self.frames(positions)[self.path[-1].name][0], target)
+            if missing < 1e-4:
+                break
+        return positions, missing
+
+
+def range_of(joint: Joint) -> tuple[float, float]:
+    """The limits of a joint; of one without limits half a turn, or a metre, either way."""
+    lower, upper = joint.limit.lower, joint.limit.upper
+    if joint.type == "continuous" or lower is None or upper is None:
+        return (-1.0, 1.0) if joint.type == "prismatic" else (-pi, pi)
+    return lower, upper
+
+
+def neutral(joint: Joint, margin: float = 0.0) -> float:
+    """0, or the middle of the range where 0 is not within it by `margin` (a fraction of the range) on either side."""
+    low, high = range_of(joint)
+    return 0.0 if min(-low, high) >= margin * (high - low) else (low + high) / 2
+
+
+def _bent(joint: Joint, number: int) -> float:
+    low, high = range_of(joint)
+    bend = 0.0 if number == 0 else _BENT if number % 2 else -_BENT
+    return (low + high) / 2 if joint.type == "prismatic" else _clamped(joint, neutral(joint) + bend)
+
+
+def _clamped(joint: Joint, position: float) -> float:
+    low, high = range_of(joint)
+    return min(max(position, low), high)
+
+
+@dataclass(frozen=True)
+class Build:
+    """A robot and the roles of its parts."""
+
+    model: RobotModel
+
+    @cached_property
+    def frames(self) -> dict[str, Frame]:
+        return link_frames(self.model)
+
+    @cached_property
+    def boxes(self) -> dict[str, Bounds]:
+        """The box around the collision shapes of each link, or around its visuals where it has none."""
+        return {link.name: box for link in self.model.links if (box := _box(link, self.frames[link.name]))}
+
+    @property
+    def lowest(self) -> float:
+        return min((low[2] for low, _ in self.boxes.values()), default=0.0)
+
+    def height(self, positions: Positions, tilt: Quaternion = UPRIGHT) -> float:
+        """Height of the root above the ground when the lowest point touches it."""
+        tilted = ((0.0, 0.0, 0.0), tilt)
+        placed = link_frames(self.model, positions)
+        boxes = [_box(link, frames.inside(tilted, placed[link.name])) for link in self.model.links]
+        return 0.0 - min((box[0][2] for box in boxes if box), default=0.0)
+
+    @cached_property
+    def size(self) -> float:
+        """The longest side of the box around the robot."""
+        low, high = bounds(self.model)
+        return max(b - a for a, b in zip(low, high, strict=True)) or 1.0
+
+    @property
+    def mass(self) -> float:
+        """In kg."""
+        return sum(map(_mass, self.model.links))
+
+    def rigid(self, link: str) -> list[str]:
+        """A link and all links that fixed joints attach to it, downwards."""
+        found = [link]
+        for name in found:
+            found += [joint.child for joint in self.model.joints if joint.parent == name and joint.type == "fixed"]
+        return found
+
+    @cached_property
+    def trunk(self) -> list[str]:
+        """The root link and all that is fixed to it."""
+        return self.rigid(self.model.root)
+
+    @property
+    def chassis(self) -> str:
+        """The heaviest link of the trunk, where an inertial sensor belongs: the root may be a mere point."""
+        return max(self.trunk, key=lambda name: _mass(self.model.link(name)))
+
+    def axis(self, joint: Joint) -> Triple:
+        return frames.rotate(self.frames[joint.child][1], joint.axis)
+
+    @cached_property
+    def driven(self) -> list[Joint]:
+        """The joints that a motor may move: those with an effort, or all where the file names no effort; locked joints never."""
+        free = [joint for joint in self.model.moving_joints if not _is_locked(joint)]
+        named = any(joint.limit.effort for joint in free)
+        return [joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not named)]
+
+    @property
+    def idle(self) -> list[Joint]:
+        """The joints that move without a motor."""
+        return [joint for joint in self.model.moving_joints if joint not in self.driven and not _is_locked(joint)]
+
+    @property
+    def weightless(self) -> list[Joint]:
+        """The joints that move no mass."""
+        carried = inertia.carried(self.model)
+        return [joint for joint in self.model.moving_joints if carried[joint.child] <= 0.0]
+
+    @property
+    def poles(self) -> list[Joint]:
+        """Level hinges without a motor below the mass that they carry, such as the hinge of a pole on a cart."""
+        level = [joint for joint in self.idle if joint.type != "prismatic" and abs(self.axis(joint)[2]) < _LEVEL]
+        return [joint for joint in level if self._centre_of_mass(joint.child)[2] > self.frames[joint.child][0][2]]
+
+    def _centre_of_mass(self, link: str) -> Triple:
+        inertial, (origin, turn) = self.model.link(link).inertial, self.frames[link]
+        return frames.add(origin, frames.rotate(turn, inertial.origin.xyz)) if inertial else origin
+
+    @cached_property
+    def wheels(self) -> list[Wheel]:
+        """Two wheels at least, or none."""
+        found = [wheel for joint in self.driven if (wheel := self._wheel(joint))]
+        return found if len(found) > 1 else []
+
+    def _wheel(self, joint: Joint) -> Wheel | None:
+        """The wheel on an endless joint with a level axle whose links are round, stand on the ground and carry no further joint."""
+        axle = self.axis(joint)
+        endless = joint.type == "continuous" or (joint.type == "revolute" and joint.limit.lower is None)
+        links = self.rigid(joint.child)
+        if not endless or abs(axle[2]) > _LEVEL or any(other.moves and other.parent in links for other in self.model.joints):
+            return None
+        boxes = [self.boxes[name] for name in links if name in self.boxes]
+        if not boxes:
+            return None
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = _around(boxes)
+        centre = self.frames[joint.child][0]
+        radius = centre[2] - low_z
+        if radius <= 0.0 or abs(high_z - centre[2] - radius) > _ROUND * radius or low_z - self.lowest > _ROUND * radius:
+            return None
+        across = high_x - low_x if abs(axle[1]) > abs(axle[0]) else high_y - low_y
+        if abs(across - 2.0 * radius) >= 4.0 * _ROUND * radius:
+            return None
+        length = hypot(axle[0], axle[1])
+        return Wheel(joint, radius, (axle[0] / length, axle[1] / length, 0.0), centre)
+
+    @property
+    def forward(self) -> Triple:
+        """The direction in which the robot rolls: along x or y rather than against it."""
+        way = frames.cross(self.wheels[0].axle, (0.0, 0.0, 1.0))
+        return way if way[0] + 0.1 * way[1] > 0 else frames.scaled(way, -1.0)
+
+    @property
+    def steering(self) -> list[Joint]:
+        """The upright hinges that carry a wheel."""
+        upright = [joint for joint in self.driven if joint.type != "prismatic" and abs(self.axis(joint)[2]) > _UPRIGHT]
+        return [joint for joint in upright if any(wheel.joint.parent in self.rigid(joint.child) for wheel in self.wheels)]
+
+    @property
+    def balances(self) -> bool:
+        """Whether the robot stands on two wheels and on nothing else."""
+        rolling = {name for wheel in self.wheels for name in self.rigid(wheel.joint.child)}
+        slack = 0.3 * self.wheels[0].radius if len(self.wheels) == 2 else 0.0
+        return slack > 0.0 and all(low[2] - self.lowest >= slack for name, (low, _) in self.boxes.items() if name not in rolling)
+
+    @cached_property
+    def rotors(self) -> list[str]:
+        """The links named after rotors whose z axis is upright: three at least, or none."""
+        named = [link.name for link in self.model.links if _ROTOR.search(link.name)]
+        upright = [name for name in named if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _UPRIGHT]
+        return upright if len(upright) > 2 else []
+
+    @cached_property
+    def limbs(self) -> list[Limb]:
+        """The chains of joints that begin at the trunk, each as far as it does not branch."""
+        return [self._limb(joint) for joint in self.model.joints if joint.moves and joint.parent in self.trunk]
+
+    def _limb(self, first: Joint) -> Limb:
+        joint, links = first, self.rigid(first.child)
+        while len(further := [other for other in self.model.joints if other.moves and other.parent in links]) == 1:
+            joint, links = further[0], self.rigid(further[0].child)
+        tip = max(links, key=lambda name: dist(self.frames[name][0], self.frames[joint.child][0]))
+        above = {joint.child: joint for joint in self.model.joints}
+        path = [above[tip]]
+        while path[0] is not first:
+            path.insert(0, above[path[0].parent])
+        return Limb(tuple(path), self.frames[first.parent])
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the base is to be bolted down: the root is no body, or all of the robot is one limb that reaches out of its foot."""
+        if self.wheels or self.rotors:
+            return False
+        if self.model.root == "world" or not any(self.model.link(name).inertial for name in self.trunk):
+            return True
+        if len(self.limbs) != 1:
+            return False
+        (limb,) = self.limbs
+        boxes = [self.boxes[name] for name in self.trunk if name in self.boxes]
+        # A limb that stays within the foot is a weight in a ball, and no arm.
+        width = max((high[axis] - low[axis] for low, high in boxes for axis in (0, 1)), default=0.0)
+        return len(limb.joints) == 1 or limb.joints[0].type == "prismatic" or limb.reach > width
+
+
+def _mass(link: Link) -> float:
+    return link.inertial.mass if link.inertial else 0.0
+
+
+def _is_locked(joint: Joint) -> bool:
+    return joint.type != "continuous" and joint.limit.lower is not None and joint.limit.lower == joint.limit.upper
+
+
+def _box(link: Link, frame: Frame) -> Bounds | None:
+    """The box around the shapes of a link that lies in `frame`."""
+    parts = link.collisions or link.visuals
+    boxes = [bounds_of_shape(part.shape, frames.inside(frame, frames.frame(part.origin))) for part in parts]
+    return _around(boxes) if boxes else None
+
+
+def _around(boxes: Sequence[Bounds]) -> Bounds:
+    lows, highs = zip(*boxes, strict=True)
+    (x, y, z), (a, b, c) = (map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True)))
+    return (x, y, z), (a, b, c)
