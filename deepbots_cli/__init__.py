@@ -10,7 +10,7 @@ interface.py  what policy and world agree on
 port.py       what the runtime asks of an engine
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   meshes at simulation time
-arrays.py     expressions over arrays    terrain/      heights of the ground
+arrays.py     expressions over arrays    terrain.py    heights of the ground
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   reading.py    bytes of files

@@ -17,7 +17,7 @@ from typing import Any
 
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Evaluation
+from deepbots_cli.program.task import Evaluation
 from deepbots_cli.program.world import Picture, WorldModel
 from deepbots_cli.robots.model import Mesh
 

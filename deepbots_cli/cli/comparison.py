@@ -20,8 +20,7 @@ from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
 from deepbots_cli.program.robots import Robot, Route
-from deepbots_cli.program.task import Agent, Truncation
-from deepbots_cli.program.training import Policy, Training
+from deepbots_cli.program.task import Agent, Policy, Training, Truncation
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import RobotModel
 

@@ -30,8 +30,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, Thrust
-from deepbots_cli.program.task import ActionRange, Choices, ImageObservation, viewed
-from deepbots_cli.program.training import ActionNoise, Hindsight, Schedule
+from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule, viewed
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
 

@@ -40,8 +40,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Agent
-from deepbots_cli.program.training import Evaluation
+from deepbots_cli.program.task import Agent, Evaluation
 from deepbots_cli.scenario.base import visit
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate

@@ -16,8 +16,7 @@ from deepbots_cli.expressions.types import Constant, Context, Invocation, Stage,
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
-from deepbots_cli.program.task import Choices, Ending, Outcome, Truncation
-from deepbots_cli.program.training import Solved
+from deepbots_cli.program.task import Choices, Ending, Outcome, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Measured, PythonTerm

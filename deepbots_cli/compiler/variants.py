@@ -18,8 +18,19 @@ from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.load import place
 from deepbots_cli.document.nodes import follow, measure, without
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
-from deepbots_cli.program.task import ActionRange, Agent, Choices, Truncation
-from deepbots_cli.program.training import ActionNoise, Criterion, Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.program.task import (
+    ActionNoise,
+    ActionRange,
+    Agent,
+    Choices,
+    Criterion,
+    Hindsight,
+    Hyperparameter,
+    Policy,
+    Schedule,
+    Training,
+    Truncation,
+)
 from deepbots_cli.scenario.fields import read_schedule, read_until
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import DiscreteAction

@@ -39,7 +39,7 @@ from deepbots_cli.program.world import (
     Variant,
     WorldModel,
 )
-from deepbots_cli.reading import read_at_most
+from deepbots_cli.reading import MAX_PICTURE_BYTES, picture_fault, read_at_most
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.inertia import volume
 from deepbots_cli.robots.meshes import measure
@@ -47,7 +47,6 @@ from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape,
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.fields import COLOURS
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.terrain import png
 
 
 def define_bodies(spec: Scenario, namespace: Namespace) -> None:
@@ -139,8 +138,8 @@ def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str]
     found = located(reference, span, namespace.document, namespace.values)
     if found is None:
         return None
-    data = read_at_most(found, png.MAX_BYTES + 1)
-    wrong = png.fault(data)
+    data = read_at_most(found, MAX_PICTURE_BYTES + 1)
+    wrong = picture_fault(data)
     if wrong is not None:
         help = "save it as a grey PNG of 8 or 16 bits, without interlacing"
         namespace.values.findings.add("DB103", span, wrong, help=help)

@@ -23,7 +23,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.plugins import attribute
-from deepbots_cli.program.training import Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.program.task import Hindsight, Hyperparameter, Policy, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
 

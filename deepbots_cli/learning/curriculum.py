@@ -10,7 +10,7 @@ from typing import Any, Self
 from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.training import Criterion
+from deepbots_cli.program.task import Criterion
 
 
 @dataclass(frozen=True)

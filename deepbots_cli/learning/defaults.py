@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import ActionNoise, Schedule, Training
+from deepbots_cli.program.task import ActionNoise, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 
 LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}

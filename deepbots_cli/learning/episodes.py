@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.atomic import Entries
-from deepbots_cli.program.training import Solved
+from deepbots_cli.program.task import Solved
 
 WINDOW = 100
 """Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""

@@ -22,7 +22,7 @@ from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.summary import Summary
 from deepbots_cli.learning.training import compiled_of, default_build
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Solved
+from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.noise import ActionNoise as Noise
 
-from deepbots_cli.program.training import ActionNoise
+from deepbots_cli.program.task import ActionNoise
 
 Actions = npt.NDArray[np.float32]
 Remaining = Callable[[], float]

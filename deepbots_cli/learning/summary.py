@@ -9,7 +9,7 @@ from statistics import fmean, stdev
 
 from deepbots_cli.learning.episodes import Episode, meets
 from deepbots_cli.learning.intervals import Pair, mean_interval, wilson
-from deepbots_cli.program.training import Solved
+from deepbots_cli.program.task import Solved
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
 from deepbots_cli.learning.run import Run, input_digests, new_directory, read_record
 from deepbots_cli.learning.trials import AT_ONCE, Trials
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Training
+from deepbots_cli.program.task import Training
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
 

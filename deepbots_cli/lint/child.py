@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import traceback
@@ -31,13 +32,13 @@ def main(limits: Limits) -> None:
     request = json.loads(sys.stdin.buffer.read())
     try:
         _simulate(request, out, limits.step)
-    except MemoryError:
+    except (MemoryError, SystemError):  # the latter when a library in C is imported without enough memory
         os._exit(OUT_OF_MEMORY)
     except Exception as error:  # noqa: BLE001  # a fault of deepbots, which the parent reports
         from deepbots_cli.diagnostics.findings import described
 
-        if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library for which there is no memory
-            os._exit(OUT_OF_MEMORY)
+        if isinstance(error, ImportError | OSError) and re.search("failed to map segment|allocate memory", str(error)):
+            os._exit(OUT_OF_MEMORY)  # no memory for a library
         out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 
 

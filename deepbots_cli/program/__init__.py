@@ -13,8 +13,8 @@
     └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the curriculum
 
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
-robots.py   sensors, actuators, messages, controllers task.py     action to endings, scripts
-resets.py   placements, randomized parameters         training.py how the policy is trained and judged
+robots.py   sensors, actuators, messages, controllers task.py     action to endings, scripts, training, evaluation
+resets.py   placements, randomized parameters
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place of an expression
 (`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first asked for. `deepbots_cli.canonical`
@@ -33,8 +33,21 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import ActionPart, Agent, Ending, Goal, ImageObservation, Observation, ObservedNumber, Script, Truncation
-from deepbots_cli.program.training import Criterion, Evaluation, Solved, Training
+from deepbots_cli.program.task import (
+    ActionPart,
+    Agent,
+    Criterion,
+    Ending,
+    Evaluation,
+    Goal,
+    ImageObservation,
+    Observation,
+    ObservedNumber,
+    Script,
+    Solved,
+    Training,
+    Truncation,
+)
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 

@@ -23,7 +23,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
-from deepbots_cli.terrain.relief import height
+from deepbots_cli.terrain import height
 
 Pose = tuple[Triple, Triple]
 """Position (m) and roll, pitch, yaw (rad)."""

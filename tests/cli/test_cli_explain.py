@@ -121,7 +121,7 @@ def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("gyro", "gyro: a type of `robots.<name>.sensors.<name>` How it turns, about its own axes, x y z. It needs link."),
+        ("gyro", "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about its own axes, x y z. It needs link."),
         ("thrust", "It needs range."),
         ("PPO", "PPO: an algorithm of `train`"),
         ("cylinder", "cylinder: a shape of `objects.<name>`"),

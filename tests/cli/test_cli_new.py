@@ -150,9 +150,9 @@ def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_pat
     deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf")
     deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf")
     car, droid = (api.compile(tmp_path / f"{name}.yaml").ir.robots[0] for name in ("car", "droid"))
-    assert [len(motor.parts) for motor in car.actuators] == [4, 2]
+    assert [len(motor.joints) for motor in car.actuators] == [4, 2]
     assert [motor.kind for motor in car.actuators] == ["velocity_motor", "position_motor"]
-    assert [motor.parts for motor in droid.actuators if motor.name.startswith("hold")] == [
+    assert [motor.joints for motor in droid.actuators if motor.name.startswith("hold")] == [
         ("left_gripper_joint", "right_gripper_joint", "head_swivel"),
         ("gripper_extension",),
     ]
@@ -193,7 +193,7 @@ def test_joints_called_like_copies_components_or_patterns_are_taken_for_joints(d
     made = deepbots("new", "odd", "--urdf", "odd.urdf")
     assert made.code == 0, made.err
     assert api.lint(tmp_path / "odd.yaml", preview=True) == []
-    assert api.compile(tmp_path / "odd.yaml").ir.robots[0].actuators[0].parts == ("turn", *names)
+    assert api.compile(tmp_path / "odd.yaml").ir.robots[0].actuators[0].joints == ("turn", *names)
 
 
 def test_a_robot_file_outside_the_project_is_refused_with_what_to_do(deepbots, tmp_path):

@@ -155,7 +155,7 @@ def test_no_position_is_rounded_beyond_a_limit(deepbots, tmp_path, lower, upper)
 @pytest.mark.parametrize("robot", ["locked"], indirect=True)
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
     assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
-    assert [motor.parts for motor in api.compile(tmp_path / "first.yaml").ir.robots[0].actuators] == [("free",)]
+    assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").ir.robots[0].actuators] == [("free",)]
 
 
 @pytest.mark.parametrize("robot", ["gripper"], indirect=True)

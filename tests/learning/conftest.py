@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import stand_in
 
 from deepbots_cli.learning import TrainingResult, train
-from deepbots_cli.program.training import Solved, Training
+from deepbots_cli.program.task import Solved, Training
 
 
 @pytest.fixture(scope="session")

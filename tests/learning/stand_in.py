@@ -20,8 +20,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document.load import loads
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Choices
-from deepbots_cli.program.training import Schedule, Solved, Training
+from deepbots_cli.program.task import Choices, Schedule, Solved, Training
 
 FALL = math.radians(15)
 TRACK = 0.39

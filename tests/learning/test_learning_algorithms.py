@@ -19,7 +19,7 @@ from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
 from tests.few import few
 
 SMALL = Policy((8,))

@@ -19,7 +19,7 @@ from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.report import evaluation_text, to_json, training_text
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Criterion, Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
 
 PPO = Training("PPO", 1_500, 3, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.episodes import Episode, EpisodeFile, Statistics, Tally
 from deepbots_cli.learning.intervals import mean_interval, student, wilson
-from deepbots_cli.program.training import Solved
+from deepbots_cli.program.task import Solved
 
 
 @given(trials=st.integers(1, 5_000), share=st.floats(0, 1))

@@ -19,7 +19,7 @@ from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import judge
 from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
 from deepbots_cli.learning.summary import Summary
-from deepbots_cli.program.training import Solved
+from deepbots_cli.program.task import Solved
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:

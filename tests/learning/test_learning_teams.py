@@ -15,7 +15,7 @@ from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.environments import copies_over
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Hyperparameter, Policy, Training
+from deepbots_cli.program.task import Hyperparameter, Policy, Training
 from tests.few import few
 
 SIZE = 3

@@ -27,7 +27,7 @@ from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.progress import Display, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
-from deepbots_cli.program.training import Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.program.task import Hyperparameter, Policy, Schedule, Solved, Training
 from tests.few import few
 
 

@@ -13,7 +13,7 @@ from deepbots_cli.learning.environments import copies_over
 from deepbots_cli.learning.interruption import Interruption
 from deepbots_cli.learning.trials import Trials
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Hyperparameter, Solved, Training
 from deepbots_cli.runtime.streams import derive
 
 TRIAL_SEEDS = [derive(0, "trial", k) for k in range(trials.EPISODES)]

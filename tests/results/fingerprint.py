@@ -18,7 +18,7 @@ from deepbots_cli import api, canonical
 from deepbots_cli.canonical import members
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.program import Program
-from deepbots_cli.program.training import Evaluation
+from deepbots_cli.program.task import Evaluation
 from tests.results.experiment import Baseline, Training
 from tests.results.experiment import Evaluation as HeldOut
 from tests.results.places import ROOT

@@ -8,7 +8,7 @@ VERBS: Mapping[str, str] = {
     "train": "Train a policy in a new run directory, and evaluate it.",
     "eval": "Evaluate the policy of a run on held-out episodes.",
     "lint": "Check scenarios and report every problem.",
-    "explain": "Explain a finding: what it means, why it matters, what to write instead.",
+    "explain": "Explain a finding: what it means, and what to write instead.",
     "fmt": "Put scenario files into the canonical layout.",
     "lsp": "Serve an editor: findings as you type, completion, fixes.",
     "inspect": "Show what a scenario means: spaces, messages, reward, timing.",

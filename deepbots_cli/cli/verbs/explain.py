@@ -30,7 +30,7 @@ def command(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Explain a finding: what it means, why it matters, what to write instead.
+    """Explain a finding: what it means, and what to write instead.
 
     Without a code, all findings are listed. Words of the language are explained as well: keys, functions, units, kinds of sensors,
     actuators, objects and algorithms; and concepts such as HER, domain randomisation or checkpoint.

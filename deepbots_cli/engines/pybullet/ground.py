@@ -13,7 +13,7 @@ from deepbots_cli.frames import UPRIGHT
 from deepbots_cli.geometry import triangles
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.model import Friction, Link, Mesh, RobotModel
-from deepbots_cli.terrain.relief import Grid, grid
+from deepbots_cli.terrain import Grid, grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

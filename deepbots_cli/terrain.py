@@ -1,4 +1,7 @@
-"""Every kind of relief as a surface: a grid of heights or triangles, and the height of any place on it."""
+"""Terrain: every kind as a grid of heights or triangles, and the height of the ground at any x, y.
+
+Engines and the placement of bodies use the same surface.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,8 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.geometry import triangles
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
+from deepbots_cli.reading import MAX_PICTURE_BYTES, picture_fault
 from deepbots_cli.robots.model import Mesh
-from deepbots_cli.terrain.png import MAX_BYTES, fault
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -147,13 +150,14 @@ def _lumps() -> NDArray[np.float64]:
 def _picture(picture: Picture) -> Grid:
     try:
         path = Path(picture.path)
-        data = path.read_bytes() if path.is_file() and path.stat().st_size <= MAX_BYTES else b""
+        data = path.read_bytes() if path.is_file() and path.stat().st_size <= MAX_PICTURE_BYTES else b""
     except (OSError, ValueError) as error:
         raise EngineError(f"picture {picture.path} cannot be read") from error
     if sha256(data).hexdigest() != picture.digest:
         raise EngineError(f"picture {picture.path} has changed since the scenario was compiled")
-    if fault(data) is not None:
-        raise EngineError(f"picture {picture.path} cannot be read: {fault(data)}")
+    wrong = picture_fault(data)
+    if wrong is not None:
+        raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
     bits = data[24]  # of a pixel, by the header
     return Grid(pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
 
