@@ -2,12 +2,13 @@
 
 The way of the data, and the packages along it:
 
-    text ─▶ nodes ─▶ spec ─▶ linked names ─▶ typed expressions ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
-    document    scenario   compiler (with expressions, robots)    program       codegen     runtime      learning
+    text ─▶ nodes ─▶ Scenario ─▶ typed trees ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
+    document    scenario    compiler, expressions   program   codegen             runtime         learning
 
-program/      the checked scenario        canonical.py  its JSON and its digest
-interface.py  what policy and world agree on
-port.py       what the runtime asks of an engine
+program/      the compiled scenario     canonical.py  its JSON and its digest
+lint/         rules about scenarios     cli/, lsp/    the command and the language server
+interface.py  observation, action and messages, by which a policy fits a scenario
+port.py       the interface of engines  engines/      the engines behind it
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   meshes at simulation time
 arrays.py     expressions over arrays    terrain.py    heights of the ground
