@@ -5,7 +5,7 @@ by name. Whatever happens in every step is bound once, when the environment is b
 out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
 steps return equal values.
 
-A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots_cli.engines`, or in
+A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
 `engines/`, with its line in `engines/__init__.py`.
 """
 

@@ -8,7 +8,7 @@ workspace.py   what the methods of a supervisor share
 printer.py     numbers, vectors and the memories of stateful functions; readers.py what is read from the engine
 names.py       identifiers and constants; layout.py templates, and long lines
 
-The classes are printed in the order of their methods; what they bind and import is known when these are printed.
+Bindings and imports are collected while the methods are printed, and written before them.
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
 match `[a-z_][a-z0-9_]*`, quoted strings and comments.
 """

@@ -1,7 +1,6 @@
-"""The compiler: a document to a checked program, that to Python.
+"""The compiler: from the nodes of a document to a checked program.
 
-    check     nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program   this module
-    emit      Program ─▶ Python                                                     emit/
+    nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program
 
 values.py       texts to typed trees, findings at their places
 namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place;

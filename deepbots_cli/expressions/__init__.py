@@ -13,5 +13,5 @@ unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
 scalar.py       scalar trees: one tree per SI number, as the compiled scenario holds them
 lower.py        typed tree to scalar trees; folds constants
-printer.py      scalar trees to Python text; stateful functions to statements
+printer.py      scalar trees to Python text, for a target
 """

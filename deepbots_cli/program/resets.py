@@ -172,7 +172,7 @@ class JointStart:
 class RandomizedParameter:
     """A value that is drawn anew in every episode.
 
-    `what` is an entry of the table of setters (`codegen.variations`), such as `mass` of ("dog", "trunk"), which says how
+    `what` is an entry of the tables of setters in `codegen/reset.py`, such as `mass` of ("dog", "trunk"), which says how
     many values it takes; the nominal value stands where the parameter belongs in the program. A single value stands for all
     of `size` values. `max` cuts values off, one limit per value.
     """

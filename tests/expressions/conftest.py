@@ -17,6 +17,7 @@ from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.scalar import Draw, Name, State, World
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type, Typed
+from deepbots_cli.runtime import formulas
 
 
 def symbol(name, dimension=NUMBER, components=None, boolean=False, interval=EVERYTHING, stage=Stage.STEP, value=None, refused=None):
@@ -140,7 +141,7 @@ class Bench:
 
 def evaluate(value: Typed, read: dict[str, object]) -> list[float]:
     scalars = lower(value, "item")
-    return [eval(python(scalar, leaf), {**vars(math), **read}) for scalar in scalars]
+    return [eval(python(scalar, leaf), {**vars(math), **vars(formulas), **read}) for scalar in scalars]
 
 
 def leaf(read: Name | World | State | Draw) -> str:
