@@ -9,13 +9,13 @@ from functools import partial
 from lsprotocol import types
 
 from deepbots_cli import api
-from deepbots_cli.diagnostics import Edit, Finding, Source
+from deepbots_cli.diagnostics import Edit, Finding
 from deepbots_cli.document.layout import tidy
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.diagnostics import Locator, diagnostic
-from deepbots_cli.lsp.workspace import Analysis, Document, Workspace
+from deepbots_cli.lsp.workspace import Analysis, Document, Workspace, common_prefix
 
 FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
 KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
@@ -36,16 +36,16 @@ class CodeActions:
         """The code actions for a range of the document, limited to the kinds in `only`."""
         found: list[types.CodeAction] = []
         if _is_wanted(types.CodeActionKind.QuickFix.value, only):
-            for finding, analysis, source in self._findings(range):
-                found += self._actions_for(finding, analysis, source)
+            for finding, analysis in self._findings(range):
+                found += self._actions_for(finding, analysis)
         if _is_wanted(FIX_ALL, only) and self._document.is_scenario and self._has_safe_fixes:
             found.append(types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri}))
         return found
 
     def fix_all(self) -> types.WorkspaceEdit | None:
         """The fixes that `deepbots lint --fix` makes in the scenario and the files it includes."""
-        analysis = self._workspace.latest.get(self._document.uri)
-        if analysis is None or analysis.document is not self._document or analysis.checked is None:
+        analysis = self._analysis
+        if analysis is None or analysis.checked is None:
             return None
         known = analysis.checked.document
         try:
@@ -53,38 +53,37 @@ class CodeActions:
             rewrites = Fixer([str(self._document.path)], load, wanted=analysis.selection.wants, drafts=self._workspace.drafts).fix()
         except UsageError:  # a file does not exist yet or has changed
             return None
-        open_paths = {document.path: document for document in self._workspace.documents.values()}
+        by_path = self._workspace.by_path
         changes = {
-            open_paths[rewrite.path]: minimal_edits(open_paths[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff"))
+            by_path[rewrite.path]: minimal_edits(by_path[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff"))
             for rewrite in rewrites
-            if rewrite.path in open_paths
+            if rewrite.path in by_path
         }
         return self._edit(changes) if changes else None
 
     @property
-    def _has_safe_fixes(self) -> bool:
+    def _analysis(self) -> Analysis | None:
+        """The analysis of the current version of the document."""
         known = self._workspace.latest.get(self._document.uri)
-        is_current = known is not None and known.document is self._document
-        return is_current and known is not None and any(found.fix is not None and found.fix.safe for found in known.findings)
+        return known if known is not None and known.document is self._document else None
 
-    def _findings(self, range: types.Range) -> Iterator[tuple[Finding, Analysis, Source]]:
+    @property
+    def _has_safe_fixes(self) -> bool:
+        return self._analysis is not None and any(found.fix is not None and found.fix.safe for found in self._analysis.findings)
+
+    def _findings(self, range: types.Range) -> Iterator[tuple[Finding, Analysis]]:
         """The findings in the document that touch the range, each once."""
         lines, seen = self._document.lines, set()
         start, end = lines.offset(range.start), lines.offset(range.end)
         for analysis, source in self._workspace.analyses_of(self._document):
             for finding in analysis.findings:
-                if (
-                    finding.span.source is source
-                    and finding.span.start <= end
-                    and finding.span.end >= start
-                    and finding.sort_key not in seen
-                ):
+                span = finding.span
+                if span.source is source and span.start <= end and span.end >= start and finding.sort_key not in seen:
                     seen.add(finding.sort_key)
-                    yield finding, analysis, source
+                    yield finding, analysis
 
-    def _actions_for(self, finding: Finding, analysis: Analysis, source: Source) -> Iterator[types.CodeAction]:
-        places = Locator(analysis, self._workspace.open_uris)
-        about = [diagnostic(finding, places)]
+    def _actions_for(self, finding: Finding, analysis: Analysis) -> Iterator[types.CodeAction]:
+        about = [diagnostic(finding, Locator(analysis, self._workspace.open_uris))]
         changes = self._changes(finding, analysis)
         if changes and finding.fix is not None:
             title = f"{_title(finding.fix.edits[0])}{'' if finding.fix.safe else ' (a guess)'}"
@@ -100,9 +99,9 @@ class CodeActions:
     def _changes(self, finding: Finding, analysis: Analysis) -> dict[Document, list[types.TextEdit]]:
         """The edits of a fix by document; empty unless all apply to the current text of open documents."""
         changes: dict[Document, list[types.TextEdit]] = {}
-        open_paths = {document.path: document for document in self._workspace.documents.values()}
+        by_path = self._workspace.by_path
         for edit in finding.fix.edits if finding.fix else ():
-            document = open_paths.get(analysis.path(edit.span.source))
+            document = by_path.get(analysis.path(edit.span.source))
             if document is None or document.plain != edit.span.source.text:
                 return {}
             span = document.lines.range(edit.span.start, edit.span.end)
@@ -171,14 +170,9 @@ def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
     before = document.plain
     if after == before:
         return []
-    start = _common_prefix(before, after)
-    end = min(_common_prefix(before[::-1], after[::-1]), len(before) - start, len(after) - start)
+    start = common_prefix(before, after)
+    end = min(common_prefix(before[::-1], after[::-1]), len(before) - start, len(after) - start)
     # No position exists between the two characters of a line end.
     start -= before[max(0, start - 1) : start + 1] == "\r\n"
     end -= before[len(before) - end - 1 : len(before) - end + 1] == "\r\n"
     return [types.TextEdit(document.lines.range(start, len(before) - end), after[start : len(after) - end])]
-
-
-def _common_prefix(one: str, other: str) -> int:
-    """The length of the common prefix."""
-    return next((index for index, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))

@@ -25,7 +25,7 @@ from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Form,
 from deepbots_cli.expressions.types import Context, Kind, Scope, Type
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.hover import describe_function, describe_shape, describe_symbol, summary
-from deepbots_cli.lsp.lookup import ignored, section_of, shapes_at
+from deepbots_cli.lsp.lookup import ignore_finding, section_of, shapes_at
 from deepbots_cli.lsp.workspace import Analysis, View
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
 from deepbots_cli.scenario.docs import about_kind, example_of
@@ -108,21 +108,21 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
             case MappingOf(key=key):
                 yield from _named(view, key, path)
             case type():
-                yield from _part_keys(shape)
+                yield from _section_keys(shape)
                 yield _INCLUDE
     if not path:
         yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _FILE_KEYS.items())
 
 
-def _part_keys(part: type[Section]) -> Iterator[Choice]:
-    for key in fields(part):
-        yield Choice(key, CompletionItemKind.Property, summary(part, key), hover_text(part, key))
+def _section_keys(section: type[Section]) -> Iterator[Choice]:
+    for key in fields(section):
+        yield Choice(key, CompletionItemKind.Property, summary(section, key), hover_text(section, key))
 
 
 def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
     found = shape.find(data)
     if found is not None:
-        yield from _part_keys(found)
+        yield from _section_keys(found)
         return
     yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
     for mark, model in shape.marked.items():
@@ -137,36 +137,36 @@ def _values(view: View) -> Iterator[CompletionItem]:
     words = list(_word_choices(view, data)) or [*_example(view, data)]
     yield from (_item(view, choice, place.start) for choice in _unique(words))
     for shape in shapes_at(place.path, data):
-        if isinstance(shape, FieldType) and is_expression(shape):
-            start, is_called = view.offset - len(word_before(place.text)), view.document.plain.startswith("(", view.offset)
-            for choice in _unique(_in_expression(view, shape, data)):
+        if isinstance(shape, FieldType) and _is_expression(shape):
+            start, is_called = view.offset - len(_word_before(place.text)), view.document.plain.startswith("(", view.offset)
+            for choice in _unique(_expression_items(view, shape, data)):
                 yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
             return
 
 
-def _in_expression(view: View, field: FieldType, data: Any) -> Iterator[Choice]:
+def _expression_items(view: View, field: FieldType, data: Any) -> Iterator[Choice]:
     """What may come next in an expression, including names in the text that no analysis knows yet."""
     path, text = view.place.path, view.place.text
-    if expects_unit(text):
-        yield from units(text, field)
+    if _expects_unit(text):
+        yield from _units(text, field)
         return
-    scope = scope_of(view.analysis, field, path) if view.analysis else None
+    scope = _scope_of(view.analysis, field, path) if view.analysis else None
     if scope is not None and view.checked is not None:
-        known = choices(text, scope, view.checked)
-        yield from (choice for choice in known if not defines(path, choice.text))
-    kind = expected_kind(text, field)
-    for name in names_in_text(kind, path, data):
+        known = _expression_choices(text, scope, view.checked)
+        yield from (choice for choice in known if not _defines(path, choice.text))
+    kind = _expected_kind(text, field)
+    for name in _names_in_text(kind, path, data):
         if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
             yield Choice(name, CompletionItemKind.Variable, "")
-    if scope is None and kind != BODY:
+    if scope is None and kind != _BODY:
         yield from functions(frozenset(Family))
 
 
 def _example(view: View, data: Any) -> Iterator[Choice]:
     """The documented example of the key at the cursor, for values without a vocabulary."""
     path = view.place.path
-    part = section_of(path, data) if not view.place.text.strip() else None
-    found = example_of(part, str(path[-1])) if part is not None else None
+    section = section_of(path, data) if not view.place.text.strip() else None
+    found = example_of(section, str(path[-1])) if section is not None else None
     if found is not None and "\n" not in found.text:
         yield Choice(found.text, CompletionItemKind.Value, "an example")
 
@@ -199,7 +199,7 @@ def _field_choices(view: View, field: FieldType, path: Path) -> Iterator[Choice]
             yield Choice("auto", CompletionItemKind.Keyword, "the range that is known")
         case Quantity(words=words, urdf=urdf):
             yield from _words((*words, *(("urdf",) if urdf else ())), "a word of the language")
-        case FieldType(example=str() as example) if not is_expression(field):
+        case FieldType(example=str() as example) if not _is_expression(field):
             yield Choice(example, CompletionItemKind.Value, describe_shape(field))
 
 
@@ -212,11 +212,10 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
 
 def _named(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
     """The names that a reference may take."""
-    checked = view.checked
     if isinstance(field, (Reference, Pattern)):
-        known = names(checked, field.kind, path) if checked is not None else ()
+        known = names(view.checked, field.kind, path) if view.checked is not None else ()
         yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in known)
-        yield from (Choice(name, CompletionItemKind.Reference, field.kind) for name in names_in_text(field.kind, path, view.data))
+        yield from (Choice(name, CompletionItemKind.Reference, field.kind) for name in _names_in_text(field.kind, path, view.data))
 
 
 # Comments
@@ -256,8 +255,10 @@ def _item(view: View, choice: Choice, start: int, text: str | None = None) -> Co
     )
 
 
+# Expressions
+
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")
-_BEHIND_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
+_AFTER_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
 _GRAMMAR = {
     "when": "`a when c`: a where the condition holds, else 0",
     "and": "both conditions hold",
@@ -269,17 +270,17 @@ _GRAMMAR = {
 _REPEATS = {"every": "draws anew each so often: `uniform(0 .. 1) every 5 s`", "each step": "draws anew in every step"}
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
 _ROBOT_CONTEXTS = ("emit", "apply")
-BODY = "body or link"
+_BODY = "body or link"
 _MAX_NAMES = 1000
 _MAX_LOOKBACK = 2000
 """How many characters before the cursor are searched for an open bracket."""
 
 
-def is_expression(field: FieldType) -> bool:
+def _is_expression(field: FieldType) -> bool:
     return isinstance(field, (Expression, Quantity, Range, Column))
 
 
-def scope_of(analysis: Analysis, field: FieldType, path: Path) -> Scope | None:
+def _scope_of(analysis: Analysis, field: FieldType, path: Path) -> Scope | None:
     """The scope of an expression at `path` in a field of this type."""
     checked = analysis.checked
     if checked is None or checked.namespace is None:
@@ -298,33 +299,33 @@ def scope_of(analysis: Analysis, field: FieldType, path: Path) -> Scope | None:
     return RobotScope(checked.namespace, context, robot, dict(same.own) if same else {})
 
 
-def word_before(text: str) -> str:
+def _word_before(text: str) -> str:
     """The name at the end of `text`, or an empty text."""
     found = _WORD.search(text)
     return found.group() if found else ""
 
 
-def expects_unit(text: str) -> bool:
+def _expects_unit(text: str) -> bool:
     """Whether `text` ends in a number, or in a unit followed by `*` or `/`."""
-    word = word_before(text)
-    return "." not in word and _BEHIND_NUMBER.search(text[: len(text) - len(word)]) is not None
+    word = _word_before(text)
+    return "." not in word and _AFTER_NUMBER.search(text[: len(text) - len(word)]) is not None
 
 
-def expected_kind(text: str, field: FieldType) -> str:
-    """The kind of name that may end `text`: a kind of `names_in_text`."""
-    word = word_before(text)
-    if _subjects(text[: len(text) - len(word)]) is not None:
-        return BODY
+def _expected_kind(text: str, field: FieldType) -> str:
+    """The kind of name that may end `text`: a kind of `_names_in_text`."""
+    word = _word_before(text)
+    if _expected_parts(text[: len(text) - len(word)]) is not None:
+        return _BODY
     if not isinstance(field, Expression) or field.context in _CONTEXTS:
         return "setting"
     return "value on board" if field.context in _ROBOT_CONTEXTS else "value"
 
 
-def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
+def _expression_choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
     """What may replace the name at the end of `text`, except units."""
-    word = word_before(text)
+    word = _word_before(text)
     before = text[: len(text) - len(word)]
-    kinds = _subjects(before)
+    kinds = _expected_parts(before)
     if kinds is not None:
         yield from _parts(scope, kinds)
         return
@@ -335,16 +336,16 @@ def choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
         yield from _components(word.rpartition(".")[0], scope)
     yield from _names(scope, checked)
     yield from functions(ALLOWED[scope.context])
-    for said, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
-        yield Choice(said, CompletionItemKind.Keyword, "", doc)
+    for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
+        yield Choice(word, CompletionItemKind.Keyword, "", doc)
 
 
-def units(text: str, field: FieldType) -> Iterator[Choice]:
+def _units(text: str, field: FieldType) -> Iterator[Choice]:
     """All units, starting with those of the field's dimension, and the keywords that may follow a number.
 
     After `*` or `/` only single units follow, not compound ones such as `N*m`.
     """
-    goes_on = text[: len(text) - len(word_before(text))].endswith(("*", "/"))
+    goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
     wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
     if not goes_on:
         yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
@@ -363,7 +364,7 @@ def _measures(field: FieldType) -> list[str]:
 
 def _unit(measure: str) -> Unit | None:
     """The unit of the example of a measure."""
-    tree = parser.parse(MEASURES[measure][1], ignored)
+    tree = parser.parse(MEASURES[measure][1], ignore_finding)
     return tree.unit if isinstance(tree, syntax.Number) else None
 
 
@@ -386,7 +387,7 @@ def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
 def _components(name: str, scope: Scope) -> Iterator[Choice]:
     """The components of a named vector, such as `name.x`."""
     symbol = scope.lookup(name)
-    return _picked(symbol.type if symbol else None, f"{name}.")
+    return _component_choices(symbol.type if symbol else None, f"{name}.")
 
 
 def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
@@ -396,13 +397,13 @@ def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
         depth += {")": 1, "(": -1}.get(text[index], 0)
         if depth == 0:
             break
-    begin = index - len(word_before(text[:index]))
-    tree = parser.parse(text[begin:], ignored)
-    known = check(tree, scope, ignored) if tree is not None else None
-    return _picked(known.type if known else None, "")
+    begin = index - len(_word_before(text[:index]))
+    tree = parser.parse(text[begin:], ignore_finding)
+    known = check(tree, scope, ignore_finding) if tree is not None else None
+    return _component_choices(known.type if known else None, "")
 
 
-def _picked(vector: Type | None, before: str) -> Iterator[Choice]:
+def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
     """Each component of a vector, and `xy` for a vector in space."""
     components = (vector and vector.components) or ()
     for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
@@ -417,9 +418,9 @@ def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
             yield Choice(name, CompletionItemKind.Reference, subject.kind.words)
 
 
-def _subjects(before: str) -> frozenset[Kind] | None:
+def _expected_parts(before: str) -> frozenset[Kind] | None:
     """The kinds of parts that the argument at the end of the text may name; None for a value or outside of a call."""
-    called = _call(before)
+    called = _open_call(before)
     if called is None:
         return None
     name, index = called
@@ -431,7 +432,7 @@ def _subjects(before: str) -> frozenset[Kind] | None:
     return param.kinds if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/")) else None
 
 
-def _call(before: str) -> tuple[str, int] | None:
+def _open_call(before: str) -> tuple[str, int] | None:
     """The innermost open call at the end of the text: its function and the index of the argument."""
     depth = commas = 0
     for index in range(len(before) - 1, max(-1, len(before) - _MAX_LOOKBACK), -1):
@@ -447,6 +448,8 @@ def _call(before: str) -> tuple[str, int] | None:
             return (found.group(), commas) if found else None
     return None
 
+
+# Names in the text, whether or not an analysis knows them
 
 _SECTIONS: dict[str, tuple[Path, ...]] = {
     "action": (("action",),),
@@ -465,18 +468,18 @@ _SECTIONS: dict[str, tuple[Path, ...]] = {
 _ROBOT_SECTIONS = {"sensor": ("sensors",), "actuator": ("actuators",), "value on board": ("sensors", "receive")}
 
 
-def names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
+def _names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
     """The names in `data` that a reference of this kind may name at `path`."""
     for section in _sections(kind, path):
         found = value_at(data, section)
-        yield from (name for name in found if not defines(path, name)) if isinstance(found, dict) else ()
+        yield from (name for name in found if not _defines(path, name)) if isinstance(found, dict) else ()
     robots = value_at(data, ("robots",)) if kind == "value" else ""
     for robot in robots if isinstance(robots, dict) else ():
         sent = value_at(data, ("robots", robot, "emit"))
         yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
 
 
-def defines(path: Path, name: str) -> bool:
+def _defines(path: Path, name: str) -> bool:
     """Whether `path` is the definition of the name, which cannot refer to itself."""
     return path[:-1] in _SECTIONS["value"] and path[-1] == name
 

@@ -72,7 +72,7 @@ def place(text: str, offset: int) -> Place:
 
 
 def value_at(data: Any, path: Path) -> Any:
-    """The plain value at `path`; an empty text where there is none."""
+    """The plain value at `path`; an empty text if `path` leads nowhere."""
     for step in path:
         if isinstance(data, dict):
             data = data.get(step, "")
@@ -94,7 +94,7 @@ def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, 
         return 0, "", text[at]
     if text.startswith((":", "-", "?"), stop):
         if "\n" in text[reader.since : stop]:
-            return reader.since, "#", behind  # keys below a value: the value is left out
+            return reader.since, "#", behind  # keys below a scalar: drop the scalar
         at = stop
     return (0, "", "") if at >= len(text) else (at, " " if text[at] == "\t" else "_", behind)
 
@@ -109,8 +109,8 @@ def _ends_before(text: str, start: int) -> bool:
 class _Reader:
     """Builds plain values from tokens up to the mark.
 
-    `frames` are the open containers. The next value belongs into `slot`: a container, the key or index in it, None where
-    a key is due, and its path.
+    `frames` are the open containers. `slot` is the place of the next value: a container, the key or index in it (None if
+    a key comes next), and its path.
     """
 
     def __init__(self, text: str, offset: int) -> None:
@@ -119,7 +119,7 @@ class _Reader:
         self.root: dict[str, Any] = {"": ""}
         self.slot: tuple[Any, Any, Path] = (self.root, "", ())
         self.frames: list[tuple[Any, Any, Path]] = []
-        self.flows: list[int] = []  # where the open brackets stand
+        self.flows: list[int] = []  # the offsets of the open brackets
         self.flush: list[Any] = []  # lists in the column of their key, which have no tokens for beginning and end
         self.word = ""
         self.since, self.end = 0, 0  # of the last value

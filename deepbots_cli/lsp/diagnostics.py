@@ -7,6 +7,7 @@ import gc
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
+from pathlib import Path
 from typing import NamedTuple
 
 from lsprotocol import types
@@ -16,7 +17,7 @@ from deepbots_cli.diagnostics.render import message, shortened
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.lsp.workspace import Analysis, Document, Lines, Workspace, uri_of
 
-NAME = "deepbots"
+_SOURCE = "deepbots"
 _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.DiagnosticSeverity.Warning}
 _UNNECESSARY = frozenset({"DB205", "DB901"})
 """Rules that report unnecessary text, which editors show faded."""
@@ -25,14 +26,14 @@ _UNNECESSARY = frozenset({"DB205", "DB901"})
 class Locator:
     """Converts spans of one analysis to locations; `open_uris` gives the client's URI of each open file, by path."""
 
-    def __init__(self, analysis: Analysis, open_uris: dict[str, str]) -> None:
+    def __init__(self, analysis: Analysis, open_uris: dict[Path, str]) -> None:
         self._analysis = analysis
         self._open_uris = open_uris
         self._lines: dict[Source, Lines] = {}
 
     def uri(self, source: Source) -> str:
         path = self._analysis.path(source)
-        return self._open_uris.get(str(path)) or uri_of(path)
+        return self._open_uris.get(path) or uri_of(path)
 
     def range(self, span: Span) -> types.Range:
         if span.source not in self._lines:
@@ -45,29 +46,29 @@ class Locator:
         return types.Location(self.uri(span.source), self.range(span))
 
 
-def diagnostic(finding: Finding, places: Locator) -> types.Diagnostic:
+def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
     """One finding with its related locations."""
-    also = [types.DiagnosticRelatedInformation(places.location(label.span), shortened(label.text)) for label in finding.also]
-    also += [types.DiagnosticRelatedInformation(places.location(span), "included from here") for span in finding.span.source.chain]
+    also = [types.DiagnosticRelatedInformation(locator.location(label.span), shortened(label.text)) for label in finding.also]
+    also += [types.DiagnosticRelatedInformation(locator.location(span), "included from here") for span in finding.span.source.chain]
     return types.Diagnostic(
-        range=places.range(finding.span),
+        range=locator.range(finding.span),
         message=message(finding),
         severity=_SEVERITIES[finding.severity],
         code=finding.code,
-        source=NAME,
+        source=_SOURCE,
         related_information=also or None,
         tags=[types.DiagnosticTag.Unnecessary] if finding.code in _UNNECESSARY else None,
         data={"name": finding.name},
     )
 
 
-def diagnostics(analysis: Analysis, open_uris: dict[str, str]) -> dict[str, list[types.Diagnostic]]:
+def diagnostics(analysis: Analysis, open_uris: dict[Path, str]) -> dict[str, list[types.Diagnostic]]:
     """All diagnostics by URI. The document and all open files that it reads always have an entry."""
-    places = Locator(analysis, open_uris)
-    read = (open_uris[str(path)] for path in analysis.paths.values() if str(path) in open_uris)
+    locator = Locator(analysis, open_uris)
+    read = (open_uris[path] for path in analysis.paths.values() if path in open_uris)
     found: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read)}
     for finding in analysis.findings:
-        found.setdefault(places.uri(finding.span.source), []).append(diagnostic(finding, places))
+        found.setdefault(locator.uri(finding.span.source), []).append(diagnostic(finding, locator))
     return found
 
 

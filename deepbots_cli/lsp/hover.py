@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 
 from lsprotocol import types
 
@@ -15,7 +14,6 @@ from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Shape as PictureShape
 from deepbots_cli.expressions.types import Symbol, Type, shown
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.lsp.lookup import ExpressionNode, KeyOrValue, expression_at, field_types_at, key_or_value_at, section_of, shapes_at
@@ -35,8 +33,7 @@ def hover(view: View) -> types.Hover | None:
     if found is None:
         return None
     text, start, end = found
-    lines = view.document.lines
-    return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text), types.Range(lines.position(start), lines.position(end)))
+    return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text), view.document.lines.range(start, end))
 
 
 HoverText = tuple[str, int, int]
@@ -199,18 +196,14 @@ def describe_function(function: Function) -> str:
 def describe_type(known: Type) -> str:
     """The dimension, components, interval and stage of a type: `a length (m), from 0 to 2.7 m, fixed`."""
     if known.picture is not None:
-        return _picture(known.picture)
+        rows, columns, channels = known.picture
+        return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
     words = [known.words]
     if known.components is not None:
         words.append(f"with the components {shown(known.components)}")
     if not known.boolean and known.interval != EVERYTHING:
         words.append(_interval(known.interval, str(known.dimension)))
     return ", ".join([*words, known.stage.words])
-
-
-def _picture(shape: PictureShape) -> str:
-    rows, columns, channels = shape
-    return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
 
 
 def _interval(interval: Interval, dimension: str) -> str:
@@ -230,12 +223,9 @@ def describe_symbol(symbol: Symbol) -> str:
     if symbol.type is None:
         return "its definition has a finding"
     text = describe_type(symbol.type)
-    is_vector = symbol.value is not None and len(symbol.value) > 1
-    return f"{text}: {_numbers(symbol.value)}" if is_vector and symbol.value else text
-
-
-def _numbers(values: Iterable[float | bool]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
+    if symbol.value is None or len(symbol.value) < 2:
+        return text
+    return f"{text}: {' '.join(f'{number:.6g}' for number in symbol.value)}"
 
 
 def describe_rule(code: str) -> str | None:

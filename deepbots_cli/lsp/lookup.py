@@ -39,9 +39,9 @@ def section_of(path: Path, data: Any) -> type[Section] | None:
     if not path or not isinstance(path[-1], str):
         return None
     for shape in shapes_at(path[:-1], data):
-        for part in _parts(shape, value_at(data, path[:-1])):
-            if path[-1] in fields(part):
-                return part
+        for section in _sections(shape, value_at(data, path[:-1])):
+            if path[-1] in fields(section):
+                return section
     return None
 
 
@@ -65,9 +65,9 @@ def _shapes(shape: Shape, data: Any, path: Path) -> Iterator[Shape]:
         case FieldType() | ListOf() | MappingOf():
             return
         case _:
-            for part in _parts(shape, data):
-                if step in fields(part):
-                    yield from _shapes(fields(part)[str(step)], below, rest)
+            for section in _sections(shape, data):
+                if step in fields(section):
+                    yield from _shapes(fields(section)[str(step)], below, rest)
 
 
 def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
@@ -81,7 +81,7 @@ def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
     return shape.options
 
 
-def _parts(shape: Shape, data: Any) -> tuple[type[Section], ...]:
+def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
     """The sections whose keys data of this shape may hold."""
     if isinstance(shape, Kinds):
         found = shape.find(data)
@@ -132,7 +132,7 @@ class ExpressionNode(NamedTuple):
                     return node.type
         if isinstance(self.node, (syntax.Range, syntax.Spread, syntax.Options)):
             return None
-        typed = check(self.node, self.reading.scope, ignored)
+        typed = check(self.node, self.reading.scope, ignore_finding)
         return typed.type if typed else None
 
 
@@ -156,7 +156,7 @@ def expression_at(view: View) -> ExpressionNode | None:
     reading = min(found, key=lambda one: one[0])[1]
     index = _index(reading.text, view.known_offset)
     text = reading.text.text
-    tree = parser.parse(text, ignored)
+    tree = parser.parse(text, ignore_finding)
     if tree is None or not tree.start <= index <= tree.end or "#" in text[text.rfind("\n", 0, index) + 1 : index]:  # a comment
         return None
     return _innermost(ExpressionNode(reading, index, tree))
@@ -197,15 +197,15 @@ def _index(text: Text, offset: int) -> int:
     return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
 
 
-def _innermost(piece: ExpressionNode) -> ExpressionNode:
+def _innermost(outer: ExpressionNode) -> ExpressionNode:
     """The smallest node that holds the cursor; the end of a name belongs to the name."""
-    node, index = piece.node, piece.cursor
+    node, index = outer.node, outer.cursor
     if isinstance(node, syntax.Call) and index <= node.name_end:
-        return piece
+        return outer
     for child, kinds in _inside(node):
         if child.start <= index <= child.end and not (child.start == index and isinstance(child, syntax.Binary)):
-            return _innermost(piece._replace(node=child, kinds=kinds))
-    return piece
+            return _innermost(outer._replace(node=child, kinds=kinds))
+    return outer
 
 
 def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
@@ -222,5 +222,5 @@ def _below(tree: Typed) -> Iterator[Typed]:
         yield from _below(child)
 
 
-def ignored(*_finding: object, **_more: object) -> None:
+def ignore_finding(*_finding: object, **_more: object) -> None:
     """Discard findings; the analysis reports them."""

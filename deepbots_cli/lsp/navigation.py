@@ -25,7 +25,7 @@ _START = types.Range(types.Position(0, 0), types.Position(0, 0))
 _ALIAS = re.compile(r"\*([\w-]+)")
 
 
-def definitions(view: View, open_uris: dict[str, str]) -> list[types.Location]:
+def definitions(view: View, open_uris: dict[Path, str]) -> list[types.Location]:
     """The definitions of the name, alias or file under the cursor; several for a pattern that matches several names."""
     anchor = _anchor(view)
     if anchor is not None:
@@ -36,8 +36,8 @@ def definitions(view: View, open_uris: dict[str, str]) -> list[types.Location]:
         return [file]
     if view.analysis is None:
         return []
-    places = Locator(view.analysis, open_uris)
-    return [places.location(span) for span in _by_name(view) or (_by_reference(view, found) if found else [])]
+    locator = Locator(view.analysis, open_uris)
+    return [locator.location(span) for span in _by_name(view) or (_by_reference(view, found) if found else [])]
 
 
 def _anchor(view: View) -> types.Location | None:
@@ -51,12 +51,12 @@ def _anchor(view: View) -> types.Location | None:
     return None
 
 
-def _file(view: View, found: KeyOrValue, open_uris: dict[str, str]) -> types.Location | None:
+def _file(view: View, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
     kinds = [field.kind for field in field_types_at(found.path, view.data) if isinstance(field, FilePath)]
     if found.is_key or not (kinds or found.path[-1:] in (("include",), ("extends",))):
         return None
     path = _located(view, found.text, robots="robot file" in kinds)
-    return types.Location(open_uris.get(str(path)) or uri_of(path), _START) if path is not None else None
+    return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
 
 
 def _located(view: View, reference: str, *, robots: bool) -> Path | None:

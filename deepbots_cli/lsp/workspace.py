@@ -43,7 +43,7 @@ _UTF_16 = PositionCodec()
 class Lines:
     """Converts between offsets in a text and positions of the protocol, whose columns count units of the client's encoding.
 
-    A byte order mark takes a column, but offsets count from behind it, as in a `Source`.
+    A byte order mark takes a column, but offsets start after it, as in a `Source`.
     """
 
     def __init__(self, text: str, codec: PositionCodec = _UTF_16) -> None:
@@ -312,9 +312,13 @@ class Workspace:
         return {document.path: document.bytes for document in self.documents.values()}
 
     @property
-    def open_uris(self) -> dict[str, str]:
+    def by_path(self) -> dict[Path, Document]:
+        return {document.path: document for document in self.documents.values()}
+
+    @property
+    def open_uris(self) -> dict[Path, str]:
         """The client's URI of each open file, by path."""
-        return {str(document.path): uri for uri, document in self.documents.items()}
+        return {document.path: uri for uri, document in self.documents.items()}
 
     def document(self, uri: str) -> Document | None:
         """The open document of a URI if it is a scenario, included by one, or blank; editors send every YAML file."""
@@ -354,16 +358,20 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
     """
     if now == then:
         return offset
-    most = min(len(now), len(then))
-    same = bisect_left(range(most), True, key=lambda index: now[: index + 1] != then[: index + 1])
+    same = common_prefix(now, then)
     if offset <= same:
         return offset
-    tail = bisect_left(range(most - same), True, key=lambda index: now[len(now) - index - 1 :] != then[len(then) - index - 1 :])
+    tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - same)
     if offset >= len(now) - tail:
         return offset - len(now) + len(then)
     begin, end = now.rfind("\n", 0, offset), now.find("\n", offset)
     line = now[begin:end]
     return then.index(line) + offset - begin if 0 <= begin < end and line.strip() and then.count(line) == 1 else None
+
+
+def common_prefix(one: str, other: str) -> int:
+    """The length of the common prefix; bisection compares slices, which is faster than single characters."""
+    return bisect_left(range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1])
 
 
 def _include_path(node: Node | None, source: Source, path: KeyPath = ()) -> KeyPath:
