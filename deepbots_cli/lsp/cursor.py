@@ -1,7 +1,7 @@
-"""The place of the cursor in a scenario, though its text is being written and may be no YAML at the moment.
+"""The place of the cursor in the text of a scenario, which may be broken YAML while somebody types.
 
-Only the text before the cursor is read, with a mark behind it. PyYAML's scanner gives its tokens, and where the scanner
-stops, one character of the text is replaced and the scan repeated. Brackets and blocks need not be closed.
+The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner fails, the
+reader replaces one character and scans again. Brackets and blocks need not be closed.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _CLOSING = ("}", "]", "<block end>")
 
 
 class Place(NamedTuple):
-    """What is being written at the cursor.
+    """The key or value at the cursor.
 
-    A `key` belongs to the mapping at `path`, which may yet turn out to be a single value; a `value` stands at `path`;
-    `aside` is a comment, or text behind a complete value. The piece begins at the offset `start`, `text` is its part
-    before the cursor, and `data` holds the values before it.
+    A `key` belongs to the mapping at `path`, or is a scalar on its own line at `path`; a `value` stands at `path`;
+    `aside` is a comment, or text after a complete value. The key or value begins at the offset `start`, `text` is its
+    part before the cursor, and `data` holds the values before it.
     """
 
     path: Path
@@ -50,7 +50,7 @@ class _EndedError(Exception):
 
 
 def place(text: str, offset: int) -> Place:
-    """What is being written at `offset`."""
+    """The key or value at `offset`."""
     offset = min(offset, len(text), MAX_BYTES)
     text = text[:offset]
     sound = _PERCENT.sub("_", FORBIDDEN.sub("_", text.replace(_MARK, "_")))
@@ -71,8 +71,20 @@ def place(text: str, offset: int) -> Place:
     return Place((), "aside", offset, "", {})
 
 
+def value_at(data: Any, path: Path) -> Any:
+    """The plain value at `path`; an empty text if `path` leads nowhere."""
+    for step in path:
+        if isinstance(data, dict):
+            data = data.get(step, "")
+        elif isinstance(data, list) and isinstance(step, int) and step < len(data):
+            data = data[step]
+        else:
+            return ""
+    return data
+
+
 def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, str, str]:
-    """What to write into the text, and behind the mark, for the scanner to come further: an offset, a sign or none, the text behind."""
+    """The repair that lets the scanner continue: an offset, the character to put there (or none), and the text after the mark."""
     text, problem = reader.text, error.problem or ""
     stop = error.problem_mark.index if error.problem_mark else len(text)
     at = error.context_mark.index if error.context_mark else stop
@@ -82,23 +94,23 @@ def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, 
         return 0, "", text[at]
     if text.startswith((":", "-", "?"), stop):
         if "\n" in text[reader.since : stop]:
-            return reader.since, "#", behind  # keys below a value: the value is left out
+            return reader.since, "#", behind  # keys below a scalar: drop the scalar
         at = stop
     return (0, "", "") if at >= len(text) else (at, " " if text[at] == "\t" else "_", behind)
 
 
 def _ends_before(text: str, start: int) -> bool:
-    """Whether a later line is indented no further than that of `start`, so a value that begins there has ended."""
+    """Whether a later line is indented no further than the line of `start`, so that the value at `start` has ended."""
     line = text[text.rfind("\n", 0, start) + 1 :]
     indentation = len(line) - len(line.lstrip(" "))
     return re.compile(rf"\n {{0,{indentation}}}[^\s}}\]]").search(text, start) is not None
 
 
 class _Reader:
-    """Builds plain values from tokens until it comes to the mark.
+    """Builds plain values from tokens up to the mark.
 
-    `frames` are the open containers. The next value belongs into `slot`: a container, the key or index in it, None where
-    a key is due, and its path.
+    `frames` are the open containers. `slot` is the place of the next value: a container, the key or index in it (None if
+    a key comes next), and its path.
     """
 
     def __init__(self, text: str, offset: int) -> None:
@@ -107,7 +119,7 @@ class _Reader:
         self.root: dict[str, Any] = {"": ""}
         self.slot: tuple[Any, Any, Path] = (self.root, "", ())
         self.frames: list[tuple[Any, Any, Path]] = []
-        self.flows: list[int] = []  # where the open brackets stand
+        self.flows: list[int] = []  # the offsets of the open brackets
         self.flush: list[Any] = []  # lists in the column of their key, which have no tokens for beginning and end
         self.word = ""
         self.since, self.end = 0, 0  # of the last value

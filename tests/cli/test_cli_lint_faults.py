@@ -14,9 +14,8 @@ from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding, Source
 from deepbots_cli.lint.context import Context
 from deepbots_cli.lint.simulation import Simulation
-from deepbots_cli.lsp.analysing import analyse
-from deepbots_cli.lsp.diagnosing import diagnostics
-from deepbots_cli.lsp.documents import Document
+from deepbots_cli.lsp.diagnostics import diagnostics
+from deepbots_cli.lsp.workspace import Document, analyse
 
 
 def breaking(context: Context) -> Iterator[Finding]:

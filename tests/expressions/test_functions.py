@@ -94,7 +94,7 @@ def test_a_function_of_another_package_is_known_everywhere(tmp_path):
     explained = deepbots(tmp_path, "", "explain", "double").stdout
     assert "double(x)" in explained
     assert "Twice x." in explained
-    script = "from deepbots_cli.lsp.expressing import functions; from deepbots_cli.expressions.functions import Family; "
+    script = "from deepbots_cli.lsp.completion import functions; from deepbots_cli.expressions.functions import Family; "
     completed = deepbots(tmp_path, script + "print([choice[0] for choice in functions(frozenset(Family))])").stdout
     assert "'double('" in completed
     script = f"import sys; sys.path.insert(0, {str(ROOT / 'docs')!r}); import build_reference; print(build_reference._functions())"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from deepbots_cli.lsp.analysing import analyse
-from deepbots_cli.lsp.completing import completion
-from deepbots_cli.lsp.desk import Desk
-from deepbots_cli.lsp.documents import Document, uri_of
+from deepbots_cli.lsp.completion import completion
+from deepbots_cli.lsp.workspace import Document, Workspace, analyse, uri_of
 from tests.lsp.client import edited
 
 
@@ -271,23 +269,23 @@ scripts:
 )
 def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_value(tmp_path, changes, offered, not_offered):
     path = tmp_path / "a.yaml"
-    desk = Desk()
+    workspace = Workspace()
     known = Document(uri_of(path), 1, WHOLE, path)
-    desk.put(known)
-    desk.learn(analyse(known, desk.drafts))
+    workspace.put(known)
+    workspace.record(analyse(known, workspace.drafts))
     text = WHOLE
     for old, new in changes:
         assert text.count(old) == 1
         text = text.replace(old, new)
     written = Document(known.uri, 2, text.replace("¦", ""), path)
     position = written.lines.position(text.index("¦"))
-    desk.put(written)
-    before = completion(desk.view(known.uri, position))
+    workspace.put(written)
+    before = completion(workspace.view(known.uri, position))
     assert before.is_incomplete  # so that an editor asks again at the next letter
     assert offered <= labels(before)
     assert not labels(before) & not_offered
-    desk.learn(analyse(written, desk.drafts))
-    after = completion(desk.view(known.uri, position))
+    workspace.record(analyse(written, workspace.drafts))
+    after = completion(workspace.view(known.uri, position))
     assert not after.is_incomplete
     assert offered <= labels(after)
     assert not labels(after) & not_offered

@@ -15,16 +15,12 @@ import pytest
 from lsprotocol.types import Position, Range
 
 from deepbots_cli.errors import installing
-from deepbots_cli.lsp.analysing import analyse
-from deepbots_cli.lsp.completing import completion
-from deepbots_cli.lsp.defining import definitions
-from deepbots_cli.lsp.desk import Desk
-from deepbots_cli.lsp.diagnosing import diagnostics
-from deepbots_cli.lsp.documents import Document, uri_of
-from deepbots_cli.lsp.formatting import formatting
-from deepbots_cli.lsp.hovering import hover
-from deepbots_cli.lsp.mending import Actions
-from deepbots_cli.lsp.outlining import outline
+from deepbots_cli.lsp.code_actions import CodeActions, formatting
+from deepbots_cli.lsp.completion import completion
+from deepbots_cli.lsp.diagnostics import diagnostics
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.navigation import definitions, document_symbols
+from deepbots_cli.lsp.workspace import Document, Workspace, analyse, uri_of
 from tests.benchmarks.lsp_cost import heavy_imports
 from tests.few import few
 from tests.lsp.client import Client, position
@@ -35,48 +31,48 @@ STEP = 37
 ASKED_OF_A_PLACE = ("completion", "hover", "definition")
 
 
-def answer_all(desk: Desk, document: Document, position: Position) -> None:
+def answer_all(workspace: Workspace, document: Document, position: Position) -> None:
     """Every request at one place; nothing may be raised."""
-    view = desk.view(document.uri, position)
+    view = workspace.view(document.uri, position)
     for item in completion(view).items:
         assert item.text_edit.range.start.line == item.text_edit.range.end.line == view.document.lines.position(view.offset).line
     hover(view)
-    definitions(view, desk.open_uris)
-    Actions(desk, document, versioned=True).at(Range(position, position))
+    definitions(view, workspace.open_uris)
+    CodeActions(workspace, document, versioned=True).at(Range(position, position))
 
 
 @pytest.mark.parametrize("path", few(SCENARIOS, name=lambda path: path.stem))
 def test_a_scenario_cut_off_anywhere_is_answered_for(path):
-    text, uri, desk = path.read_text(encoding="utf-8"), uri_of(path), Desk()
+    text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
     whole = Document(uri, 1, text, path)
-    desk.put(whole)
-    desk.learn(analyse(whole, desk.drafts))
+    workspace.put(whole)
+    workspace.record(analyse(whole, workspace.drafts))
     for version, end in enumerate(range(0, len(text), STEP), 2):
         document = Document(uri, version, text[:end], path)
-        desk.put(document)
+        workspace.put(document)
         if version % 10 == 0:
-            diagnostics(analysis := analyse(document, desk.drafts), desk.open_uris)
-            desk.learn(analysis)
+            diagnostics(analysis := analyse(document, workspace.drafts), workspace.open_uris)
+            workspace.record(analysis)
             formatting(document)
-            outline(document)
-        answer_all(desk, document, document.lines.position(end))
+            document_symbols(document)
+        answer_all(workspace, document, document.lines.position(end))
 
 
 @pytest.mark.parametrize("seed", few(range(3), "0"))
 def test_a_scenario_with_random_slips_is_answered_for(seed):
     drawn = random.Random(seed)
     for path in drawn.sample(SCENARIOS, 5):
-        text, uri, desk = path.read_text(encoding="utf-8"), uri_of(path), Desk()
+        text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
         for version in range(1, 12):
             slips = list(text)
             for _ in range(version % 5):
                 slips.insert(drawn.randrange(len(slips)), drawn.choice("{}[],:\"'|>-# \n\t&*!%@x😀(.)"))
             document = Document(uri, version, "".join(slips), path)
-            desk.put(document)
+            workspace.put(document)
             if version % 3 == 1:
-                desk.learn(analyse(document, desk.drafts))
+                workspace.record(analyse(document, workspace.drafts))
             for _ in range(8):
-                answer_all(desk, document, document.lines.position(drawn.randrange(len(slips))))
+                answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
 
 
 @pytest.mark.parametrize("method", [*ASKED_OF_A_PLACE, "codeAction"])

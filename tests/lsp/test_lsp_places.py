@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lsprotocol.types import Position
+from pygls.workspace import PositionCodec
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Mapping, Scalar, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.lsp.cursor import place
-from deepbots_cli.lsp.positions import Lines
+from deepbots_cli.lsp.workspace import Lines
 from tests.few import every
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +30,7 @@ ENCODINGS = {"utf-8": 1, "utf-16": 2, "utf-32": 4}
 @given(TEXTS.filter(lambda text: not any("\ud800" <= letter <= "\udfff" for letter in text)), st.sampled_from(sorted(ENCODINGS)))
 @settings(max_examples=200, deadline=None)
 def test_each_offset_has_a_position_that_leads_back_to_it(text, encoding):
-    lines, mark = Lines(text, encoding), text.startswith("\ufeff")
+    lines, mark = Lines(text, PositionCodec(encoding)), text.startswith("\ufeff")
     for index in range(mark, len(text) + 1):
         if text[index - 1 : index + 1] == "\r\n":
             continue  # between the two there is no place

@@ -12,11 +12,9 @@ from typing import Any
 
 import pytest
 
-from deepbots_cli.lsp.analysing import Analysis, analyse
-from deepbots_cli.lsp.checking import Checker
-from deepbots_cli.lsp.desk import Desk
-from deepbots_cli.lsp.documents import Document, path_of
+from deepbots_cli.lsp.diagnostics import Checker
 from deepbots_cli.lsp.server import Server
+from deepbots_cli.lsp.workspace import Analysis, Document, Workspace, analyse, path_of
 from tests.few import few
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import Client
@@ -134,7 +132,7 @@ def damaged(text: str, drawn: random.Random) -> str:
 
 
 def test_what_is_written_in_is_looked_at_before_what_waits_already():
-    desk, looked = Desk(), []
+    workspace, looked = Workspace(), []
     documents = [Document(f"untitled:{name}", 1, "deepbots: 1\n", path_of(f"untitled:{name}")) for name in "abc"]
 
     def noted(document: Document, drafts: Any) -> Analysis:
@@ -143,11 +141,11 @@ def test_what_is_written_in_is_looked_at_before_what_waits_already():
 
     async def work() -> None:
         done = asyncio.Event()
-        checker = Checker(desk, noted, lambda uri, *_: done.set() if uri == documents[1].uri else None, lambda _: None)
+        checker = Checker(workspace, noted, lambda uri, *_: done.set() if uri == documents[1].uri else None, lambda _: None)
         for document in documents:
-            desk.put(document)
-        checker.want(*desk.documents)
-        checker.want(documents[2].uri)
+            workspace.put(document)
+        checker.schedule(*workspace.documents)
+        checker.schedule(documents[2].uri)
         await asyncio.wait_for(done.wait(), 30)
         checker.stop()
 

@@ -1,0 +1,516 @@
+"""Completion of keys, words, names, expressions and files, also in a document that is broken at the cursor.
+
+The schema gives keys and words by the path of the cursor. Names come from the last analysis that resolved them and from
+the current text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+from lsprotocol.types import CompletionItem, CompletionItemKind, CompletionList, MarkupContent, MarkupKind, TextEdit
+
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.inventory import definition, names
+from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.document import shipped
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.check import check
+from deepbots_cli.expressions.dimensions import UNITS, Unit
+from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Form, Param
+from deepbots_cli.expressions.types import Context, Kind, Scope, Type
+from deepbots_cli.lsp.cursor import value_at
+from deepbots_cli.lsp.hover import describe_function, describe_shape, describe_symbol, summary
+from deepbots_cli.lsp.lookup import ignore_finding, section_of, shapes_at
+from deepbots_cli.lsp.workspace import Analysis, View
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
+from deepbots_cli.scenario.docs import about_kind, example_of
+from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.fields import (
+    COLOURS,
+    MEASURES,
+    Color,
+    Column,
+    Expression,
+    FieldType,
+    FilePath,
+    Flag,
+    Pattern,
+    Quantity,
+    Range,
+    Reference,
+    Word,
+)
+from deepbots_cli.scenario.scenario import VERSION
+
+
+class Choice(NamedTuple):
+    """A completion: its text, what it is in a few words (`detail`), and its documentation in Markdown."""
+
+    text: str
+    kind: CompletionItemKind
+    detail: str
+    doc: str = ""
+
+
+_INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; what stands beside it is merged over it")
+_FILE_KEYS = {
+    "extends": "another scenario that this one changes",
+    "remove": "paths to take out of the extended scenario, such as `[observation.tip_speed]`",
+}
+_VERSION_LINE = Choice(f"deepbots: {VERSION}", CompletionItemKind.Keyword, "the first line of a scenario")
+_CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
+_COLON = re.compile(r"[\w]*[ \t]*:")
+
+
+def completion(view: View) -> CompletionList:
+    """All completions at the place; the client filters them by the text before the cursor.
+
+    The list is marked as incomplete until the current text is analysed, so that the client asks again at the next letter.
+    """
+    place = view.place
+    if view.document.is_blank:
+        items = [] if place.role == "aside" else [_item(view, _VERSION_LINE, place.start, f"{_VERSION_LINE.text}\n")]
+    elif place.role == "aside":
+        items = _codes(view)
+    elif place.role == "key":
+        items = [*_keys(view), *(_values(view) if place.path else ())]
+    else:
+        items = list(_values(view))
+    for index, item in enumerate(items):  # clients sort by the alphabet otherwise
+        item.sort_text = f"{index:04}"
+    return CompletionList(is_incomplete=not view.is_settled, items=items)
+
+
+# Keys
+
+
+def _keys(view: View) -> Iterator[CompletionItem]:
+    place, data = view.place, view.data
+    given = view.keys
+    colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
+    for choice in _unique(_key_choices(view, data)):
+        if choice.text not in given:
+            yield _item(view, choice, place.start, choice.text + colon)
+
+
+def _key_choices(view: View, data: Any) -> Iterator[Choice]:
+    path = view.place.path
+    for shape in shapes_at(path, data):
+        match shape:
+            case Kinds():
+                yield from _kind_keys(shape, value_at(data, path))
+                yield _INCLUDE
+            case MappingOf(key=key):
+                yield from _named(view, key, path)
+            case type():
+                yield from _section_keys(shape)
+                yield _INCLUDE
+    if not path:
+        yield from (Choice(word, CompletionItemKind.Keyword, doc) for word, doc in _FILE_KEYS.items())
+
+
+def _section_keys(section: type[Section]) -> Iterator[Choice]:
+    for key in fields(section):
+        yield Choice(key, CompletionItemKind.Property, summary(section, key), hover_text(section, key))
+
+
+def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
+    found = shape.find(data)
+    if found is not None:
+        yield from _section_keys(found)
+        return
+    yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
+    for mark, model in shape.marked.items():
+        yield Choice(mark, CompletionItemKind.Property, summary(model, mark), hover_text(model, mark))
+
+
+# Values
+
+
+def _values(view: View) -> Iterator[CompletionItem]:
+    place, data = view.place, view.data
+    words = list(_word_choices(view, data)) or [*_example(view, data)]
+    yield from (_item(view, choice, place.start) for choice in _unique(words))
+    for shape in shapes_at(place.path, data):
+        if isinstance(shape, FieldType) and _is_expression(shape):
+            start, is_called = view.offset - len(_word_before(place.text)), view.document.plain.startswith("(", view.offset)
+            for choice in _unique(_expression_items(view, shape, data)):
+                yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
+            return
+
+
+def _expression_items(view: View, field: FieldType, data: Any) -> Iterator[Choice]:
+    """What may come next in an expression, including names in the text that no analysis knows yet."""
+    path, text = view.place.path, view.place.text
+    if _expects_unit(text):
+        yield from _units(text, field)
+        return
+    scope = _scope_of(view.analysis, field, path) if view.analysis else None
+    if scope is not None and view.checked is not None:
+        known = _expression_choices(text, scope, view.checked)
+        yield from (choice for choice in known if not _defines(path, choice.text))
+    kind = _expected_kind(text, field)
+    for name in _names_in_text(kind, path, data):
+        if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
+            yield Choice(name, CompletionItemKind.Variable, "")
+    if scope is None and kind != _BODY:
+        yield from functions(frozenset(Family))
+
+
+def _example(view: View, data: Any) -> Iterator[Choice]:
+    """The documented example of the key at the cursor, for values without a vocabulary."""
+    path = view.place.path
+    section = section_of(path, data) if not view.place.text.strip() else None
+    found = example_of(section, str(path[-1])) if section is not None else None
+    if found is not None and "\n" not in found.text:
+        yield Choice(found.text, CompletionItemKind.Value, "an example")
+
+
+def _word_choices(view: View, data: Any) -> Iterator[Choice]:
+    path = view.place.path
+    for shape in shapes_at(path[:-1], data) if path else ():
+        if isinstance(shape, Kinds) and shape.key == path[-1]:
+            yield from (Choice(word, CompletionItemKind.EnumMember, shape.key, about_kind(shape, word)) for word in shape.names)
+    if path and path[-1] in ("include", "extends"):
+        yield from _files(view, (".yaml", ".yml"))
+    for shape in shapes_at(path, data):
+        if isinstance(shape, FieldType):
+            yield from _field_choices(view, shape, path)
+
+
+def _field_choices(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
+    match field:
+        case Word(words=words):
+            yield from _words(words, "a word of the language")
+        case Flag():
+            yield from _words(("true", "false"), "a switch")
+        case Color():
+            yield from (Choice(word, CompletionItemKind.Color, "a colour") for word in COLOURS)
+        case Reference() | Pattern():
+            yield from _named(view, field, path)
+        case FilePath(kind=kind):
+            yield from _files(view, _SUFFIXES.get(kind, ()), robots=kind == "robot file")
+        case Range(auto=True):
+            yield Choice("auto", CompletionItemKind.Keyword, "the range that is known")
+        case Quantity(words=words, urdf=urdf):
+            yield from _words((*words, *(("urdf",) if urdf else ())), "a word of the language")
+        case FieldType(example=str() as example) if not _is_expression(field):
+            yield Choice(example, CompletionItemKind.Value, describe_shape(field))
+
+
+_SUFFIXES = {"robot file": (".urdf",), "mesh file": (".obj", ".stl", ".dae"), "picture": (".png",)}
+
+
+def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
+    return (Choice(word, CompletionItemKind.EnumMember, detail) for word in words)
+
+
+def _named(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
+    """The names that a reference may take."""
+    if isinstance(field, (Reference, Pattern)):
+        known = names(view.checked, field.kind, path) if view.checked is not None else ()
+        yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in known)
+        yield from (Choice(name, CompletionItemKind.Reference, field.kind) for name in _names_in_text(field.kind, path, view.data))
+
+
+# Comments
+
+
+def _codes(view: View) -> list[CompletionItem]:
+    """The warnings that a comment may suppress."""
+    found = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
+    if found is None:
+        return []
+    warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "linting")
+    start = view.offset - len(found[1])
+    return [_item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start) for rule in warnings]
+
+
+# Items
+
+
+def _unique(found: Iterable[Choice]) -> Iterable[Choice]:
+    first: dict[str, Choice] = {}
+    for choice in found:
+        first.setdefault(choice.text, choice)
+    return first.values()
+
+
+def _item(view: View, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
+    before = view.document.plain[: view.offset]
+    start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))  # the protocol wants the edit on one line
+    span = view.document.lines.range(start, view.offset)
+    return CompletionItem(
+        label=choice.text,
+        kind=choice.kind,
+        detail=choice.detail or None,
+        documentation=MarkupContent(MarkupKind.Markdown, choice.doc) if choice.doc else None,
+        text_edit=TextEdit(span, text or choice.text),
+        filter_text=choice.text,
+    )
+
+
+# Expressions
+
+_WORD = re.compile(r"[A-Za-z_][\w.]*$")
+_AFTER_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
+_GRAMMAR = {
+    "when": "`a when c`: a where the condition holds, else 0",
+    "and": "both conditions hold",
+    "or": "one of the conditions holds",
+    "not": "the condition does not hold",
+    "true": "always holds",
+    "false": "never holds",
+}
+_REPEATS = {"every": "draws anew each so often: `uniform(0 .. 1) every 5 s`", "each step": "draws anew in every step"}
+_CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
+_ROBOT_CONTEXTS = ("emit", "apply")
+_BODY = "body or link"
+_MAX_NAMES = 1000
+_MAX_LOOKBACK = 2000
+"""How many characters before the cursor are searched for an open bracket."""
+
+
+def _is_expression(field: FieldType) -> bool:
+    return isinstance(field, (Expression, Quantity, Range, Column))
+
+
+def _scope_of(analysis: Analysis, field: FieldType, path: Path) -> Scope | None:
+    """The scope of an expression at `path` in a field of this type."""
+    checked = analysis.checked
+    if checked is None or checked.namespace is None:
+        return None
+    if not isinstance(field, Expression):
+        drawn = isinstance(field, Quantity) and field.stage != "fixed"
+        return ParameterScope(checked.namespace, Context.FIELD if drawn else Context.FIXED)
+    if field.context in _CONTEXTS:
+        return ParameterScope(checked.namespace, _CONTEXTS[field.context])
+    context = Context[field.context.upper()]
+    if field.context not in _ROBOT_CONTEXTS:
+        return SupervisorScope(checked.namespace, context)
+    robot = str(path[1]) if len(path) > 1 else ""
+    known = [reading.scope for reading in analysis.readings if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot]
+    same = next((scope for scope in known if scope.context is context), known[0] if known else None)
+    return RobotScope(checked.namespace, context, robot, dict(same.own) if same else {})
+
+
+def _word_before(text: str) -> str:
+    """The name at the end of `text`, or an empty text."""
+    found = _WORD.search(text)
+    return found.group() if found else ""
+
+
+def _expects_unit(text: str) -> bool:
+    """Whether `text` ends in a number, or in a unit followed by `*` or `/`."""
+    word = _word_before(text)
+    return "." not in word and _AFTER_NUMBER.search(text[: len(text) - len(word)]) is not None
+
+
+def _expected_kind(text: str, field: FieldType) -> str:
+    """The kind of name that may end `text`: a kind of `_names_in_text`."""
+    word = _word_before(text)
+    if _expected_parts(text[: len(text) - len(word)]) is not None:
+        return _BODY
+    if not isinstance(field, Expression) or field.context in _CONTEXTS:
+        return "setting"
+    return "value on board" if field.context in _ROBOT_CONTEXTS else "value"
+
+
+def _expression_choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
+    """What may replace the name at the end of `text`, except units."""
+    word = _word_before(text)
+    before = text[: len(text) - len(word)]
+    kinds = _expected_parts(before)
+    if kinds is not None:
+        yield from _parts(scope, kinds)
+        return
+    if before.endswith(")."):
+        yield from _components_of_call(before[:-1], scope)
+        return
+    if "." in word:
+        yield from _components(word.rpartition(".")[0], scope)
+    yield from _names(scope, checked)
+    yield from functions(ALLOWED[scope.context])
+    for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
+        yield Choice(word, CompletionItemKind.Keyword, "", doc)
+
+
+def _units(text: str, field: FieldType) -> Iterator[Choice]:
+    """All units, starting with those of the field's dimension, and the keywords that may follow a number.
+
+    After `*` or `/` only single units follow, not compound ones such as `N*m`.
+    """
+    goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
+    wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
+    if not goes_on:
+        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
+    dimensions = [unit.dimension for unit in wanted]
+    for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
+        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
+    if isinstance(field, Expression) and not goes_on:
+        yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
+
+
+def _measures(field: FieldType) -> list[str]:
+    if not isinstance(field, (Quantity, Range, Column)):
+        return []
+    return [measure for measure in (field.dimension, *field.dimension.split(" or ")) if measure in MEASURES and measure != "any"]
+
+
+def _unit(measure: str) -> Unit | None:
+    """The unit of the example of a measure."""
+    tree = parser.parse(MEASURES[measure][1], ignore_finding)
+    return tree.unit if isinstance(tree, syntax.Number) else None
+
+
+def functions(families: frozenset[Family]) -> Iterator[Choice]:
+    """The functions of these families."""
+    for function in FUNCTIONS.values():
+        if function.family in families:
+            yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, describe_function(function))
+
+
+def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
+    robot = scope.robot if isinstance(scope, RobotScope) else None
+    for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
+        symbol = scope.lookup(name)
+        if symbol is not None and symbol.refused is None:
+            found = definition(checked, name, robot)
+            yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.what if found else "built in")
+
+
+def _components(name: str, scope: Scope) -> Iterator[Choice]:
+    """The components of a named vector, such as `name.x`."""
+    symbol = scope.lookup(name)
+    return _component_choices(symbol.type if symbol else None, f"{name}.")
+
+
+def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
+    """The components of the vector that the call at the end of the text returns, such as `x`."""
+    depth = 0
+    for index in range(len(text) - 1, max(-1, len(text) - _MAX_LOOKBACK), -1):
+        depth += {")": 1, "(": -1}.get(text[index], 0)
+        if depth == 0:
+            break
+    begin = index - len(_word_before(text[:index]))
+    tree = parser.parse(text[begin:], ignore_finding)
+    known = check(tree, scope, ignore_finding) if tree is not None else None
+    return _component_choices(known.type if known else None, "")
+
+
+def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
+    """Each component of a vector, and `xy` for a vector in space."""
+    components = (vector and vector.components) or ()
+    for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
+        words = vector._replace(components=None).words if vector else ""
+        yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
+
+
+def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
+    for name in list(dict.fromkeys((*scope.subjects(), "ground")))[:_MAX_NAMES]:
+        subject = scope.subject(name, kinds)
+        if subject is not None and subject.kind in kinds:
+            yield Choice(name, CompletionItemKind.Reference, subject.kind.words)
+
+
+def _expected_parts(before: str) -> frozenset[Kind] | None:
+    """The kinds of parts that the argument at the end of the text may name; None for a value or outside of a call."""
+    called = _open_call(before)
+    if called is None:
+        return None
+    name, index = called
+    function = FUNCTIONS.get(name)
+    params: tuple[Param, ...] = function.params if function is not None else ()
+    if not params or (function is not None and function.family is Family.DRAW):
+        return None
+    param = params[min(index, len(params) - 1)]
+    return param.kinds if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/")) else None
+
+
+def _open_call(before: str) -> tuple[str, int] | None:
+    """The innermost open call at the end of the text: its function and the index of the argument."""
+    depth = commas = 0
+    for index in range(len(before) - 1, max(-1, len(before) - _MAX_LOOKBACK), -1):
+        sign = before[index]
+        if sign == ")":
+            depth += 1
+        elif sign == "," and depth == 0:
+            commas += 1
+        elif sign == "(" and depth:
+            depth -= 1
+        elif sign == "(":
+            found = _WORD.search(before[:index])
+            return (found.group(), commas) if found else None
+    return None
+
+
+# Names in the text, whether or not an analysis knows them
+
+_SECTIONS: dict[str, tuple[Path, ...]] = {
+    "action": (("action",),),
+    "layout": (("reset", "layouts"),),
+    "robot": (("robots",),),
+    "body": (("robots",), ("objects",)),
+    "body or link": (("robots",), ("objects",)),
+    "bodies or links": (("robots",), ("objects",)),
+    "line": (("world", "lines"),),
+    "value on board": (("parameters",), ("action",)),
+    "setting": (("parameters",),),
+    "parameter or signal": (("parameters",), ("signals",)),
+    "value": (("parameters",), ("augment",), ("signals",)),
+}
+"""The mappings whose keys are the names of each kind."""
+_ROBOT_SECTIONS = {"sensor": ("sensors",), "actuator": ("actuators",), "value on board": ("sensors", "receive")}
+
+
+def _names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
+    """The names in `data` that a reference of this kind may name at `path`."""
+    for section in _sections(kind, path):
+        found = value_at(data, section)
+        yield from (name for name in found if not _defines(path, name)) if isinstance(found, dict) else ()
+    robots = value_at(data, ("robots",)) if kind == "value" else ""
+    for robot in robots if isinstance(robots, dict) else ():
+        sent = value_at(data, ("robots", robot, "emit"))
+        yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
+
+
+def _defines(path: Path, name: str) -> bool:
+    """Whether `path` is the definition of the name, which cannot refer to itself."""
+    return path[:-1] in _SECTIONS["value"] and path[-1] == name
+
+
+def _sections(kind: str, path: Path) -> tuple[Path, ...]:
+    if kind in ("choice", "option"):
+        named = path[2:3] if path[:1] == ("scripts",) else path[1:2]
+        return (("action", *named, "choices"),) if named else ()
+    robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
+    own = tuple((*robot, section) for section in _ROBOT_SECTIONS.get(kind, ())) if robot else ()
+    return (*own, *_SECTIONS.get(kind, ()))
+
+
+# Files
+
+_MAX_FILES = 300
+
+
+def _files(view: View, suffixes: tuple[str, ...], *, robots: bool = False) -> Iterator[Choice]:
+    """The files and folders that may continue the path at the cursor."""
+    folder, slash, _ = view.place.text.rpartition("/")
+    if robots and not slash:
+        yield from (Choice(name, CompletionItemKind.Module, "a robot that comes with deepbots") for name in shipped.robot_names())
+    try:
+        root = (view.document.path.parent / f"{folder}{slash}".replace("\0", "")).resolve()
+        paths = sorted(root.iterdir())[:_MAX_FILES] if any(root.is_relative_to(allowed) for allowed in view.roots) else []
+    except (OSError, RuntimeError, ValueError):
+        return
+    for path in paths:
+        name = f"{folder}{slash}{path.name}"
+        if path.suffix in suffixes and path != view.document.path:
+            yield Choice(name, CompletionItemKind.File, "a file")
+        elif path.is_dir() and not path.name.startswith("."):
+            yield Choice(f"{name}/", CompletionItemKind.Folder, "a folder")

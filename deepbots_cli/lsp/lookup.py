@@ -1,0 +1,226 @@
+"""What the schema allows at a path of a scenario, and the expression, key or value under the cursor."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from deepbots_cli.compiler.namespace import RobotScope
+from deepbots_cli.compiler.values import Reading, Text
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.check import check
+from deepbots_cli.expressions.functions import FUNCTIONS, Form
+from deepbots_cli.expressions.types import Kind, Type, Typed, children
+from deepbots_cli.lsp.cursor import value_at
+from deepbots_cli.lsp.workspace import View
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
+from deepbots_cli.scenario.fields import FieldType, Reference
+from deepbots_cli.scenario.scenario import Scenario
+
+_OPTION = Reference("option")
+
+
+def shapes_at(path: Path, data: Any) -> list[Shape]:
+    """Every shape that the schema allows at `path`; several while the data does not decide between the forms of a value."""
+    found = list(dict.fromkeys(_shapes(Scenario, data, path)))
+    # A rule of a script gives an expression or an option of the action; the schema cannot tell the two apart.
+    return [_OPTION, *found] if path[:1] == ("scripts",) and len(path) == 3 else found
+
+
+def field_types_at(path: Path, data: Any) -> list[FieldType]:
+    """The field types that the schema allows at `path`."""
+    return [shape for shape in shapes_at(path, data) if isinstance(shape, FieldType)]
+
+
+def section_of(path: Path, data: Any) -> type[Section] | None:
+    """The section that defines the last key of `path`; None for a name that the user chose."""
+    if not path or not isinstance(path[-1], str):
+        return None
+    for shape in shapes_at(path[:-1], data):
+        for section in _sections(shape, value_at(data, path[:-1])):
+            if path[-1] in fields(section):
+                return section
+    return None
+
+
+def _shapes(shape: Shape, data: Any, path: Path) -> Iterator[Shape]:
+    if isinstance(shape, Forms):
+        for option in _forms(shape, data, bool(path)):
+            yield from _shapes(option, data, path)
+        return
+    if not path:
+        yield shape
+        return
+    step, rest = path[0], path[1:]
+    below = value_at(data, (step,))
+    match shape:
+        case ListOf() if isinstance(step, int):
+            yield from _shapes(shape.item, below, rest)
+        case MappingOf() if isinstance(step, str):
+            yield from _shapes(shape.value, below, rest)
+        case FieldType() if isinstance(step, int) and not rest:
+            yield shape  # a list of names is one value
+        case FieldType() | ListOf() | MappingOf():
+            return
+        case _:
+            for section in _sections(shape, data):
+                if step in fields(section):
+                    yield from _shapes(fields(section)[str(step)], below, rest)
+
+
+def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
+    """The form that the data chooses, or all forms while the data decides nothing."""
+    if isinstance(data, (dict, list)) and data:
+        chosen = shape.choose(data)
+        if chosen is not None:
+            return (chosen,)
+    if isinstance(data, str) and data and not goes_on:
+        return tuple(option for option in shape.options if isinstance(option, FieldType)) or shape.options
+    return shape.options
+
+
+def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
+    """The sections whose keys data of this shape may hold."""
+    if isinstance(shape, Kinds):
+        found = shape.find(data)
+        return (found,) if found else shape.every
+    return (shape,) if isinstance(shape, type) else ()
+
+
+_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
+_COLON = re.compile(r"[\"']?[ \t]*:")
+_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
+
+
+class ExpressionNode(NamedTuple):
+    """A node of an expression's syntax tree.
+
+    `cursor` is the cursor's offset in the text of the expression. `kinds` is given if the node names a part of the world.
+    """
+
+    reading: Reading
+    cursor: int
+    node: syntax.Node
+    kinds: frozenset[Kind] | None = None
+
+    @property
+    def name(self) -> str | None:
+        """The dotted name under the cursor, up to the word under the cursor."""
+        if not isinstance(self.node, syntax.Name):
+            return None
+        end = self.node.start
+        text = self.reading.text.text
+        for word in self.node.parts:
+            end = text.index(word, end) + len(word)
+            if self.cursor <= end:
+                break
+        return "".join(text[self.node.start : end].split())
+
+    @property
+    def robot(self) -> str | None:
+        """The robot that computes the expression; None for the supervisor."""
+        return self.reading.scope.robot if isinstance(self.reading.scope, RobotScope) else None
+
+    @property
+    def type(self) -> Type | None:
+        """The type of the node's value."""
+        for tree in self.reading.trees:
+            for node in _below(tree):
+                if (node.start, node.end) == (self.node.start, self.node.end):
+                    return node.type
+        if isinstance(self.node, (syntax.Range, syntax.Spread, syntax.Options)):
+            return None
+        typed = check(self.node, self.reading.scope, ignore_finding)
+        return typed.type if typed else None
+
+
+class KeyOrValue(NamedTuple):
+    """A key or a value at a path of the scenario; `start` and `end` are offsets in the current text."""
+
+    path: Path
+    text: str
+    start: int
+    end: int
+    is_key: bool
+
+
+def expression_at(view: View) -> ExpressionNode | None:
+    """The innermost node of the expression under the cursor."""
+    if view.analysis is None or view.source is None or view.known_offset is None:
+        return None
+    found = [(size, reading) for reading in view.analysis.readings if (size := _size_around(view, reading)) is not None]
+    if not found:
+        return None
+    reading = min(found, key=lambda one: one[0])[1]
+    index = _index(reading.text, view.known_offset)
+    text = reading.text.text
+    tree = parser.parse(text, ignore_finding)
+    if tree is None or not tree.start <= index <= tree.end or "#" in text[text.rfind("\n", 0, index) + 1 : index]:  # a comment
+        return None
+    return _innermost(ExpressionNode(reading, index, tree))
+
+
+def key_or_value_at(view: View) -> KeyOrValue | None:
+    """The key or the single value under the cursor."""
+    place, text = view.place, view.document.plain
+    if place.role == "aside":
+        return None
+    if place.role == "key":
+        end = _end(_KEY, text, view.offset)
+        again = view.place_at(end)
+        word = text[again.start : end]
+        is_key = _COLON.match(text, end) is not None  # otherwise it may be a value on its own line
+        return KeyOrValue((*again.path, word) if is_key else again.path, word, again.start, end, is_key)
+    end = _end(_VALUE, text, view.offset)
+    return KeyOrValue(place.path, text[place.start : end].strip("\"'"), place.start, end, is_key=False)
+
+
+def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
+    found = pattern.match(text, start)
+    return found.end() if found else start
+
+
+def _size_around(view: View, reading: Reading) -> int | None:
+    """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in the file."""
+    text, then = reading.text, view.known_offset
+    first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
+    if first.source is not view.source or then is None or not first.start <= then <= last.end:
+        return None
+    is_default = first == last and first.end - first.start > 1
+    return None if is_default else last.end - first.start
+
+
+def _index(text: Text, offset: int) -> int:
+    """The index in `text` of the character at an offset of its file."""
+    return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
+
+
+def _innermost(outer: ExpressionNode) -> ExpressionNode:
+    """The smallest node that holds the cursor; the end of a name belongs to the name."""
+    node, index = outer.node, outer.cursor
+    if isinstance(node, syntax.Call) and index <= node.name_end:
+        return outer
+    for child, kinds in _inside(node):
+        if child.start <= index <= child.end and not (child.start == index and isinstance(child, syntax.Binary)):
+            return _innermost(outer._replace(node=child, kinds=kinds))
+    return outer
+
+
+def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
+    """The child nodes, with the allowed kinds for arguments that name a part of the world."""
+    function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
+    for index, child in enumerate(syntax.children(node)):
+        param = function.params[min(index, len(function.params) - 1)] if function and function.params else None
+        yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
+
+
+def _below(tree: Typed) -> Iterator[Typed]:
+    yield tree
+    for child in children(tree):
+        yield from _below(child)
+
+
+def ignore_finding(*_finding: object, **_more: object) -> None:
+    """Discard findings; the analysis reports them."""

@@ -1,0 +1,400 @@
+"""The open documents, positions in them, their analyses, and the view of a place that requests are answered from.
+
+The protocol counts lines and columns from 0. Columns count UTF-16 units unless client and server agree on another
+encoding; findings count code points. Lines end in `\\n`, `\\r\\n` or `\\r`.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+from lsprotocol import types
+from pygls import uris
+from pygls.workspace import PositionCodec
+
+from deepbots_cli.compiler import Checked, check
+from deepbots_cli.compiler.values import Reading
+from deepbots_cli.diagnostics import Finding, Findings, Source, Span
+from deepbots_cli.diagnostics.suppress import Selection
+from deepbots_cli.document import Mapping, descend, files, load, to_data
+from deepbots_cli.document.files import project_root
+from deepbots_cli.document.load import Drafts
+from deepbots_cli.document.nodes import Node
+from deepbots_cli.document.nodes import Path as KeyPath
+from deepbots_cli.document.parse import parse
+from deepbots_cli.errors import UsageError
+from deepbots_cli.lint import review
+from deepbots_cli.lint.settings import Settings, is_scenario, settings
+from deepbots_cli.lsp.cursor import Place, place, value_at
+
+_LINE_END = re.compile(r"\r\n|\n|\r")
+_BOM = "\ufeff"
+_UTF_16 = PositionCodec()
+
+
+class Lines:
+    """Converts between offsets in a text and positions of the protocol, whose columns count units of the client's encoding.
+
+    A byte order mark takes a column, but offsets start after it, as in a `Source`.
+    """
+
+    def __init__(self, text: str, codec: PositionCodec = _UTF_16) -> None:
+        self._text = text
+        self._codec = codec
+        self._mark = len(_BOM) if text.startswith(_BOM) else 0
+        ends = list(_LINE_END.finditer(text))
+        self._starts = [0, *(end.end() for end in ends)]
+        self._ends = [*(end.start() for end in ends), len(text)]
+
+    def position(self, offset: int) -> types.Position:
+        """The position of the character at `offset`; an offset beyond the text gives the end of the text."""
+        index = min(max(0, offset) + self._mark, len(self._text))
+        line = bisect_right(self._starts, index) - 1
+        before = self._text[self._starts[line] : index]
+        return types.Position(line, len(before) if before.isascii() else self._codec.client_num_units(before))
+
+    def range(self, start: int, end: int) -> types.Range:
+        return types.Range(self.position(start), self.position(end))
+
+    def offset(self, position: types.Position) -> int:
+        """The offset of a position.
+
+        A position beyond a line or the text gives its end, a position inside a character the start of that character.
+        """
+        if position.line >= len(self._starts):
+            return len(self._text) - self._mark
+        line = max(0, position.line)
+        start, text = self._starts[line], self._text[self._starts[line] : self._ends[line]]
+        column = min(max(0, position.character), len(text))
+        if not text.isascii():
+            column = bisect_right(list(accumulate(map(self._codec.client_num_units, text))), max(0, position.character))
+        return max(0, start + column - self._mark)
+
+
+_BLANK = re.compile(r"\ufeff?(?:[ \t\r]*(?:#[^\n]*)?\n)*+[a-z]*\s*")
+_NAMELESS = "<untitled {:08x}>"
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """One version of an open file; `path` is its file, which need not exist."""
+
+    uri: str
+    version: int
+    text: str
+    path: Path
+    codec: PositionCodec = _UTF_16
+
+    @cached_property
+    def lines(self) -> Lines:
+        return Lines(self.text, self.codec)
+
+    @property
+    def plain(self) -> str:
+        """The text without a byte order mark; offsets count in this text."""
+        return self.text.removeprefix("\ufeff")
+
+    @cached_property
+    def is_scenario(self) -> bool:
+        """Whether this is a scenario rather than a file that scenarios include."""
+        return is_scenario(self.bytes)
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether the document holds only comments and at most the beginning of one word."""
+        return _BLANK.fullmatch(self.text) is not None
+
+    @cached_property
+    def bytes(self) -> bytes:
+        return self.text.encode("utf-8", "surrogatepass")
+
+    def read(self) -> tuple[Source, Node | None, Findings]:
+        """The source, the parsed tree (None if the text is not readable) and the findings of the parser."""
+        findings = Findings()
+        source, readable = files.decode(self.bytes, str(self.path), findings)
+        return source, parse(source, findings) if readable else None, findings
+
+
+def path_of(uri: str) -> Path:
+    """The file of a URI. A URI without a file gets a unique name in the working directory."""
+    nameless = _NAMELESS.format(crc32(uri.encode("utf-8", "surrogatepass")))
+    named = uris.to_fs_path(uri) if uri.startswith("file:") else None
+    try:
+        return Path(named or nameless).resolve()
+    except (OSError, ValueError, RuntimeError):  # no name that a file can have
+        return Path(nameless).absolute()
+
+
+def uri_of(path: Path) -> str:
+    return str(uris.from_fs_path(str(path)))
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """The result of compiling and linting one version of a document.
+
+    `drafts` holds the open files at that time by path. `checked` is None for an included file and for unreadable files.
+    `selection` decides which findings the project wants; `settings_error` describes a fault in the project's settings.
+    """
+
+    document: Document
+    drafts: Drafts
+    findings: tuple[Finding, ...] = ()
+    checked: Checked | None = None
+    settings_error: str | None = None
+    selection: Selection = field(default_factory=Selection)
+
+    @property
+    def is_resolved(self) -> bool:
+        """Whether the compiler resolved the names of the scenario."""
+        return self.checked is not None and self.checked.namespace is not None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all robots were read; a finding in a robot removes its names from the namespace."""
+        known = self.checked.namespace if self.checked else None
+        return known is not None and None not in known.robots.values()
+
+    @cached_property
+    def data(self) -> Any:
+        """The scenario as plain values, with everything it extends and includes."""
+        return to_data(self.checked.document.root) if self.checked and self.checked.document.root else {}
+
+    @cached_property
+    def paths(self) -> dict[Source, Path]:
+        """The files that the analysis read."""
+        if self.checked is None:
+            return {}
+        scenes = (self.checked.robots or {}).values()
+        return {source: path for path, source in self.checked.document.files.items()} | {scene.file.source: scene.path for scene in scenes}
+
+    def path(self, source: Source) -> Path:
+        """The file of a source. A file that could not be read is found by its name."""
+        return self.paths.get(source) or Path(source.name).absolute()
+
+    def source(self, path: Path) -> Source | None:
+        """The text that the analysis read from a file."""
+        return next((source for source, read in self.paths.items() if read == path), None)
+
+    @cached_property
+    def readings(self) -> tuple[Reading, ...]:
+        """Every expression of the scenario; expressions of cases and stages come last."""
+        if self.checked is None:
+            return ()
+        each = (self.checked, *self.checked.variants)
+        return tuple(reading for one in each if one.namespace is not None for reading in one.namespace.values.readings)
+
+
+def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] = (), allow_code: bool = False) -> Analysis:
+    """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of `deepbots lint`."""
+    if not document.is_scenario:
+        return Analysis(document, drafts)  # scenarios that include the file report its findings
+    settings_error = None
+    try:
+        project = settings(document.path.parent)
+    except UsageError as error:
+        project, settings_error = Settings(document.path.parent), str(error)
+    preview = bool(project.preview)
+    try:
+        selection = Selection(project.select, project.ignore, preview=preview)
+    except UsageError as error:
+        selection, settings_error = Selection(preview=preview), str(error)
+    try:
+        read = load(document.path, display=str(document.path), allow_paths=allow_paths, drafts={**drafts, document.path: document.bytes})
+    except UsageError:  # a folder, or a name that no file can have
+        return Analysis(document, drafts)
+    checked = check(replace(read, allow_code=allow_code))
+    found = review(checked, preview=preview)
+    wanted = (*selection.inactive_rules(), *filter(selection.wants, found))
+    return Analysis(document, drafts, wanted, checked, settings_error, selection)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A place in the current text of a document, and the last analysis that resolved the names of its scenario, if any.
+
+    `source` is the text of the document in that analysis. `known_offset` is the offset of the place in `source`, None if
+    the place was typed later. `is_settled` says that an analysis of the current text exists.
+    """
+
+    document: Document
+    offset: int
+    analysis: Analysis | None
+    source: Source | None
+    known_offset: int | None
+    is_settled: bool
+
+    @property
+    def checked(self) -> Checked | None:
+        return self.analysis.checked if self.analysis else None
+
+    @cached_property
+    def place(self) -> Place:
+        """The key or value under the cursor; its path starts at the root of the scenario, also in an included file."""
+        return self.place_at(self.offset)
+
+    def place_at(self, offset: int) -> Place:
+        found = place(self.document.plain, offset)
+        return found._replace(path=(*self._prefix, *found.path), data=_nested(found.data, self._prefix))
+
+    @property
+    def data(self) -> Any:
+        """The scenario of the last analysis as plain values, updated with the text before the place."""
+        return _merged(self.analysis.data, self.place.data) if self.analysis else self.place.data
+
+    @property
+    def keys(self) -> set[str]:
+        """The other keys of the mapping at the place that this document holds."""
+        before = value_at(self.place.data, self.place.path)
+        given = set(before) if isinstance(before, dict) else set()
+        if self.checked is not None and self.checked.document.root is not None:
+            node, _, steps = descend(self.checked.document.root, self.place.path)
+            if steps == len(self.place.path) and isinstance(node, Mapping):
+                given |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
+        return given
+
+    @property
+    def roots(self) -> tuple[Path, ...]:
+        """The folders from which the scenario may read files."""
+        return self.checked.document.roots if self.checked else (project_root(self.document.path.parent),)
+
+    def _is_elsewhere(self, span: Span) -> bool:
+        """Whether the current text still holds the span of the analysis, outside the cursor."""
+        if span.source is not self.source:
+            return False
+        now = self.document.plain
+        end = _map_offset(span.end, span.source.text, now)
+        start = (end or 0) - len(span.text)
+        return end is not None and now[max(0, start) : end] == span.text and not start <= self.offset <= end
+
+    @cached_property
+    def _prefix(self) -> KeyPath:
+        """The path in the scenario at which an included document is merged."""
+        if self.document.is_scenario or self.source is None or self.checked is None:
+            return ()
+        return _include_path(self.checked.document.root, self.source)
+
+
+class Workspace:
+    """The open documents by URI, the last analysis of each, and the last analysis that resolved its names."""
+
+    def __init__(self) -> None:
+        self.documents: dict[str, Document] = {}
+        self.latest: dict[str, Analysis] = {}
+        self._resolved: dict[str, Analysis] = {}
+
+    def put(self, document: Document) -> None:
+        self.documents[document.uri] = document
+
+    def remove(self, uri: str) -> None:
+        for table in (self.documents, self.latest, self._resolved):
+            table.pop(uri, None)
+
+    def record(self, analysis: Analysis) -> None:
+        """Keep an analysis if its document is still open."""
+        uri = analysis.document.uri
+        if uri in self.documents:
+            self.latest[uri] = analysis
+            before = self._resolved.get(uri)
+            if analysis.is_resolved and (analysis.is_complete or before is None or not before.is_complete):
+                self._resolved[uri] = analysis
+
+    @property
+    def drafts(self) -> Drafts:
+        return {document.path: document.bytes for document in self.documents.values()}
+
+    @property
+    def by_path(self) -> dict[Path, Document]:
+        return {document.path: document for document in self.documents.values()}
+
+    @property
+    def open_uris(self) -> dict[Path, str]:
+        """The client's URI of each open file, by path."""
+        return {document.path: uri for uri, document in self.documents.items()}
+
+    def document(self, uri: str) -> Document | None:
+        """The open document of a URI if it is a scenario, included by one, or blank; editors send every YAML file."""
+        document = self.documents.get(uri)
+        if document is None or document.is_scenario or document.is_blank:
+            return document
+        known = (*self.latest.values(), *self._resolved.values())
+        return document if any(one.checked and document.path in one.checked.document.files for one in known) else None
+
+    def dependents(self, document: Document) -> list[str]:
+        """The URIs of the other open documents that read this one."""
+        return [uri for uri, known in self.latest.items() if uri != document.uri and document.path in known.paths.values()]
+
+    def analyses_of(self, document: Document) -> Iterable[tuple[Analysis, Source]]:
+        """The analyses that read this version of the document."""
+        for analysis in self.latest.values():
+            source = analysis.source(document.path)
+            if source is not None and source.text == document.plain:
+                yield analysis, source
+
+    def view(self, uri: str, position: types.Position) -> View | None:
+        """The view of a position; None if the document is not open or not part of a scenario."""
+        document = self.document(uri)
+        if document is None:
+            return None
+        offset = document.lines.offset(position)
+        analysis = self._resolved.get(uri) or next((known for known in self._resolved.values() if known.source(document.path)), None)
+        source = analysis.source(document.path) if analysis else None
+        known_offset = None if source is None else _map_offset(offset, document.plain, source.text)
+        return View(document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document)))
+
+
+def _map_offset(offset: int, now: str, then: str) -> int | None:
+    """The offset in `then`, an earlier version of the text, for an offset in `now`; None for text that is new.
+
+    Offsets before and after the changed region map directly. Within it, a line maps if `then` holds it exactly once.
+    """
+    if now == then:
+        return offset
+    same = common_prefix(now, then)
+    if offset <= same:
+        return offset
+    tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - same)
+    if offset >= len(now) - tail:
+        return offset - len(now) + len(then)
+    begin, end = now.rfind("\n", 0, offset), now.find("\n", offset)
+    line = now[begin:end]
+    return then.index(line) + offset - begin if 0 <= begin < end and line.strip() and then.count(line) == 1 else None
+
+
+def common_prefix(one: str, other: str) -> int:
+    """The length of the common prefix; bisection compares slices, which is faster than single characters."""
+    return bisect_left(range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1])
+
+
+def _include_path(node: Node | None, source: Source, path: KeyPath = ()) -> KeyPath:
+    """The path of the mapping into which `source` was included, found by the first key that comes from it."""
+    if isinstance(node, Mapping):
+        for entry in node.entries.values():
+            if entry.key.span.source is source:
+                within = place(source.text, entry.key.span.end).path
+                return path[: len(path) - len(within)]
+        for name, entry in node.entries.items():
+            if found := _include_path(entry.value, source, (*path, name)):
+                return found
+    return ()
+
+
+def _nested(data: Any, path: KeyPath) -> Any:
+    for step in reversed(path):
+        data = {step: data}
+    return data
+
+
+def _merged(known: Any, newer: Any) -> Any:
+    """Merge `newer` into `known`: mappings key by key, other values replaced unless the newer one is empty."""
+    if isinstance(known, dict) and isinstance(newer, dict):
+        return {**known, **{key: _merged(known.get(key, ""), value) for key, value in newer.items()}}
+    return known if newer == "" else newer
