@@ -229,11 +229,11 @@ def build(
         from gymnasium.envs.registration import EnvSpec
 
         from deepbots_cli import engines
-        from deepbots_cli.runtime import assemble, load_module
+        from deepbots_cli.runtime import assemble
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.canonical import digest
-    from deepbots_cli.codegen import emit
+    from deepbots_cli.codegen import emit, load_module
     from deepbots_cli.codegen.names import class_name
 
     code = emit(ir)

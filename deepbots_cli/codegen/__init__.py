@@ -16,8 +16,11 @@ match `[a-z_][a-z0-9_]*`, quoted strings and comments.
 from __future__ import annotations
 
 import ast
+import linecache
 import re
 from collections.abc import Iterator
+from functools import lru_cache
+from types import CodeType, ModuleType
 from typing import Any
 
 from deepbots_cli.canonical import digest
@@ -107,3 +110,22 @@ def _without_gaps(lines: list[str]) -> list[str]:
         if any(result[-most:]):
             result.append(line)
     return result
+
+
+def load_module(code: str, name: str, filename: str) -> ModuleType:
+    """Run `code`, which the compiler printed from typed trees, as module `name`.
+
+    `filename` appears in tracebacks (`<deepbots CartPole 1a2b3c4d>`); its lines are registered, so that
+    tracebacks and debuggers show them.
+    """
+    linecache.cache[filename] = (len(code), None, code.splitlines(keepends=True), filename)
+    module = ModuleType(name)
+    module.__file__ = filename
+    exec(_compiled(code, filename), module.__dict__)
+    return module
+
+
+@lru_cache(maxsize=16)
+def _compiled(code: str, filename: str) -> CodeType:
+    """Copies of one environment share the compiled text."""
+    return compile(code, filename, "exec", dont_inherit=True)

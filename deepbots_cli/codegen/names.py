@@ -17,7 +17,7 @@ FORMULAS = frozenset(function.name for function in FUNCTIONS.values() if functio
     function.helper for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.helper
 )
 RUNTIME = (
-    *("Arrangement", "Cartesian", "Channel", "Follower", "Motor", "Push", "Radio", "RobotController", "Supervisor", "Thrust", "Ways"),
+    *("Arrangement", "Cartesian", "Follower", "Motor", "Push", "RobotController", "Supervisor", "Thrust", "Ways"),
     *(function.memory for function in FUNCTIONS.values() if function.memory),
     *sorted(FORMULAS),
     *("clip", "foreign", "local", "quaternion", "scale", "scale_each", "scale_freely", "total"),

@@ -416,7 +416,7 @@ def _print_observation(space: Workspace, printer: Printer) -> None:
     if seen:
         printer.line(f"self.see({', '.join(seen)})")
     for pictured in space.scenario.images:
-        printer.line(f"self.albums[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
+        printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
 
 
 def _observed(space: Workspace, printer: Printer, entry: Observation) -> str:

@@ -76,7 +76,7 @@ def _bind(space: Workspace) -> list[str]:
     for robot in scenario.robots:
         lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
         for which, direction in (("to", "to_robot"), ("from", "from_robot")):
-            made = "channel" if space.is_direct(robot, direction) else "radio"  # type: ignore[arg-type]
+            made = "channel" if space.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
             lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
     arranged = is_arranged(scenario)
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
@@ -100,7 +100,7 @@ def _observation(space: Workspace) -> str:
     """The code of each part of an observation, under its key where there are several."""
     scenario = space.scenario
     parts = {"observation": "self.seen()"} if scenario.numbers or not scenario.images else {}
-    parts |= {pictured.key: f"self.albums[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.images}
+    parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.images}
     if scenario.goal is not None:
         size = len(scenario.goal.low)
         parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}

@@ -1,11 +1,8 @@
 """Physics engines behind the port.
 
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
-quiet.py       what a native library prints, kept off the terminal
-
-solids.py      objects and walls as one-link robots
 kinematics.py  inverse kinematics of chains of joints
-lookup.py      things by name
+common.py      what engines share: objects and walls as one-link robots, things by name, a quiet terminal
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
 `deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.

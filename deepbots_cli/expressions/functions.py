@@ -146,7 +146,7 @@ class Function(NamedTuple):
         at_link: The subject is read at the link that stands for it; a robot is read at its base link.
         of_pieces: The operation that joins the values for a wall of several pieces.
 
-    memory: The class of `runtime.memory` that is the meaning of a stateful function: called with the arguments in every
+    memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the arguments in every
         timestep, whether or not the value is used. An absent `start` is the first argument.
     """
 

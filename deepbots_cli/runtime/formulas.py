@@ -7,11 +7,21 @@ language means is its entry in `expressions.functions`; the formulas here comput
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
+from importlib import import_module
 from math import atan2, hypot, pi, tau
+from numbers import Real
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.frames import Frame, Quaternion, Triple
+
+if TYPE_CHECKING:
+    from deepbots_cli.runtime.supervisor import Supervisor
 
 
 def clamp(x: float, low: float, high: float) -> float:
@@ -139,3 +149,169 @@ def _ahead(turn: Quaternion) -> tuple[float, float]:
     """The body's forward axis, seen from above: the first column of the rotation matrix."""
     x, y, z, w = turn
     return 1.0 - 2.0 * (y * y + z * z), 2.0 * (y * x + z * w)
+
+
+class Memory(ABC):
+    """What a stateful function of the language remembers of one number or truth value; `timestep` in s.
+
+    `update` is called once per timestep, whether or not its value is used. The first call of an episode, with what holds right
+    after the reset, is `begin`, and every other is `advance`. All take the arguments that the function has in the language.
+    """
+
+    update: Callable[..., Any]
+
+    def __init__(self, timestep: float) -> None:
+        self.timestep = timestep
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.kept: Any = None
+        self.update = self._begin
+
+    def _begin(self, *arguments: Any) -> Any:
+        self.update = self.advance
+        return self.begin(*arguments)
+
+    def begin(self, x: Any, *others: Any) -> Any:
+        """Keep the first value; most functions give it back."""
+        self.kept = x
+        return x
+
+    @abstractmethod
+    def advance(self, *arguments: Any) -> Any:
+        """The value in this timestep."""
+
+
+class Delta(Memory):
+    """The change since the previous timestep; 0 at a reset."""
+
+    def begin(self, x: float, start: float | None = None) -> Any:
+        self.kept = x if start is None else start
+        return 0.0
+
+    def advance(self, x: float, start: float | None = None) -> Any:
+        change: float = x - self.kept
+        self.kept = x
+        return change
+
+
+class Previous(Memory):
+    """The value in the previous timestep."""
+
+    def begin(self, x: Any, start: Any = None) -> Any:
+        self.kept = x if start is None else start
+        return self.kept
+
+    def advance(self, x: Any, start: Any = None) -> Any:
+        before, self.kept = self.kept, x
+        return before
+
+
+class RunningMax(Memory):
+    """The largest value since the reset."""
+
+    def advance(self, x: float) -> Any:
+        self.kept = max(self.kept, x)
+        return self.kept
+
+
+class RunningMin(Memory):
+    """The smallest value since the reset."""
+
+    def advance(self, x: float) -> Any:
+        self.kept = min(self.kept, x)
+        return self.kept
+
+
+class Hold(Memory):
+    """The value when the condition last held, or at the reset."""
+
+    def advance(self, x: Any, condition: bool) -> Any:
+        if condition:
+            self.kept = x
+        return self.kept
+
+
+class Smooth(Memory):
+    """A first-order low-pass filter with the time constant `tau` (s), as backward Euler has it."""
+
+    def advance(self, x: float, tau: float) -> Any:
+        self.kept += (x - self.kept) * (self.timestep / (tau + self.timestep))
+        return self.kept
+
+
+class Integral(Memory):
+    """The integral over time since the reset."""
+
+    def begin(self, x: float) -> Any:
+        self.kept = 0.0
+        return 0.0
+
+    def advance(self, x: float) -> Any:
+        self.kept += x * self.timestep
+        return self.kept
+
+
+class Accumulate(Memory):
+    """The running sum of increments, limited to the range."""
+
+    def begin(self, increment: float, low: float, high: float, start: float) -> Any:
+        self.kept = start
+        return start
+
+    def advance(self, increment: float, low: float, high: float, start: float) -> Any:
+        self.kept = min(max(self.kept + increment, low), high)
+        return self.kept
+
+
+class Duration(Memory):
+    """How long (s) the condition has held without a break."""
+
+    def begin(self, condition: bool) -> Any:
+        self.kept = 0.0
+        return 0.0
+
+    def advance(self, condition: bool) -> Any:
+        self.kept = self.kept + self.timestep if condition else 0.0
+        return self.kept
+
+
+class Rising(Memory):
+    """Whether the condition has just become true."""
+
+    def begin(self, condition: bool) -> bool:
+        self.kept = condition
+        return False
+
+    def advance(self, condition: bool) -> bool:
+        before, self.kept = self.kept, condition
+        return condition and not before
+
+
+def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:
+    """The function that gives the term `name`, a truth value if `truth`, else a number, from the supervisor.
+
+    Raises:
+        UsageError: There is no such function, or its module cannot be imported.
+    """
+    called = f"the {what} '{name}' in Python ({module}:{function})"
+    try:
+        found = getattr(import_module(module), function)
+    except Exception as error:  # whatever the module does while it is imported
+        raise UsageError(f"{called} cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(found):
+        raise UsageError(f"{called} is no function")
+
+    def call(supervisor: Supervisor) -> Any:
+        try:
+            value = found(supervisor)
+        except Exception as error:  # whatever the function does
+            raise EvaluationError(f"step {supervisor.step_count}: {called} failed: {type(error).__name__}: {error}") from error
+        is_truth = isinstance(value, (bool, np.bool_))
+        if is_truth != truth or not (is_truth or isinstance(value, Real)):
+            wanted = "True or False" if truth else "a number"
+            raise EvaluationError(f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} and not {wanted}")
+        return bool(value) if truth else float(value)
+
+    return call

@@ -20,6 +20,7 @@ from deepbots_cli.footprint import Footprint, Patch, Spot
 from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.port import STILL, Engine
 from deepbots_cli.program import Program
+from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
@@ -394,3 +395,10 @@ class Forms:
         """The patch and the top of an object at the pose of the world model."""
         (x, y, z), rpy = self.things[body].pose.xyz, self.things[body].pose.rpy
         return self.footprint(body, rpy).at(x, y, rpy[2]), self.top(body, z, rpy)
+
+
+def offset(copies: RobotCopies, number: int) -> Triple:
+    """Where a copy stands in the row, from its middle (m)."""
+    steps = number - (copies.count + 1) / 2
+    x, y, z = (steps * step for step in copies.spacing)
+    return x, y, z

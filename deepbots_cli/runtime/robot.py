@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
-from deepbots_cli.port import Engine
+from deepbots_cli.port import Engine, MotorWriter
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import CustomActuator, Robot
-from deepbots_cli.runtime.actuation import CustomMotor, Drive, Site, hold
-from deepbots_cli.runtime.memory import Memory
+from deepbots_cli.program.robots import Actuator, CustomActuator, Motor, Robot
+from deepbots_cli.runtime.actuation import CustomMotor, Site
+from deepbots_cli.runtime.formulas import Memory
 from deepbots_cli.runtime.sensing import Device, instrument, sees
 from deepbots_cli.runtime.streams import Streams
 
 M = TypeVar("M", bound=Memory)
+
+
+@runtime_checkable
+class Drive(Protocol):
+    """An actuator with a state of its own."""
+
+    def reset(self) -> None:
+        """As before the first command: it exerts nothing."""
+
+    def hold(self) -> None:
+        """Keep what it drives where it is, as far as it can."""
 
 
 class RobotController:
@@ -87,4 +98,14 @@ class RobotController:
     def hold(self) -> None:
         """Hold everything that is driven in its reset state until the first command takes effect."""
         for actuator, drive in self._drives:
-            hold(self._engine, self.spec.name, actuator, drive)
+            _hold(self._engine, self.spec.name, actuator, drive)
+
+
+def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter | Drive) -> None:
+    """Keep what an actuator drives where it is; a motor that commands torques lets its joints go."""
+    if isinstance(drive, Drive):
+        drive.hold()
+    elif isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
+        drive((0.0,) * len(actuator.joints))
+    elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
+        drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])

@@ -1,7 +1,8 @@
-"""Gymnasium spaces of a compiled scenario, and which numbers of the last steps an observation is made of."""
+"""Spaces of a compiled scenario, actions in their forms, and stacks of the frames that an observation is made of."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -57,3 +58,49 @@ def action_space(scenario: Program) -> gym.Space[Any]:
         return ranges
     choices: gym.Space[Any] = gym.spaces.Discrete(options[0]) if len(options) == 1 else gym.spaces.MultiDiscrete(options)
     return gym.spaces.Dict({"choices": choices, "ranges": ranges}) if size else choices
+
+
+def composed(space: gym.Space[Any], choices: Sequence[int], ranges: Sequence[float]) -> Any:
+    """The action of `space` with these options by number, one per choice, and these values from -1 to 1."""
+    if isinstance(space, gym.spaces.Dict):
+        return {"choices": composed(space["choices"], choices, ()), "ranges": composed(space["ranges"], (), ranges)}
+    if isinstance(space, gym.spaces.Discrete):
+        return choices[0]
+    return np.array(choices, np.int64) if choices else np.array(ranges, np.float32)
+
+
+def usual(space: gym.Space[Any], action: Any) -> Any:
+    """The action as generated code takes it (int or array), or None if it is none of this space."""
+    try:
+        if isinstance(space, gym.spaces.Dict):
+            parts = {key: usual(part, action[key]) for key, part in space.spaces.items()} if set(action) == set(space.spaces) else {}
+            return parts if parts and all(part is not None for part in parts.values()) else None
+        array = np.asarray(action)
+        if isinstance(space, gym.spaces.Box):
+            fits = array.shape == space.shape and np.isrealobj(array) and np.isfinite(array.astype(float)).all()
+            return array if fits else None
+        if isinstance(space, gym.spaces.Discrete):
+            return array.item() if array.ndim == 0 and space.contains(array.item()) else None
+        return array if space.contains(array) else None
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def alike(usual: Any, action: Any) -> bool:
+    """Whether an action came in the form in which generated code takes it."""
+    if isinstance(usual, dict):
+        return all(alike(part, action[key]) for key, part in usual.items())
+    return type(usual) is type(action) or isinstance(action, int | np.integer)
+
+
+class FrameStack:
+    """A ring of pictures, uint8; which of them are seen together follows from their ages in steps."""
+
+    def __init__(self, shape: Sequence[int], ages: Sequence[int], depth: int) -> None:
+        self.frames = np.zeros((depth, *shape), np.uint8)
+        self._places = (np.arange(depth)[:, None] - np.array(ages)) % depth
+        self._shape = (*shape[:2], shape[2] * len(ages))
+
+    def seen(self, newest: int) -> NDArray[np.uint8]:
+        """The pictures, oldest first, with their channels side by side; a copy. `newest` is the place of the last one."""
+        return np.reshape(self.frames[self._places[newest]].transpose(1, 2, 0, 3), self._shape)

@@ -19,18 +19,13 @@ from deepbots_cli.port import STILL, Engine
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
-from deepbots_cli.runtime.actions import alike, composed, usual
-from deepbots_cli.runtime.album import Album
-from deepbots_cli.runtime.channel import Channel, radio
-from deepbots_cli.runtime.episode_options import episode_values
-from deepbots_cli.runtime.formulas import clip
+from deepbots_cli.runtime.channel import Channel, LossyChannel
+from deepbots_cli.runtime.formulas import Memory, clip
 from deepbots_cli.runtime.hindsight import recomputed
-from deepbots_cli.runtime.memory import Memory
 from deepbots_cli.runtime.messages import Wire, excerpt, explain
-from deepbots_cli.runtime.radio import Radio
 from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.spaces import action_space, observation_space, views
-from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, usual, views
+from deepbots_cli.runtime.streams import Streams, episode_values
 from deepbots_cli.runtime.view import moved, overview
 
 Observation = NDArray[np.float32]
@@ -86,7 +81,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.streams = Streams(None)
         self.views = views(scenario)
         self.depth = len(self.views)
-        self.albums = {entry.key: Album(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.images}
+        self.frame_stacks = {entry.key: FrameStack(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.images}
         self.frames = np.zeros(self.depth * len(scenario.numbers), np.float32)
         self._buffer = self.frames.data
         self._width = 4 * len(scenario.numbers)
@@ -101,7 +96,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._go_on: Callable[[Any], None] = self._refuse
         self._forget()
         self.controllers: dict[str, RobotController] = {}
-        self._channels: list[Channel | Radio] = []
+        self._channels: list[Channel | LossyChannel] = []
         self._memories: list[Memory] = []
         self.bind(engine)
 
@@ -120,9 +115,19 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._channels.append(made)
         return made
 
-    def radio(self, name: str, direction: Direction) -> Radio:
+    def lossy_channel(self, name: str, direction: Direction) -> LossyChannel:
         """The path of messages to or from a robot, where messages come late or may be lost."""
-        made = radio(self.scenario, self._spec(name), direction, self.engine, self._rejected)
+        robot, to_robot = self._spec(name), direction == "to_robot"
+        route, layout = (robot.to_route, robot.to_robot) if to_robot else (robot.from_route, robot.from_robot)
+        made = LossyChannel(
+            f"{name}.{direction}",
+            route,
+            self.scenario.world.timestep,
+            1 if self.scenario.timing == "paper" else 0,
+            self.engine.pose(name),
+            Wire(layout, self.scenario.format, self._rejected),
+            first_at_once=not to_robot,
+        )
         self._channels.append(made)
         return made
 
@@ -407,8 +412,8 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
         width = len(self.scenario.numbers)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
-        for album in self.albums.values():
-            album.frames[1:] = album.frames[0]
+        for stack in self.frame_stacks.values():
+            stack.frames[1:] = stack.frames[0]
 
     def _nothing_allowed(self, choice: str) -> None:
         """Called when every option of a choice is forbidden while the episode goes on."""

@@ -12,7 +12,7 @@ from deepbots_cli.port import STILL, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
-from deepbots_cli.runtime.share import offset
+from deepbots_cli.runtime.placement import offset
 
 _FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the front right, above
 _FLAT = 0.9  # how much higher the eye stands over what is flat

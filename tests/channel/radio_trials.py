@@ -9,7 +9,7 @@ from math import erfc, exp, gamma, sqrt
 from typing import Any
 
 from deepbots_cli.program.robots import Route
-from deepbots_cli.runtime.radio import Radio
+from deepbots_cli.runtime.channel import LossyChannel
 from deepbots_cli.runtime.streams import Streams
 from tests.named import constant
 
@@ -30,13 +30,13 @@ class Plain:
     decode = encode
 
 
-def radio(*, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any) -> Radio:
-    made = Radio(name, Route(constant(latency), constant(loss), **others), TICK, wire=Plain())
+def radio(*, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any) -> LossyChannel:
+    made = LossyChannel(name, Route(constant(latency), constant(loss), **others), TICK, wire=Plain())
     made.begin(Streams(seed))
     return made
 
 
-def arrivals(link: Radio, latencies: Sequence[float]) -> list[list[Any]]:
+def arrivals(link: LossyChannel, latencies: Sequence[float]) -> list[list[Any]]:
     """What is taken in each tick, when message k is sent in tick k with the k-th latency (in ticks), and until all is quiet."""
     taken = []
     for number, latency in enumerate(latencies):
@@ -51,7 +51,7 @@ def drawn_latencies() -> list[float]:
     return Streams(3)["cart.to_robot.latency#0"].uniform(0.0, 8.0, MESSAGES).tolist()  # type: ignore[no-any-return]
 
 
-def lost_in(link: Radio, count: int = MESSAGES) -> list[bool]:
+def lost_in(link: LossyChannel, count: int = MESSAGES) -> list[bool]:
     lost = []
     for number in range(count):
         link.send(number)

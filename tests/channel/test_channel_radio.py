@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli.program.robots import Route
-from deepbots_cli.runtime.radio import Radio
+from deepbots_cli.runtime.channel import LossyChannel
 from deepbots_cli.runtime.streams import Streams
 from tests.channel.radio_trials import (
     BURSTS,
@@ -109,7 +109,7 @@ def test_all_or_nothing_is_lost_at_the_ends() -> None:
 
 def test_beyond_the_range_nothing_arrives() -> None:
     place = [0.0, 0.0, 0.0]
-    link = Radio("cart.to_robot", Route(range=constant(5.0)), TICK, where=lambda: (tuple(place), None))
+    link = LossyChannel("cart.to_robot", Route(range=constant(5.0)), TICK, where=lambda: (tuple(place), None))
     heard = []
     for x in (0.0, 3.0, 4.0):
         place[:] = x, 4.0, 0.0

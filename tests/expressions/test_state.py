@@ -6,7 +6,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.scalar import State, walk
-from deepbots_cli.runtime import memory
+from deepbots_cli.runtime import formulas
 
 DT = 0.5
 
@@ -15,7 +15,7 @@ def run(bench, text, rows):
     """The value at the reset (first row) and in each tick after it."""
     (scalar,) = lower(bench.clean(text), "item")
     states = list(dict.fromkeys(node for node in walk(scalar) if isinstance(node, State)))
-    memories = {state: getattr(memory, FUNCTIONS[state.function].memory)(DT) for state in states}
+    memories = {state: getattr(formulas, FUNCTIONS[state.function].memory)(DT) for state in states}
 
     def leaf(read):
         return f"now_{states.index(read)}" if isinstance(read, State) else read.name

@@ -12,7 +12,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.frames import cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.share import copy_name
+from deepbots_cli.runtime.team import copy_name
 from deepbots_cli.runtime.view import around, overview
 from tests.few import few
 

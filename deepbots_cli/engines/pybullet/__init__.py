@@ -1,22 +1,15 @@
 """PyBullet behind the port; the only package that imports it.
 
-library.py   the library itself, and its numbers that stand for something
-engine.py    the engine: one world in a client of its own
-loading.py   walls, objects and robots, built from the world model; ground.py what they stand on
-loadable.py  robots without what PyBullet's loader would misread, invent or crash on
-body.py      a robot or an object: links and joints by name, frames of links and of inertia
-pool.py      bodies by name: pooled ones, in one of several forms
-readers.py   joints, poses and velocities
-moments.py   readings that are kept while the world stands still
-motors.py    motors, and springs with dampers on joints
-pushes.py    forces on links
-contacts.py  what touches what, how hard, and distances between surfaces
-rays.py      how far rays from a link are free
-figures.py   masses, friction, colours that an episode varies, and their way back
-substeps.py  what acts and looks around every engine step
-cameras.py   pictures
-backdrop.py  what is seen behind all bodies
-floor.py     tiles, and lines painted on them
+library.py     the library itself, and its numbers that stand for something
+engine.py      the engine: one world in a client of its own
+loading.py     ground, walls, objects and robots, built from the world model
+body.py        a robot or an object: links and joints by name, frames of links and of inertia; pooled bodies
+readers.py     joints, poses and velocities, kept while the world stands still
+motors.py      motors and springs on joints, and forces on links
+contacts.py    what touches what, how hard, and distances between surfaces
+rays.py        how far rays from a link are free
+parameters.py  masses, friction, colours that an episode varies, and their way back
+cameras.py     pictures: bodies, floor and sky
 
 What PyBullet leaves to its callers, and is settled here:
 

@@ -12,17 +12,15 @@ from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engines.common import find
 from deepbots_cli.engines.kinematics import Chain
-from deepbots_cli.engines.lookup import find
-from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, pushes, readers
-from deepbots_cli.engines.pybullet.backdrop import lit, smoothed
-from deepbots_cli.engines.pybullet.figures import Colour, Figures
-from deepbots_cli.engines.pybullet.floor import Floor
+from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, readers
+from deepbots_cli.engines.pybullet.cameras import Floor, lit, smoothed
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
-from deepbots_cli.engines.pybullet.moments import Moments
+from deepbots_cli.engines.pybullet.parameters import Colour, Parameters
 from deepbots_cli.engines.pybullet.rays import Rays
-from deepbots_cli.engines.pybullet.substeps import Substeps
+from deepbots_cli.engines.pybullet.readers import Moments
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL, Overlap, Sight
 from deepbots_cli.program.world import GROUND
@@ -30,8 +28,7 @@ from deepbots_cli.program.world import GROUND
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.engines.pybullet.body import Body
-    from deepbots_cli.engines.pybullet.pool import Pool
+    from deepbots_cli.engines.pybullet.body import Body, Pool
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (
         CameraReader,
@@ -54,8 +51,70 @@ if TYPE_CHECKING:
     )
     from deepbots_cli.program.world import WorldModel
 
+Act = Callable[[], object]
 Given = ParamSpec("Given")
 Told = TypeVar("Told")
+
+
+class Substeps:
+    """Acts, then drives (motors that renew their torque), then one step of physics, then watches.
+
+    Drives come after acts, so that they see the targets that those have just set.
+    """
+
+    def __init__(self, moments: Moments) -> None:
+        self._moments = moments
+        self._begins: list[Act] = []
+        self._acts: list[Act] = []
+        self._drives: list[Act] = []
+        self._before: list[Act] = []
+        self._after: list[Act] = []
+
+    def act(self, act: Act) -> None:
+        self._acts.append(act)
+        self._arrange()
+
+    def watch(self, begin: Act, look: Act) -> None:
+        """`begin` is called once per `step`, before everything else."""
+        self._begins.append(begin)
+        self._after.append(look)
+
+    def drive(self, drives: list[Act]) -> None:
+        """Have these drives, and no others."""
+        self._drives = drives
+        self._arrange()
+
+    def only(self, act: Act) -> None:
+        """Call nothing else any more."""
+        self._acts, self._drives = [act], []
+        self._begins.clear()
+        self._moments.go_on()
+        self._arrange()
+
+    def _arrange(self) -> None:
+        self._before[:] = [*self._acts, *self._drives]
+
+    def stepper(self, client: int) -> Callable[[int], None]:
+        """`Engine.step`. In most worlds nothing acts or watches; asking costs 1 % of the cheapest step."""
+        advance, before, after, begins, now = p.stepSimulation, self._before, self._after, self._begins, self._moments.now
+
+        def step(substeps: int) -> None:
+            if before or after:
+                for begin in begins:
+                    begin()
+                for _ in range(substeps):
+                    for act in before:
+                        act()
+                    advance(client)
+                    now[0] += 1
+                    for look in after:
+                        look()
+            else:
+                for _ in range(substeps):
+                    advance(client)
+                now[0] += 1
+
+        return step
 
 
 class PyBulletEngine:
@@ -72,7 +131,7 @@ class PyBulletEngine:
         self.step = self._substeps.stepper(self._client)
         self._timestep = world.timestep / world.substeps
         self._floor = Floor(world.ground.colour, world.lines) if world.ground and not world.terrain else None
-        self._figures = Figures(self._client, world.gravity, world.light)
+        self._parameters = Parameters(self._client, world.gravity, world.light)
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._watches: dict[int, contacts.Watch] = {}
         self._rays: Rays | None = None
@@ -92,7 +151,7 @@ class PyBulletEngine:
     def reset(self) -> None:
         """As the port says. A world whose figures are no longer finite cannot be reset, only built again."""
         self.require_finite()
-        self._figures.restore()
+        self._parameters.restore()
         for springs in self._springs.values():
             springs.rest()
         for watch in self._watches.values():
@@ -134,7 +193,7 @@ class PyBulletEngine:
         self._pool(body).choose(variant)
 
     def set_mass(self, body: str, link: str | None, mass: float) -> None:
-        self._figures.set_mass(*self._link(body, link), mass)
+        self._parameters.set_mass(*self._link(body, link), mass)
 
     def set_friction(
         self,
@@ -148,37 +207,37 @@ class PyBulletEngine:
     ) -> None:
         owner, index = self._link(body, link)
         given = {"lateralFriction": lateral, "spinningFriction": spinning, "rollingFriction": rolling, "restitution": restitution}
-        self._figures.set_friction(owner, index, given, owner.model.link(link or owner.model.root).friction)
+        self._parameters.set_friction(owner, index, given, owner.model.link(link or owner.model.root).friction)
 
     def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
         owner = self._body(robot)
-        self._figures.set_joint_damping(owner, self._joint(owner, joint), damping, owner.model.joint(joint).damping)
+        self._parameters.set_joint_damping(owner, self._joint(owner, joint), damping, owner.model.joint(joint).damping)
 
     def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         owner = self._body(robot)
-        self._figures.set_joint_friction(owner, self._joint(owner, joint), friction)
+        self._parameters.set_joint_friction(owner, self._joint(owner, joint), friction)
 
     @property
     def gravity(self) -> Triple:
-        return self._figures.gravity
+        return self._parameters.gravity
 
     def set_gravity(self, gravity: Triple) -> None:
-        self._open()._figures.set_gravity(gravity)
+        self._open()._parameters.set_gravity(gravity)
 
     def set_colour(self, body: str, link: str | None, colour: Colour) -> None:
         if body == GROUND and self._floor is not None:
-            self._figures.set_floor(self._floor, colour)
+            self._parameters.set_floor(self._floor, colour)
         else:
-            self._figures.set_colour(*self._link(body, link), colour)
+            self._parameters.set_colour(*self._link(body, link), colour)
 
     def set_light(self, brightness: float) -> None:
-        self._figures.set_light(brightness)
+        self._parameters.set_light(brightness)
 
     def before_substep(self, act: Callable[[], object]) -> None:
         self._substeps.act(act)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        return self._bound(part, lambda body, index: pushes.pusher(self._client, body, index, frame))
+        return self._bound(part, lambda body, index: motors.pusher(self._client, body, index, frame))
 
     def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
         if others is None:
@@ -283,7 +342,7 @@ class PyBulletEngine:
 
         def look() -> Sight:
             sight = camera.sight(cameras.along(frames.inside(pose(), mount)), places, ground, names)
-            return sight._replace(colours=lit(sight.colours, self._figures.light))
+            return sight._replace(colours=lit(sight.colours, self._parameters.light))
 
         return look
 
@@ -301,7 +360,7 @@ class PyBulletEngine:
         seen = (fine, self._floor.tiles if self._floor else None)
         if self._backdrop is None or self._backdrop[0] != seen:
             self._backdrop = (seen, camera.behind(aim))
-        return lit(smoothed(camera.picture(aim, self._backdrop[1]), view.samples), self._figures.light)
+        return lit(smoothed(camera.picture(aim, self._backdrop[1]), view.samples), self._parameters.light)
 
     def close(self) -> None:
         self._release()

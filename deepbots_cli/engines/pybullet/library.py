@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deepbots_cli.engines.quiet import hushed
+from deepbots_cli.engines.common import hushed
 
 with hushed():  # it prints the time of its build
     import pybullet

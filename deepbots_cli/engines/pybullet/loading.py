@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from deepbots_cli import frames
-from deepbots_cli.engines import solids
-from deepbots_cli.engines.pybullet import ground, loadable
-from deepbots_cli.engines.pybullet.body import Body
-from deepbots_cli.engines.pybullet.figures import contact_figures
+from deepbots_cli.engines.common import as_robot, forms, hushed, moves, walls
+from deepbots_cli.engines.pybullet.body import Body, Pool, held_by
 from deepbots_cli.engines.pybullet.library import BASE, UNREACHABLE
 from deepbots_cli.engines.pybullet.library import pybullet as p
-from deepbots_cli.engines.pybullet.pool import Pool
-from deepbots_cli.engines.quiet import hushed
+from deepbots_cli.engines.pybullet.parameters import contact_parameters
 from deepbots_cli.errors import EngineError
+from deepbots_cli.geometry import triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
-from deepbots_cli.robots.model import Mesh, RobotModel
+from deepbots_cli.robots import inertia
+from deepbots_cli.robots.edits import with_link
+from deepbots_cli.robots.meshes import checked_bytes
+from deepbots_cli.robots.model import Friction, Inertial, Joint, Limit, Link, Mesh, RobotModel
 from deepbots_cli.robots.writer import write
+from deepbots_cli.terrain import Grid, grid
 
 if TYPE_CHECKING:
-    from deepbots_cli.program.world import ObjectBody, WorldModel
+    from numpy.typing import NDArray
+
+    from deepbots_cli.program.world import Ground, ObjectBody, Terrain, WorldModel
 
 APART = 1000.0  # m between bodies that are parked
 OVERLAP_SHARE = 0.08  # that PyBullet by itself takes away in a physics step
@@ -36,6 +43,13 @@ did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the grou
 terrain there is no such limit: with it, two trainings of PitEscape took 1.25 and 1.65 times as many steps. The cause was not
 measured; a ball that rolls over an edge of a triangle may be further away than this for a step.
 """
+EARTH = (0.72, 0.63, 0.48, 1.0)
+_SEEN = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
+PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
+NOWHERE = 1e9  # rad or m; the open end of a range with one end
+MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
+TRACE = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
+UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
 
 
 def connected(world: WorldModel) -> int:
@@ -81,21 +95,21 @@ def _limit_contacts(client: int, body: Body) -> None:
 
 
 def _loaded(client: int, world: WorldModel) -> Iterator[Pool]:
-    floor = ground.body(client, world)
+    floor = _ground(client, world)
     if floor is not None:
         _make_contact(client, floor)
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)
     parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         file = Path(folder, "body.urdf")
-        for thing in (*(solids.walls(world.arena) if world.arena else ()), *world.objects):
-            forms = [(name, _object(client, form, file)) for name, form in solids.forms(thing).items()]
-            for _, body in forms if thing.pooled else ():
+        for thing in (*(walls(world.arena) if world.arena else ()), *world.objects):
+            variants = [(name, _object(client, form, file)) for name, form in forms(thing).items()]
+            for _, body in variants if thing.pooled else ():
                 parked += 1
                 body.home = ((-parked * APART, 0.0, -APART), frames.UPRIGHT)
-            yield Pool(thing.name, forms, thing.pooled)
+            yield Pool(thing.name, variants, thing.pooled)
         for robot in world.robots:
-            model = loadable.movable(robot.name, robot.model, robot.fixed_base)
+            model = movable(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
             body.home = body.of_centre(*frames.frame(robot.pose))
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
@@ -118,13 +132,13 @@ def join_islands(client: int, pools: Iterable[Pool]) -> None:
 
 def _object(client: int, thing: ObjectBody, file: Path) -> Body:
     known = not isinstance(thing.shape, Mesh)
-    body = _load(client, thing.name, solids.as_robot(thing), not solids.moves(thing), file, inertia_known=known)
+    body = _load(client, thing.name, as_robot(thing), not moves(thing), file, inertia_known=known)
     body.home = body.of_centre(*frames.frame(thing.pose))
     return body
 
 
 def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
-    file.write_text(write(loadable.dressed(model)), encoding="utf-8")
+    file.write_text(write(dressed(model)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     with hushed() as said:
         try:
@@ -150,8 +164,154 @@ def _make_contact(client: int, body: Body) -> None:
     between 0.06 and 0.82 was left, at 1 ms a step.
     """
     for link in body.model.links:
-        figures = contact_figures(link.friction)
+        figures = contact_parameters(link.friction)
         if figures["restitution"] > 0.0:
             figures["contactProcessingThreshold"] = 0.0
         for what, value in figures.items():
             p.changeDynamics(body.number, body.links[link.name], **{what: value}, physicsClientId=client)
+
+
+def _ground(client: int, world: WorldModel) -> Body | None:
+    """The terrain, or else the plane, or nothing."""
+    if world.terrain is not None:
+        return _terrain(client, world.terrain)
+    return _plane(client, world.ground) if world.ground is not None else None
+
+
+def _plane(client: int, ground: Ground) -> Body:
+    shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
+    unseen = p.createVisualShape(p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -1000.0), physicsClientId=client)
+    number = p.createMultiBody(0, shape, unseen, physicsClientId=client)
+    return _ground_body(client, number, Friction(lateral=ground.friction, restitution=ground.restitution))
+
+
+def _terrain(client: int, ground: Terrain) -> Body:
+    """Heights as a heightfield, meshes as they are, neither of them convex.
+
+    Raises:
+        EngineError: Its file has gone or changed, or it has no height somewhere.
+    """
+    heights = grid(ground.shape)
+    if heights is None:
+        assert isinstance(ground.shape, Mesh)  # all else is a grid
+        corners = triangles(ground.shape)
+        shape = _mesh(client, corners.reshape(-1, 3), np.arange(corners.size // 3), p.GEOM_FORCE_CONCAVE_TRIMESH)
+        drawn, middle = _drawn_terrain(client, corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), ground), 0.0
+    else:
+        middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
+        shape = _heightfield(client, heights)
+        drawn = _drawn_terrain(client, *heights.coarser(_SEEN).triangles(), ground, middle)
+    if shape < 0:
+        raise EngineError("PyBullet cannot build the terrain")
+    number = p.createMultiBody(0, shape, drawn, basePosition=(0.0, 0.0, middle), physicsClientId=client)
+    made = _ground_body(client, number, Friction(lateral=ground.friction))
+    made.home = ((0.0, 0.0, middle), frames.UPRIGHT)
+    return made
+
+
+def _heightfield(client: int, heights: Grid) -> int:
+    rows, columns = heights.heights.shape
+    shape: int = p.createCollisionShape(
+        p.GEOM_HEIGHTFIELD,
+        meshScale=(*heights.cell, 1.0),
+        heightfieldData=heights.heights.ravel().tolist(),
+        numHeightfieldRows=columns,
+        numHeightfieldColumns=rows,
+        physicsClientId=client,
+    )
+    return shape
+
+
+def _mesh(client: int, vertices: NDArray[np.float64], indices: NDArray[np.int64], flags: int) -> int:
+    shape: int = p.createCollisionShape(
+        p.GEOM_MESH, vertices=vertices.tolist(), indices=indices.tolist(), flags=flags, physicsClientId=client
+    )
+    return shape
+
+
+def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np.int64], ground: Terrain, middle: float = 0.0) -> int:
+    """What is seen of it, shaded smoothly."""
+    normals = np.zeros_like(vertices)
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], np.cross(b - a, c - a))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    shape: int = p.createVisualShape(
+        p.GEOM_MESH,
+        vertices=(vertices - (0.0, 0.0, middle)).tolist(),
+        indices=faces.ravel().tolist(),
+        normals=normals.tolist(),
+        rgbaColor=ground.colour or EARTH,
+        physicsClientId=client,
+    )
+    return shape
+
+
+def _ground_body(client: int, number: int, friction: Friction) -> Body:
+    return Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)
+
+
+def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
+    """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
+
+    Raises:
+        EngineError: There are too many joints; a joint or a free base moves nothing that has mass, or is of a kind that is
+            not supported.
+    """
+    if len(model.joints) > MOST_JOINTS:
+        raise EngineError(f"'{name}' has {len(model.joints)} joints, and PyBullet holds {MOST_JOINTS} at most, fixed ones included")
+    carried = inertia.carried(model)
+    for joint in model.joints:
+        if joint.type in ("floating", "planar"):
+            raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
+        if joint.moves and carried[joint.child] <= 0.0:
+            raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
+    root = model.link(model.root).inertial
+    if not fixed_base and (root is None or root.mass <= 0.0):
+        model = _with_heavy_root(name, model)
+    return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
+
+
+def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
+    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to it.
+
+    The engine would take a free root without mass for one that is bolted to the world.
+    """
+    links = [model.link(link).inertial for link in held_by(model, model.root)]
+    mass = sum(known.mass for known in links if known)
+    if mass <= 0.0:
+        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
+    trace = TRACE * mass
+    return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
+
+
+def dressed(model: RobotModel) -> RobotModel:
+    """The model with both ends on each range of a joint, a colour on all that is seen, and meshes still as they were checked.
+
+    A link without visuals shows what it collides with.
+
+    Raises:
+        EngineError: A mesh cannot be read or has changed.
+    """
+    links = []
+    for index, link in enumerate(model.links):
+        for geometry in (*link.visuals, *link.collisions):
+            if isinstance(geometry.shape, Mesh):
+                checked_bytes(geometry.shape)
+        colour = PALETTE[index % len(PALETTE)]
+        visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
+        links.append(replace(link, visuals=visuals))
+    return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_closed(joint)) for joint in model.joints))
+
+
+def _closed(joint: Joint) -> Limit:
+    limit = joint.limit
+    lower, upper = limit.lower, limit.upper
+    if joint.type == "continuous" or (lower is None and upper is None):
+        lower, upper = UNLIMITED
+    return Limit(
+        lower=-NOWHERE if lower is None else lower,
+        upper=NOWHERE if upper is None else upper,
+        velocity=limit.velocity or 0.0,
+        effort=limit.effort or 0.0,
+    )

@@ -17,7 +17,7 @@ from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
-    from deepbots_cli.engines.pybullet.moments import Moments
+    from deepbots_cli.engines.pybullet.readers import Moments
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.port import PoseReader, RayReader
 

@@ -1,19 +1,12 @@
 """Actuators that are more than a motor of the engine: they act in every substep, or change from episode to episode; and pushes.
 
-response.py  commands on their way: delayed, lagging, changing only so fast
-motors.py    motors with a strength and a response
-cartesian.py arms that are told where to bring their hand
-thrust.py    rotors
-custom.py    actuators of plug-ins, by their control laws
-pushes.py    disturbances
-hold.py      what keeps a robot where it is from a reset to its first command
+motors.py  motors with a strength and a response, and arms that bring a link to a position
+forces.py  rotors, and pushes that disturb an episode
+custom.py  actuators of plug-ins, by their control laws
 """
 
-from deepbots_cli.runtime.actuation.cartesian import Cartesian
 from deepbots_cli.runtime.actuation.custom import ControlLaw, CustomMotor, Site
-from deepbots_cli.runtime.actuation.hold import Drive, hold
-from deepbots_cli.runtime.actuation.motors import Motor
-from deepbots_cli.runtime.actuation.pushes import Push
-from deepbots_cli.runtime.actuation.thrust import Thrust
+from deepbots_cli.runtime.actuation.forces import Push, Thrust
+from deepbots_cli.runtime.actuation.motors import Cartesian, Motor
 
-__all__ = ["Cartesian", "ControlLaw", "CustomMotor", "Drive", "Motor", "Push", "Site", "Thrust", "hold"]
+__all__ = ["Cartesian", "ControlLaw", "CustomMotor", "Motor", "Push", "Site", "Thrust"]

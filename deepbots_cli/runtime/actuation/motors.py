@@ -1,16 +1,82 @@
-"""Motors with a strength, and with a delay, a lag or a limited rate of change."""
+"""Motors with a strength, and with a delay, a lag or a limited rate of change; arms that bring a link to a position."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import inf
+from collections import deque
+from collections.abc import Callable, Sequence
+from math import ceil, exp, inf
 
+from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.port import Engine, MotorWriter
 from deepbots_cli.program.robots import MotorKind
-from deepbots_cli.runtime.actuation.response import Response
 
+Origin = Callable[[], Sequence[float]]
+_EARLY = 1e-9  # of a substep; what a sum of durations may be off
 PerJoint = float | Sequence[float]
 """One for all joints, or one for each."""
+
+
+class Response:
+    """What of its commands an actuator follows, from substep to substep.
+
+    A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
+    followed approaches it: in a substep of h seconds by the share 1 - exp(-h / lag) of what is left, which is a lag of
+    first order exactly, and by at most `rate` * h. It starts from what `origin` says when the first command takes effect.
+
+    `delay` and `lag` are in s, `rates` in units of the command per s, one per component; they are in force from the
+    next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
+    """
+
+    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, lag: float = 0.0, rates: Sequence[float] = ()) -> None:
+        """`substep` is the length of one, s; without `rates` a command may jump."""
+        self.delay = delay
+        self.lag = lag
+        self._substep = substep
+        self._origin = origin
+        self._most = [rate * substep for rate in rates]
+        self._sent: deque[tuple[int, Sequence[float]]] = deque()
+        self.reset()
+
+    def reset(self) -> None:
+        """No command was ever sent."""
+        self._sent.clear()
+        self._now = 0
+        self._wait = max(0, ceil(self.delay / self._substep - _EARLY))
+        self._share = 1.0 - exp(-self._substep / self.lag) if self.lag > 0.0 else 1.0
+        self._jumps = self._share == 1.0 and not self._most
+        self._goal: Sequence[float] = ()
+        self._value: Sequence[float] | None = None
+        self._still = True
+
+    def start(self, value: Sequence[float]) -> None:
+        """What is followed now, before any command."""
+        self._value = value
+
+    def send(self, command: Sequence[float]) -> None:
+        self._sent.append((self._now + self._wait, command))
+
+    def advance(self) -> Sequence[float] | None:
+        """What is followed in the substep that begins now; None where that is what it was in the last one, or nothing."""
+        sent = self._sent
+        while sent and sent[0][0] <= self._now:
+            self._goal = sent.popleft()[1]
+            self._still = False
+        self._now += 1
+        if self._still:
+            return None
+        if self._jumps:
+            self._still = True
+            return self._goal
+        before, share = self._origin() if self._value is None else self._value, self._share
+        after = [old + share * (goal - old) for old, goal in zip(before, self._goal, strict=True)]
+        if self._most:
+            after = [
+                old + most if new - old > most else old - most if new - old < -most else new
+                for old, new, most in zip(before, after, self._most, strict=True)
+            ]
+        self._still = self._value is not None and after == before
+        self._value = after
+        return after
 
 
 class Motor:
@@ -109,3 +175,42 @@ class Motor:
 
     def _each(self, values: PerJoint) -> Sequence[float]:
         return (values,) * len(self._joints) if isinstance(values, (int, float)) else values
+
+
+class Cartesian(Motor):
+    """Brings the origin of a link to a position (m, world frame); called with x, y and z.
+
+    Joint positions are computed once per command, from where the joints are and within their ranges; what is out of
+    reach is approached. The engine's servo then drives the joints there, with the delay, lag and rates of a `Motor`.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        robot: str,
+        link: str,
+        joints: Sequence[str],
+        max_torque: PerJoint,
+        *,
+        rpy: tuple[float, float, float] | None = None,
+        strength: PerJoint = 1.0,
+        substep: float | None = None,
+        delay: float = 0.0,
+        lag: float = 0.0,
+        rates: Sequence[float] = (),
+    ) -> None:
+        """`rpy` (rad) is the attitude that the link keeps; without, it may have any."""
+        self._solve = engine.inverse_kinematics((robot, link), joints)
+        self.attitude = None if rpy is None else quaternion(*rpy)
+        self.watch: Callable[[Triple, Sequence[float]], object] | None = None
+        """Called with the position of each command (m, world frame) and the joint positions computed for it (rad or m)."""
+        super().__init__(
+            engine, "position_motor", robot, joints, max_torque, strength=strength, substep=substep, delay=delay, lag=lag, rates=rates
+        )
+
+    def __call__(self, targets: Sequence[float]) -> None:
+        x, y, z = targets
+        solution = self._solve((x, y, z), self.attitude)
+        if self.watch is not None:
+            self.watch((x, y, z), solution)
+        super().__call__(solution)

@@ -1,17 +1,12 @@
 """Sensors that are more than one fact of the engine: sampled once per tick, and as faulty as the scenario says.
 
-device.py      one sensor: samples, faults, when a reading is delivered
-faults.py      how figures err: noise, bias, drift, range, steps
+device.py  one sensor: samples, noise and other faults, when a reading is delivered
 
 What each kind measures; the classes of `scenario.sensors` name these functions as their readers:
 
-joints.py      positions, velocities, torques of joints
-frames.py      where a sensor sits, and what is read there
-inertial.py    gyro, accelerometer, inclinometer
-ranging.py     rays and their lookup tables
-contacts.py    touch and force
-brightness.py  how light the ground is
-camera.py      pictures
+body.py    joints, poses and velocities, inertial measurements, contacts
+rays.py    distances along rays, and how bright the ground is
+camera.py  pictures
 """
 
 from deepbots_cli.runtime.sensing.camera import sees

@@ -16,8 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines import solids
-from deepbots_cli.engines.lookup import find
+from deepbots_cli.engines.common import as_robot, find, moves
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
 from deepbots_cli.robots import edits
@@ -86,8 +85,8 @@ class ExactEngine:
         for thing in world.objects:
             if thing.pooled:
                 raise _lacks(f"bodies that come and go, such as '{thing.name}'")
-            model = solids.as_robot(thing)
-            motion = RigidBody(joined(model, model.root), world.gravity, solids.moves(thing))
+            model = as_robot(thing)
+            motion = RigidBody(joined(model, model.root), world.gravity, moves(thing))
             self._add(thing.name, model, motion, frames.frame(thing.pose))
         for robot in world.robots:
             self._add(robot.name, robot.model, _motion(robot, world.gravity), frames.frame(robot.pose))

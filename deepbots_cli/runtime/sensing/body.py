@@ -1,15 +1,98 @@
-"""Sensors that feel how their frame turns, is accelerated, and which way is down."""
+"""Sensors of the robot itself: joints, poses and velocities, inertial measurements, contacts."""
 
 from __future__ import annotations
 
-from math import hypot
+from math import atan2, hypot
 from typing import Any
 
 from deepbots_cli import frames
-from deepbots_cli.frames import HERE, UPRIGHT, Frame, Triple
-from deepbots_cli.port import Engine
+from deepbots_cli.frames import HERE, UPRIGHT, Frame, Quaternion, Triple
+from deepbots_cli.port import Engine, Part, PoseReader, VelocityReader
 from deepbots_cli.runtime.sensing.device import Instrument, Site
-from deepbots_cli.runtime.sensing.frames import mounted_pose
+
+
+def positions(site: Site) -> Instrument:
+    """In rad or m."""
+    read = site.engine.joint_states(site.robot, site.sensor.subjects)
+    return Instrument(lambda: [state[0] for state in read()])
+
+
+def velocities(site: Site) -> Instrument:
+    """In rad/s or m/s."""
+    read = site.engine.joint_states(site.robot, site.sensor.subjects)
+    return Instrument(lambda: [state[1] for state in read()])
+
+
+def torques(site: Site) -> Instrument:
+    """What the motors exerted in the last physics step, in N m or N."""
+    return Instrument(site.engine.joint_torques(site.robot, site.sensor.subjects))
+
+
+def mounted_pose(site: Site) -> PoseReader:
+    """Where the sensor is, and how it is turned."""
+    read, mount = site.engine.pose(site.robot, site.link), site.mount
+    if mount == HERE:
+        return read
+
+    def of_mount() -> tuple[Triple, Quaternion]:
+        position, turned = read()
+        return frames.inside((position, turned), mount)
+
+    return of_mount
+
+
+def mounted_velocity(site: Site) -> VelocityReader:
+    """How the sensor moves and turns: v + w x r at the distance r from the link's origin."""
+    arm = site.mount[0]
+    if arm == HERE[0]:
+        return site.engine.velocity(site.robot, site.link)
+    read = site.engine.motion(site.robot, site.link)
+
+    def of_mount() -> tuple[Triple, Triple]:
+        (_, turned), (linear, angular) = read()
+        return frames.add(linear, frames.cross(angular, frames.rotate(turned, arm))), angular
+
+    return of_mount
+
+
+def position(site: Site) -> Instrument:
+    """In m, in the world."""
+    read = mounted_pose(site)
+    return Instrument(lambda: read()[0])
+
+
+def orientation(site: Site) -> Instrument:
+    """The quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not negative."""
+    read = mounted_pose(site)
+
+    def turned() -> Quaternion:
+        x, y, z, w = read()[1]
+        return (x, y, z, w) if w >= 0.0 else (-x, -y, -z, -w)
+
+    return Instrument(turned)
+
+
+def velocity(site: Site) -> Instrument:
+    """In m/s, in the world."""
+    read = mounted_velocity(site)
+    return Instrument(lambda: read()[0])
+
+
+def angular_velocity(site: Site) -> Instrument:
+    """In rad/s, about the axes of the world."""
+    read = site.engine.velocity(site.robot, site.link)
+    return Instrument(lambda: read()[1])
+
+
+def compass(site: Site) -> Instrument:
+    """The angle in the plane from x of the world to x of the sensor, in rad, to the left positive."""
+    read = mounted_pose(site)
+
+    def heading() -> tuple[float]:
+        x, y, z, w = read()[1]
+        return (atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),)
+
+    return Instrument(heading)
 
 
 def gyro(site: Site) -> Instrument:
@@ -97,3 +180,24 @@ class Accelerometer:
             felt = frames.scaled(self._sum, 1.0 / (self._ticks * self._timestep))
             self._sum, self._ticks = (0.0, 0.0, 0.0), 0
         return felt if self._back == UPRIGHT else frames.rotate(self._back, felt)
+
+
+def touch(site: Site) -> Instrument:
+    """Whether each link touched something in any engine step since the tick before."""
+    others = None if site.sensor.against is None else [_part(name) for name in site.sensor.against]
+    readers = [site.engine.contact((site.robot, link), others) for link in site.sensor.subjects]
+    if len(readers) == 1:
+        (only,) = readers
+        return Instrument(lambda: (only(),))
+    return Instrument(lambda: [read() for read in readers])
+
+
+def force(site: Site) -> Instrument:
+    """The sum of normal forces on each link, in N."""
+    readers = [site.engine.contact_force((site.robot, link)) for link in site.sensor.subjects]
+    return Instrument(lambda: [read() for read in readers])
+
+
+def _part(name: str) -> Part:
+    body, _, link = name.partition(".")
+    return body, link or None

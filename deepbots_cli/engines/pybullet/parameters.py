@@ -1,4 +1,4 @@
-"""Figures of the world that an episode varies; each change notes its way back, for the next reset."""
+"""Parameters of the world that an episode varies; each change notes its way back, for the next reset."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
-    from deepbots_cli.engines.pybullet.floor import Floor
+    from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Triple
     from deepbots_cli.robots.model import Friction
 
 Colour = tuple[float, float, float, float]
 
 
-class Figures:
+class Parameters:
     """`light`, the brightness of pictures, and `gravity` (m/s^2), as they are now; at first those of the world model."""
 
     def __init__(self, client: int, gravity: Triple, light: float) -> None:
@@ -29,7 +29,7 @@ class Figures:
         self._ways_back: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
-        """Bring back every figure of the world model."""
+        """Bring back every parameter of the world model."""
         for back in self._ways_back.values():
             back()
         self._ways_back.clear()
@@ -47,7 +47,7 @@ class Figures:
     def set_friction(self, body: Body, index: int, given: dict[str, float | None], nominal: Friction) -> None:
         """One call per property: two in one went to the root link."""
         change = partial(p.changeDynamics, body.number, index, physicsClientId=self._client)
-        usual = contact_figures(nominal)
+        usual = contact_parameters(nominal)
         for what, value in given.items():
             if value is not None:
                 change(**{what: value})
@@ -91,7 +91,7 @@ class Figures:
         self._ways_back["floor"] = partial(floor.colour, floor.usual)
 
 
-def contact_figures(friction: Friction) -> dict[str, float]:
+def contact_parameters(friction: Friction) -> dict[str, float]:
     """By PyBullet's names. The friction of a pair is a product, so silence means 1 for `lateral`, and 0 for the others."""
     return {
         "lateralFriction": 1.0 if friction.lateral is None else friction.lateral,
