@@ -166,7 +166,8 @@ class _Reader:
         if not isinstance(root, Mapping):
             self.findings.add("DB103", root.span, "the file is no mapping", help="write keys with values, such as `name: CartPole`")
             return None
-        tree = self.expanded(root, folder, chain, 1)
+        has_includes = "include" in source.text or "\\" in source.text  # an escape may spell the key
+        tree = self.expanded(root, folder, chain, 1) if has_includes else root
         if not isinstance(tree, Mapping):
             return None
         entries = dict(tree.entries)

@@ -103,6 +103,10 @@ class RobotFile:
         return {shape.path: shape.digest for shape in shapes if isinstance(shape, Mesh)}
 
 
+MAX_CLEAN = 32
+_CLEAN: dict[tuple[bytes, str], RobotFile] = {}
+
+
 def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveMesh | None = None) -> RobotFile | None:
     """Read the robot file at `path`, which findings call `display`.
 
@@ -125,7 +129,22 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
 
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
-    """The same for a file that is already in memory."""
+    """The same for a file that is already in memory.
+
+    A robot without meshes and findings is read once: the scenarios of a folder share few robots.
+    """
+    if (known := _CLEAN.get((data, display))) is not None:
+        return known
+    before = len(findings)
+    robot = _read(data, display, findings, resolve_mesh)
+    if robot is not None and not robot.meshes and len(findings) == before:
+        if len(_CLEAN) >= MAX_CLEAN:
+            _CLEAN.clear()
+        _CLEAN[data, display] = robot
+    return robot
+
+
+def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh) -> RobotFile | None:
     source = _decode(data, display, findings)
     root = parse(source, findings) if source else None
     if source is None or root is None:
