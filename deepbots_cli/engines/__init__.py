@@ -2,7 +2,7 @@
 
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 kinematics.py  inverse kinematics of chains of joints
-common.py      what engines share: objects and walls as one-link robots, things by name, a quiet terminal
+objects.py     objects and walls as robots of one link; bodies by name
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
 `deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.

@@ -25,7 +25,7 @@ import gymnasium as gym
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.engines.common import hushed
+from deepbots_cli.engines.pybullet.library import hushed
 from deepbots_cli.runtime import Supervisor
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from deepbots_cli import frames
-from deepbots_cli.engines.common import find
+from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet.library import BASE
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.frames import HERE, Frame

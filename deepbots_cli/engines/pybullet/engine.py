@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.common import find
 from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, readers
 from deepbots_cli.engines.pybullet.cameras import Floor, lit, smoothed
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS

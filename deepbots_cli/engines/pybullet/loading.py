@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.common import as_robot, forms, hushed, moves, walls
+from deepbots_cli.engines.objects import as_robot, forms, moves, walls
 from deepbots_cli.engines.pybullet.body import Body, Pool, held_by
-from deepbots_cli.engines.pybullet.library import BASE, UNREACHABLE
+from deepbots_cli.engines.pybullet.library import BASE, UNREACHABLE, hushed
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.parameters import contact_parameters
 from deepbots_cli.errors import EngineError

@@ -16,7 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.common import as_robot, find, moves
+from deepbots_cli.engines.objects import as_robot, find, moves
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
 from deepbots_cli.robots import edits
