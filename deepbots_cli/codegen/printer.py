@@ -1,6 +1,6 @@
 """Prints the statements of one method: numbers and vectors, with the memories of stateful functions before them.
 
-The trees of a program are scalar: a vector is one tree per component. Where these trees are alike, a vector is printed as one
+The trees of a program are scalar: a vector is one tree per component. If the trees have the same form, the vector is printed as one
 comprehension, over a column of values wherever they differ; the order of operations in each component stays the same.
 """
 
@@ -22,7 +22,7 @@ NOTHING: Mapping[int, str] = MappingProxyType({})
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 _JOINED = {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"}
-"""What takes many alike arguments as one vector."""
+"""The function that an operation on many arguments of the same form is printed as; it takes one vector."""
 _MANY = 4
 _NEUTRAL = {"add": 0.0, "sub": 0.0, "mul": 1.0}
 
@@ -170,7 +170,7 @@ class Printer:
         return f"local({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
 
     def _joined(self, tree: Op) -> Code | None:
-        """An operation on many alike arguments, as one on a vector."""
+        """An operation on many arguments of the same form, as one operation on a vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
             return Code(f"hypot(*{column.plain})")
         if tree.op not in _JOINED or len(tree.args) < _MANY:
@@ -403,7 +403,7 @@ def _local(tree: Scalar) -> _Local | None:
 
 
 def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict[str, Scalar]) -> bool:
-    """Whether a tree is made like the pattern; `bodies` and `others` take what stands for its subjects and its names."""
+    """Whether a tree has the form of the pattern; `bodies` and `others` receive the values of its subjects and names."""
     match pattern, tree:
         case Name(name), _:
             others[name] = tree

@@ -150,7 +150,7 @@ def is_sought(place: Placement) -> bool:
 
 
 def _place_lines(places: Sequence[Placement], space: Workspace, printer: Printer) -> list[str]:
-    """The statements of one layout: first what has coordinates, then what stands in cells, then what looks for a spot."""
+    """The statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free positions."""
     groups = {group.name: group for group in space.scenario.reset.groups}
     return [line for place in _ordered(places) for line in _place(place, groups.get(place.body), printer)]
 

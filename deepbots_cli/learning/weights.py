@@ -165,7 +165,7 @@ def _opened(path: Path, limit: int | None) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except (zipfile.BadZipFile, OSError, EOFError, ValueError, KeyError, RuntimeError) as error:
-        # Of what zipfile and numpy say only the first line is for the reader; NotImplementedError is a RuntimeError.
+        # Report only the first line of the library's error; NotImplementedError is a RuntimeError.
         raise RunError(
             f"{path} is damaged, or no model of ours ({str(error).splitlines()[0][:120] if str(error) else 'cut short'})"
         ) from error

@@ -49,7 +49,7 @@ PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 
 NOWHERE = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
 TRACE = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
-UNLIMITED = (1.0, -1.0)  # the loader takes a missing figure for 0, and lower > upper for no limits
+UNLIMITED = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
 
 
 def connected(world: WorldModel) -> int:
