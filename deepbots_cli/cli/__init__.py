@@ -1,14 +1,16 @@
 """The command `deepbots`.
 
-verbs/         one module per verb, imported when that verb is asked for
-group.py       the verbs as one command           options.py     arguments that several verbs share
-exits.py       exceptions to exit codes           terminal.py    output, colour, progress
-tables.py      tables as text                     sources.py     scenarios, runs and robots as arguments
-rewriting.py   files that commands write          starters/      what `new` writes
-linting.py     what `lint` looks at               reports.py     its formats
-comparison.py  what `diff` shows                  inspection.py  what `inspect` shows
-timing.py      when actions act, how old observations are
-glossary.py    what `explain` says of words       project/       templates of `eject`
+verbs/         the verbs as one command; one module per verb, imported when the verb is called
+options.py     arguments that several verbs share
+sources.py     scenarios, runs and robots as arguments
+exits.py       exceptions to exit codes
+terminal.py    output, colour, progress
+tables.py      tables as text
+inspection.py  the tables of `inspect`
+rewriting.py   files that commands write
+starters/      the scenarios that `new` writes
+glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
+project/       templates of `eject`
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from deepbots_cli.cli.exits import guarded
 
     def run() -> None:
-        from deepbots_cli.cli import group
+        from deepbots_cli.cli import verbs
 
-        group.run(arguments)
+        verbs.run(arguments)
 
     return guarded(run)

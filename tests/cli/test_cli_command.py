@@ -14,8 +14,7 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.cli.group import Verbs
-from deepbots_cli.cli.verbs import VERBS, doctor
+from deepbots_cli.cli.verbs import VERBS, Verbs, doctor
 from deepbots_cli.errors import installing
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")

@@ -1,9 +1,11 @@
-"""`deepbots new`."""
+"""`deepbots new`: a first scenario from a template in `starters/`, or for a robot file."""
 
 from __future__ import annotations
 
+import os
+import re
 from enum import StrEnum
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import Annotated
 
@@ -12,7 +14,10 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.options import Json
-from deepbots_cli.cli.rewriting import write_new, write_with_schema
+from deepbots_cli.cli.rewriting import Files, write_new, write_with_schema
+from deepbots_cli.cli.sources import opened_robot
+from deepbots_cli.document import shipped
+from deepbots_cli.document.files import Refused, project_root, resolve
 from deepbots_cli.errors import UsageError
 
 
@@ -51,12 +56,12 @@ def command(
       deepbots new reach experiments --template arm
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
     """
-    name = starters.checked(name)
+    name = checked(name)
     if template and urdf:
         raise UsageError("--template and --urdf exclude each other: a template brings its robot along")
     if not (template or urdf):
         raise UsageError(f"say what to begin with: --template {'|'.join(Template)}, or --urdf ROBOT")
-    made = starters.from_robot(urdf, name, folder) if urdf else starters.from_template(template or "", name)
+    made = from_robot(urdf, name, folder) if urdf else from_template(template or "", name)
     written = write_with_schema(made, folder) if schema else write_new(made, folder)
     if urdf:
         terminal.mention(api.lint(written[0]), str(written[0]))
@@ -81,3 +86,61 @@ def _next(scenario: str) -> str:
         f"see what the agent sees and does:           deepbots inspect {scenario}\n"
         f"train on it:                                deepbots train {scenario}"
     )
+
+
+_TEMPLATES = Path(starters.__file__).parent
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+
+
+def checked(name: str) -> str:
+    """The name of a new scenario without the suffix of its file.
+
+    Raises:
+        UsageError: No file and no run could have that name.
+    """
+    bare = name.removesuffix(".yaml")
+    folder, _, last = bare.rpartition("/")
+    if folder and _NAME.fullmatch(last):
+        raise UsageError(f"'{name[:80]}' is a name with a folder, which goes behind it: deepbots new {last} {quote(folder)} ...")
+    if not _NAME.fullmatch(bare):
+        raise UsageError(f"'{name[:80]}' cannot name a scenario; use letters, digits, _ and -, at most 64, and begin with a letter")
+    return bare
+
+
+def from_template(template: str, name: str) -> Files:
+    """The scenario `NAME.yaml`, and the robot file beside it if the template has one."""
+    text = (_TEMPLATES / f"{template}.yaml").read_text(encoding="utf-8")
+    text = text.replace("name: Start\n", f"name: {_title(name)}\n").replace("start.urdf", f"{name}.urdf")
+    made: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
+    robot = _TEMPLATES / f"{template}.urdf"
+    if robot.exists():
+        made[PurePosixPath(f"{name}.urdf")] = robot.read_bytes()
+    return made
+
+
+def from_robot(robot: str, name: str, folder: Path) -> Files:
+    """The scenario `NAME.yaml` for `folder`, about a robot file: a path, a shipped name, or package://...
+
+    Raises:
+        UsageError: There is no such file, a scenario of that folder may not read it, or nothing of it can be driven.
+        ScenarioError: It cannot be read as a robot.
+    """
+    model = opened_robot(robot)[0].model
+    text = starters.scenario(model, _reference(robot, folder), _title(name))
+    return {PurePosixPath(f"{name}.yaml"): text.encode()}
+
+
+def _reference(robot: str, folder: Path) -> str:
+    """How a scenario in `folder` names a robot file."""
+    if robot.startswith("package://") or shipped.robot_path(robot) is not None:
+        return robot
+    path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
+    found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
+    if isinstance(found, Refused):
+        raise UsageError(f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it there")
+    return path
+
+
+def _title(name: str) -> str:
+    """The name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
+    return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
