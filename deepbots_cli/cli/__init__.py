@@ -1,7 +1,7 @@
 """The command `deepbots`.
 
-verbs/         the verbs as one command; one module per verb, imported when the verb is called
-options.py     arguments that several verbs share
+command.py     the verbs as one command; arguments that several verbs share
+verbs/         one module per verb, imported when the verb is called
 sources.py     scenarios, runs and robots as arguments
 exits.py       exceptions to exit codes
 terminal.py    output, colour, progress
@@ -27,15 +27,15 @@ _COLLECT_EVERY = 50_000
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line, by default that of the process, and return its exit code.
 
-    0 done; 1 findings, or a demanded result not met; 2 wrong usage, a missing file, not a run, a missing extra;
-    3 a fault of deepbots; 130 interrupted.
+    0: success. 1: findings, or a required result was not reached. 2: wrong usage, a missing file, not a run, a missing extra.
+    3: an internal error of deepbots. 130: interrupted.
     """
     gc.set_threshold(_COLLECT_EVERY)
     from deepbots_cli.cli.exits import guarded
 
     def run() -> None:
-        from deepbots_cli.cli import verbs
+        from deepbots_cli.cli.command import run_command
 
-        verbs.run(arguments)
+        run_command(arguments)
 
     return guarded(run)

@@ -14,7 +14,8 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.cli.verbs import VERBS, Verbs, doctor
+from deepbots_cli.cli.command import Verbs
+from deepbots_cli.cli.verbs import VERBS, doctor
 from deepbots_cli.errors import installing
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
@@ -93,10 +94,10 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
 @pytest.mark.parametrize(
     ("gone", "said"),
     [
-        (("pygls",), "everything works but the language server, which needs the extra that is missing"),
+        (("pygls",), "everything works except the language server, which needs the missing extra"),
         ((), "everything works"),
-        (("torch",), "linting and simulating work; training needs the extra that is missing"),
-        (("pybullet", "torch"), "linting works; simulating and training need the extras that are missing"),
+        (("torch",), "linting and simulating work; training needs the missing extra"),
+        (("pybullet", "torch"), "linting works; simulating and training need the missing extras"),
     ],
 )
 def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(deepbots, monkeypatch, gone, said):

@@ -17,8 +17,8 @@ import typer
 
 from deepbots_cli import canonical, interface
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.exits import FAILED, WRONG
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.sources import Opened, opened
 from deepbots_cli.cli.tables import cell, formula
 from deepbots_cli.errors import ScenarioError
@@ -35,7 +35,7 @@ LOOK = "look of "
 
 
 class Group(StrEnum):
-    """The consequence of a difference, the gravest first."""
+    """The consequence of a difference, the most serious first."""
 
     policy = "policy"
     task = "task"
@@ -45,13 +45,13 @@ class Group(StrEnum):
 
 
 _HEADINGS = {
-    Group.policy: "a policy trained on one does not fit the other",
+    Group.policy: "a policy trained in one scenario does not fit the other",
     Group.task: "sensors, actions, rewards or endings differ",
-    Group.world: "world, messages or starts differ, and so how hard the task is",
-    Group.training: "training and evaluation",
-    Group.cosmetic: "names, looks, the order of keys and last digits, which change no meaning",
+    Group.world: "world, messages or starts differ, so the difficulty differs",
+    Group.training: "training or evaluation differs",
+    Group.cosmetic: "names, colours, order of keys or last digits differ; the meaning is the same",
 }
-_Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A file, the name of a shipped scenario, or a run directory.")]
+_Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
 
 
 def command(
@@ -62,12 +62,12 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Compare two scenarios by meaning.
+    """Compare the meaning of two scenarios.
 
-    Both are compiled and then compared: layout, comments and units make no difference. The scenario of a run directory
-    is the one that it was trained on. --set changes the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. Of a run directory it
+    takes the scenario of the training. --set overrides values of the second scenario.
 
-    The exit code is 0 if at most cosmetic differences were found, 1 for other differences, and 2 if a scenario cannot be compiled.
+    The exit code is 0 without differences or with cosmetic ones only, 1 with other differences, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed
@@ -100,7 +100,7 @@ def _data(one: str, other: str, found: Sequence[Change]) -> dict[str, object]:
 
 def _show(found: Sequence[Change], one: str, other: str) -> None:
     if not found:
-        terminal.say(f"{one} and {other} mean the same")
+        terminal.say(f"{one} and {other} have the same meaning")
     for group, heading in _HEADINGS.items():
         here = [change for change in found if change.group is group]
         if here:
@@ -113,7 +113,7 @@ def _show(found: Sequence[Change], one: str, other: str) -> None:
 def _show_change(change: Change) -> None:
     terminal.say(f"  {change.path}")
     if change.through:
-        terminal.say(f"      {change.one}\n      by another value of {', '.join(change.through)}")
+        terminal.say(f"      {change.one}\n      changed by the parameters {', '.join(change.through)}")
         return
     if change.kind == "changed" and not (change.one or change.other):
         return
@@ -184,28 +184,28 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
 )
 _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
 _PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Policy)
-"""Records that are mere places for others, whose kind says nothing."""
+"""Records that only hold other records; their class is not compared."""
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
 
 
 def changes(one: Opened, other: Opened) -> list[Change]:
-    """All differences, the gravest group first; empty if both scenarios compile to the same, except for the paths of files."""
+    """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
     found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.ir, other.ir)]
     if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
         path = "last digits" if list(values(one.ir)) == list(values(other.ir)) else "order of keys"
         found = [Change(path, Group.cosmetic, "changed", "", "")]
-    gravest: dict[str, Change] = {}
+    by_path: dict[str, Change] = {}
     for change in sorted(found, key=lambda change: list(Group).index(change.group)):
-        # The components of what a policy sees stand for the whole.
-        parts = [known for path, known in gravest.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
-        if change.path not in gravest and not parts:
-            gravest[change.path] = change
-    return list(gravest.values())
+        # Components of an observation replace the entry of the whole observation.
+        parts = [known for path, known in by_path.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
+        if change.path not in by_path and not parts:
+            by_path[change.path] = change
+    return list(by_path.values())
 
 
 def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
-    """What a policy relies on: ranges, choices and messages."""
+    """Differences in the interface of a policy: ranges, choices and messages."""
     before, after = interface.interface(one.ir), interface.interface(other.ir)
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
@@ -248,7 +248,7 @@ def _is_seen(path: str, scenario: Program) -> bool:
 
 
 def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, str], one: Opened, other: Opened) -> Change:
-    """The change at a path, in the words of both texts, or by the values that differ where the texts say nothing of them."""
+    """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts do not."""
     section, _, name = path.partition(".")
     if section == "signals" and any(name in side.names("augment") for side in (one, other)):
         path = f"augment.{name}"
@@ -267,7 +267,7 @@ def _kind(before: bool, after: bool) -> Kind:
 
 
 def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
-    """A few of the values that differ; of an item that only one has, all or none, since a link has dozens."""
+    """The first few values that differ; none of an item with many values that only one scenario has."""
     names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
     if len(names) > _LISTED and not (old and new):
         return "", ""
@@ -287,7 +287,7 @@ def _altered_parameters(one: Opened, other: Opened) -> list[str]:
 
 
 def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
-    """Cases and stages, by what each changes in its scenario."""
+    """Cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
         ("evaluation.cases", _variants(one.ir, one.ir.cases), _variants(other.ir, other.ir.cases)),
         ("curriculum", _variants(one.ir, one.ir.curriculum), _variants(other.ir, other.ir.curriculum)),
@@ -329,7 +329,7 @@ def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Group], list[str]]]:
 
 
 def values(scenario: Program) -> dict[str, str]:
-    """Every value of a scenario as text, by path; without its cases and stages, and the paths of files."""
+    """Every value of a scenario as text, by path; without cases, stages and paths of files."""
     placeless = canonical.with_files(replace(scenario, cases=(), curriculum=()), lambda file: replace(file, path=""))
     return dict(_leaves(placeless, ""))
 
@@ -381,7 +381,7 @@ def _key(entry: Any) -> str:
 
 
 def _path_of_draw(entry: RandomizedParameter) -> str:
-    """Where a value that is drawn per episode is written; a drawn colour belongs to the look of its body."""
+    """The path in the language of a value that is drawn per episode."""
     body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
     if entry.what == "colour":
         return f"{LOOK}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{LOOK}objects.{body}"

@@ -12,10 +12,10 @@ from typing import Annotated, NamedTuple
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import is_slip, nearest
 from deepbots_cli.diagnostics.registry import unknown as unknown_finding
 from deepbots_cli.diagnostics.registry import with_prefix
 from deepbots_cli.document.nodes import to_data
@@ -36,14 +36,16 @@ _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
 def command(
     finding: Annotated[
         str,
-        typer.Argument(metavar="[CODE|NAME|WORD]", help="A code, the beginning of codes such as DB6, a word of the language, a concept."),
+        typer.Argument(
+            metavar="WORD", help="Code or name of a finding, prefix of codes, word of the language, or term; by default all findings."
+        ),
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Explain a finding: what it means, and what to write instead.
+    """Explain a finding, a word of the language, or a term of the glossary.
 
-    Without a code, all findings are listed. Words of the language are explained as well: keys, functions, units, kinds of sensors,
-    actuators, objects and algorithms; and concepts such as HER, domain randomisation or checkpoint.
+    Words of the language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. Terms of the
+    glossary are those of reinforcement learning, such as HER, domain randomisation or time limit. Without a word, the command lists all findings.
 
     \b
       deepbots explain DB603
@@ -52,15 +54,19 @@ def command(
       deepbots explain through
       deepbots explain gyro
       deepbots explain HER
+      deepbots explain domain-randomisation
       deepbots explain
     """
     found = with_prefix(finding)
     if not found:
         lines = explained(finding)
+        if not lines and not _FINDING.match(finding) and (meant := misspelt(finding)):
+            terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
+            lines = explained(meant)
         if not lines:
             raise UsageError(unknown_finding(finding) if _FINDING.match(finding) else unknown(finding))
         if as_json:
-            raise UsageError(f"--json tells of findings, and '{finding}' is none; leave it out")
+            raise UsageError(f"--json prints findings, and '{finding}' is not a finding; leave it out")
         terminal.say("\n".join(map(_wrapped, lines)))
     elif as_json:
         terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
@@ -97,11 +103,11 @@ def _suppression(rule: Rule) -> Iterator[str]:
     """How to suppress a finding, or why it cannot be suppressed."""
     yield ""
     if rule.preview:
-        yield "It may still misfire, and is looked for with --preview only."
+        yield "The rule is in preview: it can report false findings, and runs only with --preview."
     if rule.deep == "only":
-        yield "Only a simulation can tell: it is looked for with --deep."
+        yield "The rule needs a simulation, and runs only with --deep."
     if rule.severity == "error":
-        yield "It cannot be suppressed." if rule.deep == "only" else "A scenario with it cannot be compiled."
+        yield "The finding cannot be suppressed." if rule.deep == "only" else "A scenario with this error cannot be compiled."
     else:
         yield f"A comment on the line of the finding, or on the line above, suppresses it: # deepbots: ignore[{rule.code}]"
 
@@ -153,20 +159,26 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
 def explained(word: str) -> list[str]:
     """Paragraphs and examples about `word`; empty if nothing has this name.
 
-    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only where the language
-    has no such word. The last line lists other entries that contain the word.
+    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only if the language has no
+    word of exactly this spelling. The last line lists other entries that contain the word.
     """
-    spelt = word if word in _words() else next((other for other in _words() if other.lower() == word.lower()), word)
-    blocks = _blocks(spelt)
     plain = _plain(word)
+    spelt = word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
+    blocks = _blocks(spelt)
     found = [topic for topic in topics() if plain == _plain(topic.name)]
-    if not found and not blocks:
+    if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])
     return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+
+
+def misspelt(word: str) -> str | None:
+    """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
+    concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
+    return next((name for name in (*concepts, *_words()) if is_slip(_plain(word), _plain(name))), None)
 
 
 def _blocks(word: str) -> list[list[str]]:
@@ -192,8 +204,9 @@ def _example(text: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """In lower case, in American spelling, with blanks between words."""
-    return re.sub(r"is(?=(e|ed|ing|ation)\b)", "iz", " ".join(re.split(r"[\s_-]+", text.strip().lower())))
+    """In lower case, American spelling and the singular, with blanks between words."""
+    words = " ".join(re.split(r"[\s_-]+", text.strip().lower()))
+    return re.sub(r"is(?=(e|ed|er|ing|ation)\b)", "iz", re.sub(r"our\b", "or", re.sub(r"(?<=\w{3})s\b", "", words)))
 
 
 def _others(word: str, shown: Iterable[str]) -> list[str]:
@@ -218,7 +231,7 @@ def unknown(word: str) -> str:
     """The error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     near = nearest(word, concepts, 0.8) or nearest(word, list(_words())) or nearest(word, concepts)
-    hint = f"; did you mean {near}?" if near else "; deepbots explain without a word lists the findings"
+    hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
     others = _others(word, ())
     if others:
         hint = f"; see {', '.join(others)}"
@@ -238,7 +251,11 @@ def _of_unit(word: str) -> Iterator[str]:
     unit = UNITS.get(word)
     if unit is not None:
         yield f"{word}: a unit"
-        yield f"1 {word} is {unit.scale / unit.divisor:.9g} {unit.dimension}." if str(unit.dimension) != word else "Figures are kept in it."
+        yield (
+            f"1 {word} is {unit.scale / unit.divisor:.9g} {unit.dimension}."
+            if str(unit.dimension) != word
+            else "It is the SI unit of its dimension."
+        )
 
 
 def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Lines]:
@@ -248,7 +265,7 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
             yield "key", *_of_key(part, word)
         return
     if part.key == word:
-        yield "key", f"Its kind, one of {', '.join(part.names)}."
+        yield "key", f"The kind, one of {', '.join(part.names)}."
     if word in part.names:
         yield part.key, *_of_kind(part, word)
 
@@ -259,9 +276,9 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
     needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))
     if needed:
-        yield f"It needs {', '.join(needed)}."
+        yield f"Required keys: {', '.join(needed)}."
     if others:
-        yield f"It may have {', '.join(others)}."
+        yield f"Optional keys: {', '.join(others)}."
 
 
 def _of_key(part: type[Section], key: str) -> Iterator[str]:

@@ -13,7 +13,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
-from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.rewriting import Files, write_new, write_with_schema
 from deepbots_cli.cli.sources import opened_robot
 from deepbots_cli.document import shipped
@@ -29,21 +29,20 @@ class Template(StrEnum):
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="What to call it: NAME.yaml is written.")],
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to put it.")] = Path("."),
-    template: Annotated[Template | None, typer.Option("--template", help="What to begin with.")] = None,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; the file is NAME.yaml.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
+    template: Annotated[Template | None, typer.Option("--template", help="Template to begin with.")] = None,
     urdf: Annotated[
-        str | None, typer.Option("--urdf", metavar="ROBOT", help="A robot file: a path, package://..., or the name of a shipped one.")
+        str | None,
+        typer.Option("--urdf", metavar="ROBOT", help="Robot file to begin with: a path, package://..., or the name of a shipped robot."),
     ] = None,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Also write NAME.schema.json, by which an editor completes, explains and checks it.")
-    ] = False,
+    schema: Annotated[bool, typer.Option("--schema", help="Also write NAME.schema.json for completion in an editor.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Write a first scenario, with a comment on every part.
+    """Write a first scenario with comments, from a template or for a robot file.
 
-    Nothing is overwritten. With --urdf, the task depends on what the robot file shows: wheels, an arm, legs, rotors, something
-    that would fall over. What the templates are:
+    With --urdf, the task depends on the robot: wheels, an arm, legs, rotors, or a part that falls over. Existing files are not overwritten.
+    The templates are:
 
     \b
       cartpole  a cart that balances a pole
@@ -55,12 +54,14 @@ def command(
       deepbots new mine --template wheeled --schema
       deepbots new reach experiments --template arm
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
+
+    Next: `deepbots run mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
     """
     name = checked(name)
     if template and urdf:
-        raise UsageError("--template and --urdf exclude each other: a template brings its robot along")
+        raise UsageError("--template and --urdf exclude each other; a template has its own robot")
     if not (template or urdf):
-        raise UsageError(f"say what to begin with: --template {'|'.join(Template)}, or --urdf ROBOT")
+        raise UsageError(f"choose a start: --template {'|'.join(Template)}, or --urdf ROBOT")
     made = from_robot(urdf, name, folder) if urdf else from_template(template or "", name)
     written = write_with_schema(made, folder) if schema else write_new(made, folder)
     if urdf:
@@ -72,7 +73,7 @@ def command(
         terminal.say(str(path))
     terminal.note(_next(quote(str(written[0]))))
     if not schema:
-        terminal.note(f"complete it in an editor:                   deepbots schema --for {_named(written[0])}")
+        terminal.note(f"  deepbots schema --for {_named(written[0])}")
 
 
 def _named(scenario: Path) -> str:
@@ -80,12 +81,7 @@ def _named(scenario: Path) -> str:
 
 
 def _next(scenario: str) -> str:
-    return (
-        f"read it, then watch what random actions do: deepbots run {scenario}\n"
-        f"change it, and ask what is wrong with it:   deepbots lint {scenario}\n"
-        f"see what the agent sees and does:           deepbots inspect {scenario}\n"
-        f"train on it:                                deepbots train {scenario}"
-    )
+    return f"\nnext:\n  deepbots run {scenario}\n  deepbots inspect {scenario}\n  deepbots lint {scenario}\n  deepbots train {scenario}"
 
 
 _TEMPLATES = Path(starters.__file__).parent
@@ -93,17 +89,17 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
 def checked(name: str) -> str:
-    """The name of a new scenario without the suffix of its file.
+    """The name of a new scenario without the suffix .yaml.
 
     Raises:
-        UsageError: No file and no run could have that name.
+        UsageError: The name is not valid for a file and a run.
     """
     bare = name.removesuffix(".yaml")
     folder, _, last = bare.rpartition("/")
     if folder and _NAME.fullmatch(last):
-        raise UsageError(f"'{name[:80]}' is a name with a folder, which goes behind it: deepbots new {last} {quote(folder)} ...")
+        raise UsageError(f"'{name[:80]}' contains a folder; write the folder after the name: deepbots new {last} {quote(folder)} ...")
     if not _NAME.fullmatch(bare):
-        raise UsageError(f"'{name[:80]}' cannot name a scenario; use letters, digits, _ and -, at most 64, and begin with a letter")
+        raise UsageError(f"'{name[:80]}' is not a valid name; use up to 64 letters, digits, _ and -, and begin with a letter")
     return bare
 
 
@@ -119,11 +115,11 @@ def from_template(template: str, name: str) -> Files:
 
 
 def from_robot(robot: str, name: str, folder: Path) -> Files:
-    """The scenario `NAME.yaml` for `folder`, about a robot file: a path, a shipped name, or package://...
+    """The scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or package://...
 
     Raises:
-        UsageError: There is no such file, a scenario of that folder may not read it, or nothing of it can be driven.
-        ScenarioError: It cannot be read as a robot.
+        UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no joint that can be driven.
+        ScenarioError: The file is not a valid robot.
     """
     model = opened_robot(robot)[0].model
     text = starters.scenario(model, _reference(robot, folder), _title(name))
@@ -131,13 +127,15 @@ def from_robot(robot: str, name: str, folder: Path) -> Files:
 
 
 def _reference(robot: str, folder: Path) -> str:
-    """How a scenario in `folder` names a robot file."""
+    """The reference to a robot file in a scenario in `folder`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
     found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
     if isinstance(found, Refused):
-        raise UsageError(f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it there")
+        raise UsageError(
+            f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it into the folder"
+        )
     return path
 
 
