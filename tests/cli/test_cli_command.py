@@ -283,5 +283,5 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     before = (tmp_path / "cartpole.yaml").read_bytes()
     ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
     assert (ran.code, ran.out) == (2, "")
-    assert "cartpole.yaml holds a file that the scenario is read from" in ran.err
+    assert "cartpole.yaml is an input of the scenario" in ran.err
     assert (tmp_path / "cartpole.yaml").read_bytes() == before

@@ -30,7 +30,7 @@ def command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     as_json: Json = False,
 ) -> None:
-    """Copy a scenario that comes with deepbots, with the files that it reads.
+    """Copy a scenario that comes with deepbots, and its files.
 
     The command rewrites the paths in the scenario so that they fit the new folder. Existing files are not overwritten.
 

@@ -113,7 +113,7 @@ def _show(found: Sequence[Change], one: str, other: str) -> None:
 def _show_change(change: Change) -> None:
     terminal.say(f"  {change.path}")
     if change.through:
-        terminal.say(f"      {change.one}\n      changed by the parameters {', '.join(change.through)}")
+        terminal.say(f"      {change.one}\n      changed by the parameter{'s' * (len(change.through) > 1)} {', '.join(change.through)}")
         return
     if change.kind == "changed" and not (change.one or change.other):
         return

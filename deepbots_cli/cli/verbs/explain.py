@@ -42,10 +42,11 @@ def command(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Explain a finding, a word of the language, or a term of the glossary.
+    """Explain a finding, a word of the language, or a glossary term.
 
-    Words of the language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. Terms of the
-    glossary are those of reinforcement learning, such as HER, domain randomisation or time limit. Without a word, the command lists all findings.
+    Words of the language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
+    glossary has terms of reinforcement learning, such as HER, domain randomisation or time limit. Without a word, the command lists all
+    findings.
 
     \b
       deepbots explain DB603

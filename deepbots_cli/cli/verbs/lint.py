@@ -198,11 +198,8 @@ def _hint(findings: Sequence[Finding]) -> str | None:
     safe = sum(finding.fix is not None and finding.fix.safe for finding in findings)
     unsafe = sum(finding.fix is not None and not finding.fix.safe for finding in findings)
     if not safe:
-        return (
-            f"{unsafe} unsafe fixes available: show them with --diff --unsafe-fixes, apply them with --fix --unsafe-fixes"
-            if unsafe
-            else None
-        )
+        count = f"{unsafe} unsafe fix{'es' * (unsafe > 1)} available"
+        return f"{count}: show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes" if unsafe else None
     return f"{safe} can be fixed by --fix" + (f", {unsafe} more by --unsafe-fixes" if unsafe else "")
 
 

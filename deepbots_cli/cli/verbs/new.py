@@ -39,7 +39,7 @@ def command(
     schema: Annotated[bool, typer.Option("--schema", help="Also write NAME.schema.json for completion in an editor.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Write a first scenario with comments, from a template or for a robot file.
+    """Write a first scenario from a template or for a robot file.
 
     With --urdf, the task depends on the robot: wheels, an arm, legs, rotors, or a part that falls over. Existing files are not overwritten.
     The templates are:
