@@ -5,6 +5,7 @@
 keys.md      every key of a scenario, from the schema
 functions.md units, functions and built-in names, from the expression language
 rules.md     every finding, from the registry of rules and the docstrings of lint rules
+glossary.md  terms of reinforcement learning and their place in the language, from the glossary of `deepbots explain`
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from deepbots_cli.cli.verbs.explain import topics
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
@@ -32,7 +34,7 @@ Route = tuple[str, ...]
 
 def pages() -> dict[str, str]:
     """The text of each page by its file name."""
-    return {"keys.md": _Keys().text(), "functions.md": _functions(), "rules.md": _rules()}
+    return {"keys.md": _Keys().text(), "functions.md": _functions(), "rules.md": _rules(), "glossary.md": _glossary()}
 
 
 # Keys
@@ -299,6 +301,33 @@ def _rule_page(page: Page) -> Iterator[str]:
         mark = "deep" if page.deep else "wrong"
         wrong, right = ("xml", "xml") if page.language == "xml" else (f"yaml {mark} {page.code}", "yaml fragment")
         yield from ["", f"```{wrong}", page.example, "```", "", "Instead:", "", f"```{right}", page.instead, "```"]
+
+
+# Glossary
+
+
+def _glossary() -> str:
+    lines = [
+        "# Glossary",
+        "",
+        _NOTE,
+        "",
+        "Terms of reinforcement learning and robotics, with the keys and commands of deepbots for each. `deepbots explain` prints the same"
+        ' texts, and finds British and American spellings: `deepbots explain "time limit"`.',
+        "",
+        "| term | also |",
+        "|---|---|",
+    ]
+    lines += [f"| [{topic.name}](#{topic.name.replace(' ', '-')}) | {', '.join(topic.names)} |" for topic in topics()]
+    for topic in topics():
+        lines += ["", f"## {topic.name}", "", " ".join(topic.about.split())]
+        if topic.example:
+            lines += ["", "```yaml fragment", *topic.example.splitlines(), "```"]
+        page, _, section = topic.read.removeprefix("docs/").partition("#")
+        place = page.removeprefix("reference/") if page.startswith("reference/") else f"../{page}"
+        title = (section or page.removesuffix(".md")).replace("-", " ")
+        lines += ["", f"Read more: [{title}]({place}{f'#{section}' if section else ''})"]
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:

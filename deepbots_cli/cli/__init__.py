@@ -1,14 +1,16 @@
 """The command `deepbots`.
 
-verbs/         one module per verb, imported when that verb is asked for
-group.py       the verbs as one command           options.py     arguments that several verbs share
-exits.py       exceptions to exit codes           terminal.py    output, colour, progress
-tables.py      tables as text                     sources.py     scenarios, runs and robots as arguments
-rewriting.py   files that commands write          starters/      what `new` writes
-linting.py     what `lint` looks at               reports.py     its formats
-comparison.py  what `diff` shows                  inspection.py  what `inspect` shows
-timing.py      when actions act, how old observations are
-glossary.py    what `explain` says of words       project/       templates of `eject`
+command.py     the verbs as one command; arguments that several verbs share
+verbs/         one module per verb, imported when the verb is called
+sources.py     scenarios, runs and robots as arguments
+exits.py       exceptions to exit codes
+terminal.py    output, colour, progress
+tables.py      tables as text
+inspection.py  the tables of `inspect`
+rewriting.py   files that commands write
+starters/      the scenarios that `new` writes
+glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
+project/       templates of `eject`
 """
 
 from __future__ import annotations
@@ -25,15 +27,15 @@ _COLLECT_EVERY = 50_000
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line, by default that of the process, and return its exit code.
 
-    0 done; 1 findings, or a demanded result not met; 2 wrong usage, a missing file, not a run, a missing extra;
-    3 a fault of deepbots; 130 interrupted.
+    0: success. 1: findings, or a required result was not reached. 2: wrong usage, a missing file, not a run, a missing extra.
+    3: an internal error of deepbots. 130: interrupted.
     """
     gc.set_threshold(_COLLECT_EVERY)
     from deepbots_cli.cli.exits import guarded
 
     def run() -> None:
-        from deepbots_cli.cli import group
+        from deepbots_cli.cli.command import run_command
 
-        group.run(arguments)
+        run_command(arguments)
 
     return guarded(run)

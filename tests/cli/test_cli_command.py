@@ -14,7 +14,7 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.cli.group import Verbs
+from deepbots_cli.cli.command import Verbs
 from deepbots_cli.cli.verbs import VERBS, doctor
 from deepbots_cli.errors import installing
 
@@ -94,10 +94,10 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
 @pytest.mark.parametrize(
     ("gone", "said"),
     [
-        (("pygls",), "everything works but the language server, which needs the extra that is missing"),
+        (("pygls",), "everything works except the language server, which needs the missing extra"),
         ((), "everything works"),
-        (("torch",), "linting and simulating work; training needs the extra that is missing"),
-        (("pybullet", "torch"), "linting works; simulating and training need the extras that are missing"),
+        (("torch",), "linting and simulating work; training needs the missing extra"),
+        (("pybullet", "torch"), "linting works; simulating and training need the missing extras"),
     ],
 )
 def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(deepbots, monkeypatch, gone, said):
@@ -283,5 +283,5 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     before = (tmp_path / "cartpole.yaml").read_bytes()
     ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
     assert (ran.code, ran.out) == (2, "")
-    assert "cartpole.yaml holds a file that the scenario is read from" in ran.err
+    assert "cartpole.yaml is an input of the scenario" in ran.err
     assert (tmp_path / "cartpole.yaml").read_bytes() == before

@@ -70,7 +70,7 @@ def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, settin
 @pytest.mark.parametrize("name", few(shipped.scenario_names()))
 def test_a_scenario_has_no_difference_to_itself(deepbots, name):
     ran = deepbots("diff", name, name)
-    assert (ran.code, ran.out) == (0, f"{name} and {name} mean the same\n")
+    assert (ran.code, ran.out) == (0, f"{name} and {name} have the same meaning\n")
 
 
 VARIANTS = {
@@ -115,13 +115,13 @@ def test_layout_comments_units_and_the_order_of_keys_count_for_nothing(deepbots,
         changed.replace("solved: {mean_return: 195, episodes: 100}", "solved: {episodes: 100, mean_return: 195}")
     )
     ran = deepbots("diff", "cartpole.yaml", "same.yaml")
-    assert (ran.code, ran.out) == (0, "cartpole.yaml and same.yaml mean the same\n")
+    assert (ran.code, ran.out) == (0, "cartpole.yaml and same.yaml have the same meaning\n")
 
 
 def test_a_parameter_is_told_by_what_it_changes(deepbots):
     ran = deepbots("diff", "cartpole", "cartpole", "--set", "fall_angle=10deg")
     assert ran.code == 1
-    assert "termination.failure.fallen\n      abs(cart.pole_angle) > fall_angle\n      by another value of fall_angle" in ran.out
+    assert "termination.failure.fallen\n      abs(cart.pole_angle) > fall_angle\n      changed by the parameter fall_angle" in ran.out
 
 
 def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.cli.glossary import Topic, topics
+from deepbots_cli.cli.verbs.explain import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
@@ -85,7 +85,7 @@ def test_an_unknown_word_is_wrong_usage_and_the_nearest_is_suggested(deepbots, w
 def test_a_word_like_no_other_is_told_where_findings_are_listed(deepbots):
     ran = deepbots("explain", "zzzz")
     assert ran.code == 2
-    assert "deepbots explain without a word lists the findings" in ran.err
+    assert "`deepbots explain` lists all findings" in ran.err
 
 
 def test_explaining_needs_no_extra():
@@ -115,29 +115,37 @@ def test_a_word_that_is_key_and_function_is_explained_as_both(deepbots):
 
 def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
     said = " ".join(deepbots("explain", "type").out.split())
-    assert "type: a key of `robots.<name>.actuators.<name>` Its kind, one of velocity_motor, position_motor" in said
+    assert "type: a key of `robots.<name>.actuators.<name>` The kind, one of velocity_motor, position_motor" in said
 
 
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("gyro", "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about its own axes, x y z. It needs link."),
-        ("thrust", "It needs range."),
+        ("gyro", "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about its own axes, x y z. Required keys: link."),
+        ("thrust", "Required keys: range."),
         ("PPO", "PPO: an algorithm of `train`"),
         ("cylinder", "cylinder: a shape of `objects.<name>`"),
         ("deg", "deg: a unit 1 deg is 0.0174532925 rad."),
-        ("m", "m: a unit Figures are kept in it."),
+        ("m", "m: a unit It is the SI unit of its dimension."),
     ],
 )
 def test_a_kind_and_a_unit_are_explained(deepbots, word, said):
     assert said in " ".join(deepbots("explain", word).out.split())
 
 
-@pytest.mark.parametrize(("word", "meant"), [("gyroscope", "gyro"), ("throuhg", "through"), ("degrees", "deg"), ("hindsigth", "hindsight")])
+@pytest.mark.parametrize(("word", "meant"), [("gyroscope", "gyro"), ("degrees", "deg"), ("hinsigt", "hindsight")])
 def test_the_nearest_word_of_the_language_is_suggested_too(deepbots, word, meant):
     ran = deepbots("explain", word)
     assert ran.code == 2
     assert ran.err == f"error: there is no finding, key, kind, function, unit or concept '{word}'; did you mean {meant}?\n"
+
+
+@pytest.mark.parametrize(("word", "meant"), [("throuhg", "through"), ("hindsigth", "hindsight"), ("curiculum", "curriculum")])
+def test_a_slip_of_one_letter_is_explained_as_the_word_that_is_meant(deepbots, word, meant):
+    ran = deepbots("explain", word)
+    assert ran.code == 0
+    assert ran.err == f"there is no entry '{word}'; this is the entry '{meant}'\n\n"
+    assert ran.out == deepbots("explain", meant).out
 
 
 def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots):
@@ -162,6 +170,22 @@ def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots
         ("reward shaping", "reward shaping"),
         ("success", "success"),
         ("seed", "seeds"),
+        ("observation noise", "noise"),
+        ("privileged information", "privileged information"),
+        ("asymmetric critic", "privileged information"),
+        ("TimeLimit", "time limit"),
+        ("truncated", "time limit"),
+        ("action repeat", "action repeat"),
+        ("frame skip", "action repeat"),
+        ("sim-to-real", "sim-to-real"),
+        ("sim2real", "sim-to-real"),
+        ("delays", "latency"),
+        ("baselines", "baseline"),
+        ("held-out", "evaluation"),
+        ("success rate", "success"),
+        ("observation normalization", "normalisation"),
+        ("action scaling", "action scaling"),
+        ("discount factor", "discount"),
         ("VecEnv", "vectorised environments"),
         ("vectorized environments", "vectorised environments"),
         ("checkpoints", "checkpoint"),

@@ -334,7 +334,7 @@ def test_a_difference_takes_no_format_since_it_holds_no_findings(deepbots, scena
     for option in (["--json"], ["--format", "sarif"]):
         ran = deepbots("lint", "a.yaml", "--diff", *option)
         assert (ran.code, ran.out) == (2, "")
-        assert "--diff shows the change and no findings" in ran.err
+        assert "--diff shows changes instead of findings" in ran.err
 
 
 def test_a_file_whose_name_is_as_long_as_names_can_be_is_fixed(deepbots, scenario, tmp_path):
@@ -376,7 +376,7 @@ def test_a_diff_that_has_only_guesses_names_the_options_that_show_them(deepbots,
     scenario(faulty(next(iter(UNSAFE.values()))))
     assert deepbots("lint", "a.yaml").err.endswith("see what they would do with --diff --unsafe-fixes\n")
     ran = deepbots("lint", "a.yaml", "--diff")
-    assert (ran.out, ran.err.startswith("there is no difference to show; 1 may be fixed")) == ("", True)
+    assert (ran.out, ran.err.startswith("there are no changes; 1 unsafe fix available")) == ("", True)
     assert "+++ a.yaml" in deepbots("lint", "a.yaml", "--diff", "--unsafe-fixes").out
 
 

@@ -64,7 +64,7 @@ def test_a_broken_scenario_in_a_folder_is_refused_and_not_passed_over(deepbots, 
     (tmp_path / "broken.yaml").write_text("deepbots: 1\n  world: [\n")
     ran = deepbots("fmt", ".", "--check")
     assert ran.code == 1
-    assert "broken.yaml cannot be read" in ran.err
+    assert "broken.yaml is not changed because it cannot be read" in ran.err
 
 
 def test_what_the_project_excludes_is_left_alone_in_its_folder_and_formatted_by_name(deepbots, tmp_path):

@@ -50,7 +50,7 @@ def test_a_scenario_with_errors_is_not_simulated_and_that_is_said(deepbots, file
     (files / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
     ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise")
     assert (ran.code, ran.out.split()[2]) == (1, "DB402[unknown-name]")
-    assert ran.err == "broken.yaml: not simulated, since it has errors\n"
+    assert ran.err == "broken.yaml: not simulated because it has errors\n"
 
 
 @pytest.mark.parametrize("option", ["--fix", "--diff"])

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from deepbots_cli.cli.group import Verbs
+from deepbots_cli.cli.command import Verbs
 from deepbots_cli.document import shipped
 
 ROOT = Path(__file__).parents[2]

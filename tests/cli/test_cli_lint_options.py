@@ -39,13 +39,13 @@ def test_codes_are_selected_and_ignored(deepbots, files):
 def test_what_is_not_asked_for_does_not_fail(deepbots, files):
     assert deepbots("lint", "warned.yaml", "--fail-on", "warning").code == 1
     ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
-    assert (ran.code, ran.out) == (0, "warned.yaml: no findings of those asked for\n")
+    assert (ran.code, ran.out) == (0, "warned.yaml: no findings of the selected ones\n")
 
 
 def test_an_error_that_is_not_asked_for_still_fails_and_is_told_in_one_line(deepbots, files):
     ran = deepbots("lint", "broken.yaml", "--select", "DB7", "--format", "concise")
     assert (ran.code, ran.out) == (1, "")
-    assert ran.err == "1 error not asked for (DB402) in broken.yaml; nothing more was looked for there\n"
+    assert ran.err == "1 error not selected (DB402) in broken.yaml; these scenarios were not checked further\n"
 
 
 def test_an_unknown_code_is_wrong_usage_before_anything_is_read(deepbots, files):

@@ -127,7 +127,7 @@ def test_what_is_written_is_silent_even_when_it_is_simulated(deepbots, robot):
     made = deepbots("new", "first", "--urdf", f"{robot}.urdf")
     assert made.code == 0, made.err
     ran = deepbots("lint", "first.yaml", "--deep", "--preview")
-    assert (ran.code, ran.out) == (0, "first.yaml: no findings, also when simulated\n")
+    assert (ran.code, ran.out) == (0, "first.yaml: no findings, including the simulation\n")
 
 
 @pytest.mark.parametrize("robot", ["tall_foot", "snake"], indirect=True)

@@ -28,7 +28,7 @@ def test_the_comment_that_leads_an_editor_to_it_is_told(deepbots):
     Path("schemas").mkdir()
     ran = deepbots("schema", "--for", "worlds/cartpole.yaml", "-o", "schemas/mine.json")
     assert (ran.code, ran.out) == (0, "")
-    assert ran.err == "as the first line of cartpole.yaml: # yaml-language-server: $schema=../schemas/mine.json\n"
+    assert ran.err == "write as the first line of cartpole.yaml: # yaml-language-server: $schema=../schemas/mine.json\n"
     assert '"pole_hinge"' in Path("schemas/mine.json").read_text(encoding="utf-8")
 
 
@@ -38,7 +38,7 @@ def test_a_file_with_errors_gets_a_schema_and_a_word_about_them(deepbots, text):
     ran = deepbots("schema", "--for", "mine.yaml")
     assert ran.code == 0
     assert json.loads(ran.out)["title"] == "deepbots scenario"
-    assert ran.err.endswith("what could not be read is not listed; see: deepbots lint mine.yaml\n")
+    assert ran.err.endswith("names in unreadable parts are missing; see: deepbots lint mine.yaml\n")
     assert ran.err.count("\n") == 1
 
 

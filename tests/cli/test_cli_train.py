@@ -89,7 +89,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-success", "0.9")
     assert ran.code == 1
-    assert "it is not known whether the task is solved (cannot be told from 2 episodes" in ran.err
+    assert "the evaluation cannot say whether the task is solved (cannot be told from 2 episodes" in ran.err
     assert "the success rate is 0, not 0.9" in ran.err
     assert deepbots("eval", "mine", "--episodes", "2", "--min-success", "0").code == 0
     assert "not 0.9" in deepbots("eval", "mine", "--episodes", "2", "--min-success", "90%").err
@@ -113,7 +113,7 @@ def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(de
     text = (tmp_path / "cartpole.yaml").read_text()
     (tmp_path / "wider.yaml").write_text(text.replace("track:       0.39 m", "track:       0.42 m"))
     assert "cartpole.yaml, the same as in the training\n" in deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").out
-    assert "wider.yaml, not the one of the training\n" in deepbots("eval", "mine", "--scenario", "wider.yaml", "--episodes", "1").out
+    assert "wider.yaml, different from the training\n" in deepbots("eval", "mine", "--scenario", "wider.yaml", "--episodes", "1").out
     assert "of the training" not in deepbots("eval", "mine", "--episodes", "1").out
 
 
@@ -123,7 +123,7 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
     assert (sharp["set"], usual["set"]) == (["fall_angle=3 deg"], [])
     assert sharp["episodes"] == usual["episodes"] == 4  # as --set said when it was trained
     assert sharp["mean_length"] < usual["mean_length"]
-    assert "of the run --set 'fall_angle=3 deg', not the one of the training" in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
+    assert "of the run --set 'fall_angle=3 deg', different from the training" in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
 
 
 def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
@@ -182,7 +182,7 @@ def test_what_is_no_run_is_said_so_in_one_line(deepbots, tmp_path, verb):
 def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
     ran = deepbots("train", "--resume", "mine", *words)
     assert ran.code == 2
-    assert "keeps what it was made with" in ran.err
+    assert "keeps its scenario and options" in ran.err
 
 
 def test_there_must_be_something_to_train(deepbots):

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.reports import report
+from deepbots_cli.cli.verbs.lint import Format, report
 from deepbots_cli.diagnostics import Finding
 from tests.golden.cases import write
 
@@ -26,7 +26,7 @@ def schema() -> jsonschema.Draft7Validator:
 
 
 def sarif(findings: list[Finding]) -> object:
-    return json.loads(report(findings, "sarif", (), ("error",)))
+    return json.loads(report(findings, Format.sarif, (), ("error",)))
 
 
 def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(schema: jsonschema.Draft7Validator, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def test_a_key_comes_with_an_example_of_its_value(typed: Type) -> None:
 
 
 def test_the_kinds_of_sensors_are_offered(typed: Type) -> None:
-    assert list(typed(SENSOR, "{type: §}").offers) == list(SENSORS)
+    assert sorted(typed(SENSOR, "{type: §}").offers) == sorted(SENSORS)
 
 
 def test_before_its_kind_is_known_a_sensor_is_offered_the_key_for_it(typed: Type) -> None:
@@ -83,7 +83,7 @@ def test_in_an_empty_file_the_sections_are_offered(client: Client, folder: Path)
     texts = {item["label"]: item["insertText"] for item in found}
     assert {"deepbots", "world", "robots", "reward", "extends"} <= set(texts)
     assert texts["deepbots"] == "deepbots: ${1:1}"
-    assert all(":" in text for text in texts.values())
+    assert [text for text in texts.values() if ":" not in text] == []
 
 
 def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:
@@ -170,7 +170,7 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
     [
         ("  substeps: 4", "  substep: 4", ("substep", "Property substep is not allowed.")),
         ("  timestep: 32 ms\n", "", ("world", 'Missing property "timestep".')),
-        ("substeps: 4", "substeps: four", ("four", "expected a whole number, such as 100 or 100_000")),
+        ("substeps: 4", "substeps: four", ("four", "expected a whole number")),
         ("gamma: 0.98", "gamma: 1.98", ("1.98", "Value is above the maximum of 1.")),
         ("-20 .. 20 deg", "20 deg", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
         ("-20 .. 20 deg", "{range: 20 deg}", ("20 deg", "write it like `-1 .. 1`, or `auto`")),

@@ -139,7 +139,7 @@ def test_the_linter_itself_imports_no_simulator(tmp_path: Path) -> None:
     ran = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True, timeout=300
     )
-    assert ran.stdout == "cartpole.yaml: no findings, also when simulated\n0 []\n"
+    assert ran.stdout == "cartpole.yaml: no findings, including the simulation\n0 []\n"
     assert ran.stderr == ""
 
 

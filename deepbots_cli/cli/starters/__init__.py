@@ -1,79 +1,458 @@
-"""First scenarios: what `deepbots new` writes.
+"""A first scenario for a robot file: the task that suits its build, and the values of the template of this task.
 
-cartpole.yaml, wheeled.yaml, arm.yaml and pit.yaml are whole scenarios, one for each --template; arm.urdf is the robot of arm.yaml.
-
-tasks.py     a task for a robot file: the values that the templates in for_robots/ leave open
+for_robots/  one Jinja template per task; parts.yaml holds the parts that they share
 build.py     the build of a robot: wheels, limbs, rotors
+*.yaml       the scenarios of `deepbots new --template`; arm.urdf is the robot of arm.yaml
 """
 
 from __future__ import annotations
 
-import os
+import json
 import re
-from pathlib import Path, PurePosixPath
-from shlex import quote
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from math import atan2, ceil, degrees, floor, hypot, inf, radians
+from pathlib import Path
 
-from deepbots_cli.cli.rewriting import Files
-from deepbots_cli.cli.sources import opened_robot
-from deepbots_cli.document import shipped
-from deepbots_cli.document.files import Refused, project_root, resolve
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from deepbots_cli import frames
+from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
 from deepbots_cli.errors import UsageError
+from deepbots_cli.frames import Triple, quaternion
+from deepbots_cli.robots.model import Joint, RobotModel
 
-_HERE = Path(__file__).parent
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+_GRAVITY = 9.81
+_COLUMN, _WIDTH = 40, 110
+_PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
+_OTHER_YAML = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
+_NEAR = 0.02
+"""How near to its target the tip of a limb must come, as a fraction of the limb's reach."""
+_CROUCHED = 0.75
+"""The length of a standing leg, as a fraction of its reach."""
 
 
-def checked(name: str) -> str:
-    """The name of a new scenario without the suffix of its file.
+@dataclass
+class Draft:
+    """The parts of a robot's entry that depend on its joints; the templates read them by these names.
+
+    `motors` maps actuators to (type, group, max_torque), `commands` to their `apply` expressions, `starts` groups to poses.
+    """
+
+    build: Build
+    urdf: str
+    groups: dict[str, list[str]] = field(default_factory=dict)
+    poses: dict[str, dict[str, str]] = field(default_factory=dict)
+    motors: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    commands: dict[str, str] = field(default_factory=dict)
+    starts: dict[str, str] = field(default_factory=dict)
+    positions: dict[str, float] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+
+    @property
+    def fixed(self) -> bool:
+        return self.build.is_fixed
+
+    def group(self, name: str, joints: Sequence[Joint]) -> str:
+        """Add a group of joints; returns its name, which differs from `name` where a link or a joint has that one."""
+        model = self.build.model
+        name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
+        self.groups[name] = [joint.name for joint in joints]
+        return name
+
+    def start(self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
+        """Add a pose of a group in which episodes begin; returns its name."""
+        name = _unused(name, [group])
+        rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
+        self.poses[name] = {joint.name: _with_unit(joint, rounded[joint.name]) for joint in joints}
+        self.starts[group] = name
+        self.positions |= rounded
+        return name
+
+    def motor(self, name: str, kind: str, group: str, joints: Sequence[Joint], command: str) -> None:
+        """Add a motor for a group; where the file names no effort, one that is strong enough for the robot's weight."""
+        strength = ""
+        if not all(joint.limit.effort for joint in joints):
+            weight = max(self.build.mass, 0.1) * _GRAVITY
+            arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
+            strength = f"{number(2.0 * weight)} N" if joints[0].type == "prismatic" else f"{number(weight * arm)} N*m"
+        self.motors[name] = (kind, group, strength)
+        self.commands[name] = command
+
+    def hold(self, joints: Sequence[Joint]) -> None:
+        """Add motors that keep joints where they start."""
+        for unit, some in by_unit(joints):
+            group = self.group(f"held_{unit}", some)
+            pose = self.start(group, f"rest_{unit}", {joint.name: neutral(joint) for joint in some}, some)
+            self.motor(f"hold_{unit}", "position_motor", group, some, pose)
+
+    @property
+    def height(self) -> float:
+        """Height of the root at the start, in m; a fixed base is only raised to keep the rest out of the ground."""
+        height = self.build.height(self.positions)
+        return max(height, 0.0) if self.fixed else height
+
+    @property
+    def raised(self) -> dict[str, str]:
+        """The start height, where the robot would begin within the ground: by default it rests on it with all joints at 0."""
+        usual = 0.0 if self.fixed else self.build.height({})
+        return {"z": f"{number(self.height)} m"} if self.height > usual + 1e-3 else {}
+
+
+def scenario(model: RobotModel, urdf: str, name: str) -> str:
+    """The text of a scenario called `name` about a robot file.
 
     Raises:
-        UsageError: No file and no run could have that name.
+        UsageError: Nothing of the robot can be driven, or a joint moves no mass, with which no simulation begins.
     """
-    bare = name.removesuffix(".yaml")
-    folder, _, last = bare.rpartition("/")
-    if folder and _NAME.fullmatch(last):
-        raise UsageError(f"'{name[:80]}' is a name with a folder, which goes behind it: deepbots new {last} {quote(folder)} ...")
-    if not _NAME.fullmatch(bare):
-        raise UsageError(f"'{name[:80]}' cannot name a scenario; use letters, digits, _ and -, at most 64, and begin with a letter")
-    return bare
+    build = Build(model)
+    if build.weightless:
+        joint = build.weightless[0]
+        raise UsageError(f"joint '{joint.name}' of {urdf} moves nothing that has mass; give link '{joint.child}' an inertial with one")
+    if not build.driven and not build.rotors:
+        raise UsageError(f"{urdf} has no joint with a motor and no rotor, so there is nothing that a policy could do with it")
+    draft = Draft(build, urdf)
+    template, values = next((task.__name__, values) for task in _suited(build) if (values := task(draft)) is not None)
+    text = (
+        _templates()
+        .get_template(f"{template}.yaml")
+        .render(name=name, robot=draft, build=build, found=_found(draft), **{"place": draft.raised, **values})
+    )
+    return "".join(f"{_aligned(line)}\n" for line in text.splitlines())
 
 
-def from_template(template: str, name: str) -> Files:
-    """The scenario `NAME.yaml`, and the robot file beside it if the template has one."""
-    text = (_HERE / f"{template}.yaml").read_text(encoding="utf-8")
-    text = text.replace("name: Start\n", f"name: {_title(name)}\n").replace("start.urdf", f"{name}.urdf")
-    made: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
-    robot = _HERE / f"{template}.urdf"
-    if robot.exists():
-        made[PurePosixPath(f"{name}.urdf")] = robot.read_bytes()
-    return made
+def _suited(build: Build) -> list[Callable[[Draft], dict[str, object] | None]]:
+    """The tasks that suit a robot, best first; a task may turn out to be impossible."""
+    if build.rotors:
+        return [hover]
+    if build.balances or (build.poles and (build.wheels or build.is_fixed)):
+        return [balance]
+    if build.wheels:
+        return [drive]
+    if build.is_fixed:
+        return [reach, posture]
+    legged = len(build.limbs) > 1 and all(len(limb.joints) > 1 for limb in build.limbs)
+    return [walk] if legged and not any(joint.type == "prismatic" for joint in build.driven) else [roam]
 
 
-def from_robot(robot: str, name: str, folder: Path) -> Files:
-    """The scenario `NAME.yaml` for `folder`, about a robot file: a path, a shipped name, or package://...
+def _found(draft: Draft) -> list[str]:
+    """What was found in the robot file, for the head of the scenario."""
+    build, model = draft.build, draft.build.model
+    counts = {
+        "of them carry wheels": len(build.wheels),
+        "steer": len(build.steering),
+        "rotors": len(build.rotors),
+        "limb" if len(build.limbs) == 1 else "limbs": 0 if build.wheels else len(build.limbs),
+        "without a motor": len(build.idle),
+    }
+    parts = [f"{len(model.moving_joints)} of {len(model.joints)} joints move", *(f"{n} {what}" for what, n in counts.items() if n)]
+    followers = [joint.name for joint in model.moving_joints if joint.mimic]
+    rest = f" and {len(followers) - 3} more" if len(followers) > 3 else ""
+    base = "taken to be fixed to the ground" if draft.fixed else "free"
+    lines = [
+        f"What was found in {draft.urdf}: {', '.join(parts)};",
+        f"{build.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were chosen from these: change them.",
+    ]
+    if followers:
+        verb = "is" if len(followers) == 1 else "are"
+        lines.append(f"<mimic> is not simulated: {', '.join(followers[:3])}{rest} {verb} moved like any other joint here.")
+    return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks
 
-    Raises:
-        UsageError: There is no such file, a scenario of that folder may not read it, or nothing of it can be driven.
-        ScenarioError: It cannot be read as a robot.
-    """
-    from deepbots_cli.cli.starters.tasks import scenario
 
-    model = opened_robot(robot)[0].model
-    text = scenario(model, _reference(robot, folder), _title(name))
-    return {PurePosixPath(f"{name}.yaml"): text.encode()}
+# Tasks: each adds joints and motors to the draft, and returns the values of its template
 
 
-def _reference(robot: str, folder: Path) -> str:
-    """How a scenario in `folder` names a robot file."""
-    if robot.startswith("package://") or shipped.robot_path(robot) is not None:
-        return robot
-    path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
-    found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
-    if isinstance(found, Refused):
-        raise UsageError(f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it there")
-    return path
+def drive(draft: Draft) -> dict[str, object]:
+    """Drive to a mark that lies somewhere around the robot."""
+    build = draft.build
+    speed, steered = _wheel_speed(build, build.size), bool(build.steering)
+    wheels = _drive_wheels(draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas")
+    _steer(draft, "turn")
+    draft.hold(_others(build))
+    field = max(1.0, 4.0 * build.size)
+    heading = degrees(atan2(build.forward[1], build.forward[0]))
+    time = max(10.0, round(12.0 * field / (speed * build.wheels[0].radius)))
+    return {"wheels": wheels, "steered": steered, "speed": speed, "field": field, "heading": heading, "max_time": time}
 
 
-def _title(name: str) -> str:
-    """The name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
-    return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
+def balance(draft: Draft) -> dict[str, object]:
+    """Keep upright what would fall: a body on two wheels of one axle, or a pole on a hinge without a motor."""
+    build = draft.build
+    tilts = not build.poles
+    values: dict[str, object] = {"wheels": None, "pushed": [], "poles": None, "chassis": build.chassis}
+    if build.wheels:
+        along_x = abs(build.forward[0]) > 0.7
+        values |= {"axis": "x" if along_x else "y", "speed": _wheel_speed(build, 4.0 * build.size)}
+        values["wheels"] = _drive_wheels(draft, {}, "push")
+        _steer(draft, "")
+        if tilts:
+            values["place"] = draft.raised | {"pitch" if along_x else "roll": "uniform(-2 .. 2 deg)"}
+    else:
+        values["pushed"] = [_pushed(draft, unit, joints) for unit, joints in by_unit(build.driven)]
+    if not tilts:
+        values["poles"] = draft.group("poles", build.poles)
+        draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
+    if build.wheels:
+        draft.hold(_others(build))
+    return values
+
+
+def _pushed(draft: Draft, name: str, joints: Sequence[Joint]) -> dict[str, object]:
+    """A motor on the joints of one unit; what the template says of their sensors, ranges and ends."""
+    group = draft.group(name, joints)
+    unit = "m" if name == "slides" else "rad"
+    top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
+    draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {number(top)} {unit}/s")
+    ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
+    measures: dict[str, object] = {"unit": unit, "top": top, "span": min(ends, default=3.0), "ends": bool(ends)}
+    return {"name": name, "group": group, "sent": f"{name}, {name}_speed", "end": f"at_end_of_{name}", **measures}
+
+
+def hover(draft: Draft) -> dict[str, object]:
+    """Fly to a point and stay there."""
+    draft.groups["rotors"] = draft.build.rotors
+    return {"each": draft.build.mass * _GRAVITY / len(draft.build.rotors), "mark": max(0.1 * draft.build.size, 0.01)}
+
+
+def reach(draft: Draft) -> dict[str, object] | None:
+    """Bring the tip of an arm to a place in space; None where no box of places is found that it can reach."""
+    build = draft.build
+    if len(build.limbs) != 1 or len(build.limbs[0].joints) < 2:
+        return None
+    limb = build.limbs[0]
+    joints = limb.joints
+    if any(joint not in build.driven or joint.type == "prismatic" for joint in joints):
+        return None
+    found = _reachable_box(build, limb)
+    if found is None:
+        return None
+    low, high, positions = found
+    group = draft.group("arm", joints)
+    draft.start(group, "ready", positions, joints)
+    draft.motor("motors", "position_motor", group, joints, "angles + stride * move    # each joint goes on from where it is")
+    draft.hold([joint for joint in build.driven if joint not in joints])
+    lift = (0.0, 0.0, draft.height)
+    ends = [" ".join(number(round(value, 3)) for value in frames.add(corner, lift)) for corner in (low, high)]
+    bounded = all(joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None for joint in joints)
+    return {"arm": group, "low": ends[0], "high": ends[1], "tip": limb.tip, "reach": limb.reach, "bounded": bounded}
+
+
+def walk(draft: Draft) -> dict[str, object]:
+    """Walk along x or y, whichever is the longer way between the hips."""
+    build = draft.build
+    roll, pitch = _upright(build)
+    tilt = quaternion(radians(roll), radians(pitch), 0.0)
+    positions: dict[str, float] = {}
+    down = frames.rotate_back(tilt, (0.0, 0.0, -1.0))
+    for limb in build.limbs:
+        positions |= _standing(build, limb, down)
+    joints = [joint for limb in build.limbs for joint in limb.joints if joint in build.driven]
+    group = draft.group("legs", joints)
+    draft.start(group, "stand", positions, joints)
+    draft.motor("motors", "position_motor", group, joints, "stand + swing * stride")
+    draft.hold([joint for joint in build.driven if joint not in joints])
+    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
+    height = build.height(positions, tilt)
+    turns = {name: f"{number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle}
+    place = {"z": f"{number(height * 1.02)} m", **turns, "yaw": "uniform(-5 .. 5 deg)"}
+    return {"legs": group, "axis": "x" if along >= across else "y", "height": height, "chassis": build.chassis, "place": place}
+
+
+def roam(draft: Draft) -> dict[str, object]:
+    """Get away from where it is, by whatever joints there are."""
+    build, actions = draft.build, {}
+    for unit, joints in by_unit(build.driven):
+        measure = "m" if unit == "slides" else "rad"
+        endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
+        if endless:
+            actions[f"spin_{unit}"] = group = draft.group(f"turning_{unit}", endless)
+            top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
+            draft.motor(f"spin_{unit}", "velocity_motor", group, endless, f"spin_{unit} * {number(top)} {measure}/s")
+        if others := [joint for joint in joints if joint not in endless]:
+            actions[f"bend_{unit}"] = group = draft.group(f"bending_{unit}", others)
+            rest, swing = _middle(draft, group, f"rest_{unit}", others)
+            draft.motor(f"bend_{unit}", "position_motor", group, others, f"{rest} + {number(swing)} {measure} * bend_{unit}")
+    return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
+
+
+def posture(draft: Draft) -> dict[str, object]:
+    """Bring the joints of a mechanism to a drawn posture."""
+    moved = []
+    for unit, joints in by_unit(draft.build.driven):
+        measure = "m" if unit == "slides" else "rad"
+        group = draft.group(f"moved_{unit}", joints)
+        rest, swing = _middle(draft, group, f"rest_{unit}", joints)
+        draft.motor(f"move_{unit}", "position_motor", group, joints, f"{unit} + {number(0.2 * swing)} {measure} * turn_{unit}")
+        moved.append({"name": unit, "group": group, "rest": rest, "swing": swing, "unit": measure})
+    return {"moved": moved}
+
+
+def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tuple[str, float]:
+    """A pose in which every joint can move either way, and by how much, at most 0.5 rad or m."""
+    middle = {joint.name: neutral(joint, 0.2) for joint in joints}
+    swing = min(0.5, *(min(range_of(joint)[1] - middle[joint.name], middle[joint.name] - range_of(joint)[0]) for joint in joints))
+    return draft.start(group, pose, middle, joints), swing
+
+
+# Wheels
+
+
+def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> str:
+    """Velocity motors for the wheels of each side named in `commands`, mirrored axles apart; returns the group of all wheels."""
+    build = draft.build
+    everything = draft.group("wheels", [wheel.joint for wheel in build.wheels])
+    left = frames.cross((0.0, 0.0, 1.0), build.forward)
+    middle = sum(frames.dot(wheel.centre, left) for wheel in build.wheels) / len(build.wheels)
+    sides: dict[tuple[str, bool], list[Wheel]] = {}
+    for wheel in build.wheels:
+        offset = frames.dot(wheel.centre, left) - middle
+        side = "middle" if abs(offset) < 0.1 * wheel.radius else "left" if offset > 0 else "right"
+        side = side if commands and not build.steering else "driven"
+        sides.setdefault((side, frames.dot(wheel.axle, left) < 0), []).append(wheel)
+    for (side, mirrored), wheels in sides.items():
+        name = f"{side}_wheels" + ("_mirrored" if mirrored and (side, False) in sides else "")
+        joints = [wheel.joint for wheel in wheels]
+        name, group = ("wheels", everything) if len(sides) == 1 else (name, draft.group(name, joints))
+        command = commands.get(side, otherwise)
+        draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"{'-' if mirrored else ''}{command} * top_speed")
+    return everything
+
+
+def _steer(draft: Draft, command: str) -> None:
+    """Position motors for the hinges that steer; without a command they keep straight on."""
+    build = draft.build
+    for mirrored, name in ((False, "steering"), (True, "steering_mirrored")):
+        joints = [joint for joint in build.steering if (build.axis(joint)[2] < 0) is mirrored]
+        if joints:
+            ends = [min(abs(end), 0.5) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
+            angle = f"{'-' if mirrored else ''}{command} * {number(degrees(min(ends, default=0.5)))} deg" if command else "0 deg"
+            draft.motor(name, "position_motor", draft.group(name, joints), joints, angle)
+
+
+def _others(build: Build) -> list[Joint]:
+    """The joints with a motor that neither roll nor steer."""
+    busy = [*(wheel.joint for wheel in build.wheels), *build.steering]
+    return [joint for joint in build.driven if joint not in busy]
+
+
+def _wheel_speed(build: Build, wanted: float) -> float:
+    """Speed of the wheels in rad/s for `wanted` m/s, at most 1.5 m/s, within the limits of the file."""
+    limits = [wheel.joint.limit.velocity for wheel in build.wheels if wheel.joint.limit.velocity]
+    return min(min(wanted, 1.5) / max(wheel.radius for wheel in build.wheels), *limits, 60.0)
+
+
+# Limbs
+
+
+def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:
+    """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions with the tip in its middle."""
+    bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
+    shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
+    far, near = limb.reach, _NEAR * limb.reach
+    sides = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
+    for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
+        middle = frames.add(build.frames[shoulder.child][0], (0.5 * far * x, 0.5 * far * y, rise * far))
+        size = half * far
+        low = (middle[0] - size, middle[1] - size, max(middle[2] - size, build.lowest + 0.05 * far))
+        high = (middle[0] + size, middle[1] + size, middle[2] + size)
+        positions, missing = limb.positions_for(middle, bending)
+        if missing > near:
+            positions, missing = limb.positions_for(middle)
+        corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
+        if missing < near and all(limb.positions_for(corner)[1] < near for corner in corners):
+            return low, high, positions
+    return None
+
+
+def _upright(build: Build) -> tuple[float, float]:
+    """Roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its side."""
+    legs = [frames.subtract(build.frames[limb.tip][0], build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    x, y = (sum(leg[axis] / (hypot(*leg) or 1.0) for leg in legs) / len(legs) for axis in (0, 1))
+    if abs(y) > 0.8:
+        return (90.0 if y < 0 else -90.0), 0.0
+    return 0.0, (0.0 if abs(x) <= 0.8 else 90.0 if x > 0 else -90.0)
+
+
+def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
+    """Joint positions with the foot of a leg below its hip and the leg somewhat bent."""
+    hip = build.frames[limb.joints[0].child][0]
+    leg = frames.subtract(build.frames[limb.tip][0], hip)
+    aside = frames.subtract(leg, frames.scaled(down, frames.dot(leg, down)))
+    kept = aside if hypot(*aside) < 0.35 * limb.reach else (0.0, 0.0, 0.0)
+    return limb.positions_for(frames.add(hip, frames.add(kept, frames.scaled(down, _CROUCHED * limb.reach))))[0]
+
+
+# Text
+
+
+def _templates() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("for_robots")),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+        finalize=lambda value: number(value) if isinstance(value, float) else str(value).rstrip("\n"),
+        autoescape=False,  # the output is YAML; `word` quotes names
+    )
+    environment.filters |= {"word": word, "flow": flow, "number": number}
+    return environment
+
+
+def word(name: str) -> str:
+    """A name of a robot file as YAML."""
+    plain = _PLAIN.fullmatch(name) and name.lower() not in _OTHER_YAML
+    return name if plain else json.dumps(name, ensure_ascii=False)
+
+
+def flow(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:
+    """`key: [a, b]` or `key: {a: 1, b: 2}`, over several lines where it is long."""
+    pairs = [f"{word(name)}: {value}" for name, value in items.items()] if isinstance(items, Mapping) else list(map(word, items))
+    start, end = "{}" if isinstance(items, Mapping) else "[]"
+    lines = [f"{' ' * indent}{key}: {start}"]
+    for position, pair in enumerate(pairs, start=1):
+        piece = pair + ("," if position < len(pairs) else end)
+        if len(lines[-1]) + len(piece) > _WIDTH and lines[-1].strip():
+            lines.append(" " * (indent + 1))
+        lines[-1] += ("" if lines[-1].endswith(start) and len(lines) == 1 else " ") + piece
+    return "\n".join(lines)
+
+
+def number(value: float) -> str:
+    """Three digits of a number."""
+    return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def by_unit(joints: Iterable[Joint]) -> list[tuple[str, list[Joint]]]:
+    """Joints that turn apart from joints that slide, which never share a group."""
+    units: dict[str, list[Joint]] = {"hinges": [], "slides": []}
+    for joint in joints:
+        units["slides" if joint.type == "prismatic" else "hinges"].append(joint)
+    return [(unit, some) for unit, some in units.items() if some]
+
+
+def _rounded(joint: Joint, value: float) -> float:
+    """Whole degrees or millimetres within the limits of the joint; the middle of limits that are closer than that."""
+    step = 1e-3 if joint.type == "prismatic" else radians(1.0)
+    low, high = joint.limit.lower, joint.limit.upper
+    rounded = round(value / step) * step
+    if joint.type == "continuous" or low is None or high is None or low <= rounded <= high:
+        return rounded
+    inside = ceil(low / step) * step if rounded < low else floor(high / step) * step
+    return inside if low <= inside <= high else (low + high) / 2
+
+
+def _with_unit(joint: Joint, value: float) -> str:
+    return f"{value + 0.0:.6g} m" if joint.type == "prismatic" else f"{degrees(value) + 0.0:.6g} deg"
+
+
+def _unused(name: str, used: Iterable[str]) -> str:
+    known = set(used)
+    return next(free for free in (name, *(f"{name}_{n}" for n in range(2, len(known) + 3))) if free not in known)
+
+
+def _aligned(line: str) -> str:
+    """A line with its comment, which follows four spaces, in the column of comments."""
+    text, mark, comment = line.partition("    # ")
+    return f"{text:<{_COLUMN - 2}}  # {comment}" if mark else line.rstrip()

@@ -1,4 +1,4 @@
-"""The verbs in the order of `deepbots --help`; each is the function `command` of the module of its name."""
+"""The verbs in the order of `deepbots --help`. Each is the function `command` of its module, which is imported when the verb is called."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ VERBS: Mapping[str, str] = {
     "train": "Train a policy in a new run directory, and evaluate it.",
     "eval": "Evaluate the policy of a run on held-out episodes.",
     "lint": "Check scenarios and report every problem.",
-    "explain": "Explain a finding: what it means, and what to write instead.",
-    "fmt": "Put scenario files into the canonical layout.",
-    "lsp": "Serve an editor: findings as you type, completion, fixes.",
-    "inspect": "Show what a scenario means: spaces, messages, reward, timing.",
+    "explain": "Explain a finding, a word of the language, or a glossary term.",
+    "fmt": "Format scenario files in the canonical layout.",
+    "lsp": "Run the language server: findings, completion, hover, fixes.",
+    "inspect": "Show the values of a scenario, a run or a robot file as tables.",
     "run": "Run episodes without a trained policy, and show the reward terms.",
-    "compile": "Print the Python that a scenario is compiled to.",
-    "diff": "Compare two scenarios by meaning.",
-    "new": "Write a first scenario, with a comment on every part.",
-    "copy": "Copy a scenario that comes with deepbots, to change it.",
-    "upgrade": "Bring a scenario file to the current version of the language.",
-    "eject": "Write a scenario out as a small Python project of its own.",
+    "compile": "Print the Python module that a scenario compiles to.",
+    "diff": "Compare the meaning of two scenarios.",
+    "new": "Write a first scenario from a template or for a robot file.",
+    "copy": "Copy a scenario that comes with deepbots, and its files.",
+    "upgrade": "Upgrade a scenario file to the current version of the language.",
+    "eject": "Write a scenario as a Python project that you can edit.",
     "list": "List the scenarios that come with deepbots, and your runs.",
-    "bench": "Time a step of the environment against bare physics.",
+    "bench": "Measure the time of an environment step beside the physics alone.",
     "schema": "Print the JSON Schema of scenario files, for editors.",
     "doctor": "Check the installation.",
 }

@@ -1,9 +1,9 @@
-"""`deepbots bench`: the cost of a step of the environment beside the physics in it.
+"""`deepbots bench`: the time of an environment step beside the physics alone.
 
-The same episodes run twice per pair, from the same seeds: by `env.step`, and by the engine's bare step in an environment that was
-reset alike. In each episode one random action is held. The bare side takes its first steps like the other, so that its motors drive:
-both sides make the same motion, and contacts cost the same. First steps and resets are not timed. Times are CPU times of the process,
-and the two sides take turns in being first.
+A pair of measurements runs the same episodes twice with the same seeds: once through `env.step`, and once through the step of the engine
+in a second environment after the same reset. Each episode repeats one random action. The first steps of each episode run through
+`env.step` on both sides, so that the motors are driven and both sides have the same motion and contacts. First steps and resets are not
+timed. Times are CPU times of the process, and the two sides alternate in order.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
 from deepbots_cli.cli.tables import pairs as aligned
 from deepbots_cli.errors import UsageError
 
@@ -28,29 +28,29 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 UNTIMED = 3
-"""First steps of an episode, after which delayed commands have reached the motors too."""
+"""Number of steps at the start of an episode that are not timed; delayed commands have then reached the motors."""
 
 
 def command(
     scenario: Scenario,
     sets: Sets = None,
     steps: Annotated[
-        int | None, typer.Option("--steps", metavar="N", parser=whole(100), help="Steps of the agent in each; 2000 by default.")
+        int | None, typer.Option("--steps", metavar="N", parser=whole(100), help="Steps of the agent per measurement; 2000 by default.")
     ] = None,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", metavar="N", parser=whole(), help="How often each is measured; 9 by default.")
+        int | None, typer.Option("--pairs", metavar="N", parser=whole(), help="Number of measurements of each side; 9 by default.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Measure a tenth as long: 600 steps, 3 times.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
     seed: Seed = 0,
     engine: Engine = "pybullet",
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Time a step of the environment against bare physics.
+    """Measure the time of an environment step beside the physics alone.
 
-    Both go through the same episodes in the same engine with the same substeps; resets are not timed. The ratio is what messages,
-    observation, reward and endings cost.
+    Both sides run the same episodes in the same engine with the same substeps; resets are not timed. The ratio is the cost of messages,
+    observation, reward and endings on top of the physics.
 
     \b
       deepbots bench cartpole
@@ -62,7 +62,7 @@ def command(
     usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
     steps, pairs = steps or usual_steps, pairs or usual_pairs
     with closing(api.make(compiled, engine=engine)) as environment, closing(api.make(compiled, engine=engine)) as bare:
-        terminal.note(f"timing {pairs} pairs of {steps:,} steps; --quick takes a tenth of the time")
+        terminal.note(f"measuring {pairs} pairs of {steps:,} steps" + ("" if quick else "; --quick takes a tenth of the time"))
         with terminal.progress("measurements") as show:
             result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show)
     if as_json:
@@ -72,9 +72,9 @@ def command(
         f"{result.scenario} on {result.engine}, {result.format} messages; medians of {result.pairs} pairs of {result.steps:,} steps\n"
         + aligned(
             {
-                "step of the environment": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
-                "bare physics": f"{result.bare_us:.2f} us",
-                "ratio": f"{result.ratio:.3f} ({result.least_ratio:.3f} .. {result.greatest_ratio:.3f})",
+                "environment step": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
+                "physics alone": f"{result.bare_us:.2f} us",
+                "ratio": f"{result.ratio:.3f} (min {result.min_ratio:.3f}, max {result.max_ratio:.3f})",
             }
         )
     )
@@ -84,7 +84,7 @@ def command(
 class Timing:
     """Medians over `pairs` pairs of `steps` timed steps each; times in us per step of the agent.
 
-    `ratio` is the median of the pairs' ratios, which differ less than the times do.
+    `ratio` is the median of the ratios of the pairs, which vary less than the times.
     """
 
     scenario: str
@@ -95,14 +95,14 @@ class Timing:
     step_us: float
     bare_us: float
     ratio: float
-    least_ratio: float
-    greatest_ratio: float
+    min_ratio: float
+    max_ratio: float
     steps_per_second: float
 
 
 @dataclass(frozen=True)
 class _Held:
-    """An episode with one action, held for `steps` steps after the untimed ones."""
+    """An episode with one constant action, and the number of its timed steps."""
 
     seed: int
     action: Any
@@ -112,12 +112,12 @@ class _Held:
 def measure(
     environment: Supervisor, other: Supervisor, *, steps: int, pairs: int, seed: int, on_measured: Callable[[int, int], None] | None = None
 ) -> Timing:
-    """Time about `steps` steps of an environment, and the bare physics in another one of the same scenario, `pairs` times.
+    """Time about `steps` steps of an environment, and the physics alone in another one of the same scenario, `pairs` times.
 
-    `on_measured` is called with the number of measured pairs and of all pairs; the first pair only warms up.
+    `on_measured` is called with the number of measured pairs and of all pairs. The first pair is a warm-up and is not counted.
 
     Raises:
-        UsageError: An episode ends in its first steps, so nothing can be timed.
+        UsageError: An episode ends in the steps that are not timed.
     """
     ir, name = environment.scenario, environment.engine.name
     show = on_measured or (lambda _done, _all: None)
@@ -140,7 +140,7 @@ def measure(
 
 
 def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Held]:
-    """Episodes that together have `steps` steps after the untimed ones of each."""
+    """Episodes that together have `steps` timed steps."""
     plan: list[_Held] = []
     left = steps
     while left > 0:
@@ -152,14 +152,14 @@ def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Held]:
             _, _, terminated, truncated, _ = environment.step(action)
             length, ended = length + 1, terminated or truncated
         if length <= UNTIMED:
-            raise UsageError(f"an episode ends in its first {UNTIMED} steps, so there is nothing to time")
+            raise UsageError(f"an episode ends within {UNTIMED} steps, so there is nothing to measure")
         plan.append(_Held(number, action, length - UNTIMED))
         left -= length - UNTIMED
     return plan
 
 
 def _time(environment: Supervisor, plan: list[_Held], call: Callable[[Any], object], argument_of: Callable[[_Held], Any]) -> float:
-    """CPU seconds of `call` in all steps but the untimed ones of each episode."""
+    """CPU seconds of `call` in all timed steps."""
     total = 0.0
     for episode in plan:
         environment.reset(seed=episode.seed)

@@ -10,33 +10,38 @@ import typer
 from deepbots_cli import api, canonical
 from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.errors import UsageError
 
 
 def command(
     scenario: Scenario,
     sets: Sets = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced.")] = None,
-    ir: Annotated[bool, typer.Option("--ir", help="Print the compiled scenario as canonical JSON instead.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced; by default to standard output."),
+    ] = None,
+    ir: Annotated[bool, typer.Option("--ir", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Print the Python that a scenario is compiled to.
+    """Print the Python module that a scenario compiles to.
 
-    What is printed is what runs: a class for each robot, and the supervisor, which is a Gymnasium environment.
+    deepbots runs exactly this module. It has a controller class for each robot, and a supervisor, which is a Gymnasium environment.
 
     \b
       deepbots compile cartpole
       deepbots compile cartpole -o environment.py
       deepbots compile cartpole --ir
+
+    Next: `deepbots eject SCENARIO DIR` writes the module with scripts that run and train it.
     """
     if ir and as_json:
-        raise UsageError("--ir and --json exclude each other: the former is JSON already")
+        raise UsageError("--ir and --json exclude each other; --ir prints JSON already")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
-        raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
+        raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.mention(compiled.findings, scenario)
     if as_json:
         data = {"name": compiled.ir.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}

@@ -1,4 +1,4 @@
-"""`deepbots copy`: a shipped scenario with all its files, as files that work in any folder."""
+"""`deepbots copy`: a shipped scenario and the files that it reads, with paths that fit the new folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.rewriting import Files, write_new
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
@@ -26,17 +26,19 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A scenario that comes with deepbots; see: deepbots list")],
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to put it.")] = Path("."),
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a scenario that comes with deepbots; see: deepbots list")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     as_json: Json = False,
 ) -> None:
-    """Copy a scenario that comes with deepbots, to change it.
+    """Copy a scenario that comes with deepbots, and its files.
 
-    Its robots and everything else that it reads come along, and the paths in it are made to fit. Nothing is overwritten.
+    The command rewrites the paths in the scenario so that they fit the new folder. Existing files are not overwritten.
 
     \b
-      deepbots copy cartpole               makes ./cartpole.yaml and ./robots/urdf/cartpole.urdf
+      deepbots copy cartpole               writes ./cartpole.yaml and ./robots/urdf/cartpole.urdf
       deepbots copy cartpole experiments
+
+    Next: change the copy, then run `deepbots lint cartpole.yaml` and `deepbots train cartpole.yaml`.
     """
     written = write_new(collect(name), folder)
     if as_json:
@@ -45,23 +47,23 @@ def command(
     for path in written:
         terminal.say(str(path))
     scenario = quote(str(written[0]))
-    terminal.note(f"change it, then: deepbots lint {scenario}\nand train on it: deepbots train {scenario}")
+    terminal.note(f"\nnext:\n  deepbots lint {scenario}\n  deepbots train {scenario}")
 
 
 def collect(name: str) -> Files:
     """The files of the shipped scenario `name`, the scenario first, by their paths in the new folder.
 
-    Files of `scenarios/` move to the top, and the paths in scenarios are rewritten to fit; comments stay.
+    Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
 
     Raises:
-        UsageError: No scenario of that name comes with deepbots; lists those that do.
+        UsageError: There is no shipped scenario of this name.
     """
     first = shipped.scenario_path(name)
     if first is None:
         names = shipped.scenario_names()
         near = nearest(name, names)
         hint = f" (did you mean {near}?)" if near else ""
-        raise UsageError(f"no scenario '{name}' comes with deepbots{hint}; there are: {', '.join(names)}")
+        raise UsageError(f"there is no shipped scenario '{name}'{hint}; shipped scenarios are: {', '.join(names)}")
     found: Files = {}
     waiting = [first.resolve()]
     while waiting:
@@ -100,7 +102,7 @@ def _rewritten(file: Path, text: str) -> tuple[bytes, list[Path]]:
 
 
 def _references(file: Path, text: str) -> Iterator[tuple[Scalar, Path]]:
-    """Every value that names a shipped file, in file order: a path, or the name of a robot behind `urdf`."""
+    """Every value that names a shipped file, in file order: a path, or the name of a robot as the value of `urdf`."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
         return

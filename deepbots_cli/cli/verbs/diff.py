@@ -1,27 +1,57 @@
-"""`deepbots diff`."""
+"""`deepbots diff`: two compiled scenarios compared value by value.
+
+A compiled scenario is flattened to values by path, such as `world/robots/cart/model/links/pole/inertial/mass`. `_PATHS` maps the path of a
+value that differs to its path in the language, `robots.cart.links.pole`, and to the group of the difference. A change holds the texts of
+both scenarios at this path.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Annotated, Any, Literal
 
 import typer
 
+from deepbots_cli import canonical, interface
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.comparison import Change, Group, changes
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.exits import FAILED, WRONG
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Sets
-from deepbots_cli.cli.sources import opened
+from deepbots_cli.cli.sources import Opened, opened
+from deepbots_cli.cli.tables import cell, formula
 from deepbots_cli.errors import ScenarioError
+from deepbots_cli.expressions.scalar import Const, Draw, Scalar
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
+from deepbots_cli.program.robots import Robot, Route
+from deepbots_cli.program.task import Agent, Policy, Training, Truncation
+from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import RobotModel
+
+Kind = Literal["changed", "added", "removed"]
+LOOK = "look of "
+
+
+class Group(StrEnum):
+    """The consequence of a difference, the most serious first."""
+
+    policy = "policy"
+    task = "task"
+    world = "world"
+    training = "training"
+    cosmetic = "cosmetic"
+
 
 _HEADINGS = {
-    Group.policy: "a policy trained on one does not fit the other",
+    Group.policy: "a policy trained in one scenario does not fit the other",
     Group.task: "sensors, actions, rewards or endings differ",
-    Group.world: "world, messages or starts differ, and so how hard the task is",
-    Group.training: "training and evaluation",
-    Group.cosmetic: "names, looks, the order of keys and last digits, which change no meaning",
+    Group.world: "world, messages or starts differ, so the difficulty differs",
+    Group.training: "training or evaluation differs",
+    Group.cosmetic: "names, colours, order of keys or last digits differ; the meaning is the same",
 }
-_Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A file, the name of a shipped scenario, or a run directory.")]
+_Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
 
 
 def command(
@@ -32,12 +62,12 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Compare two scenarios by meaning.
+    """Compare the meaning of two scenarios.
 
-    Both are compiled and then compared: layout, comments and units make no difference. The scenario of a run directory
-    is the one that it was trained on. --set changes the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. Of a run directory it
+    takes the scenario of the training. --set overrides values of the second scenario.
 
-    The exit code is 0 if at most cosmetic differences were found, 1 for other differences, and 2 if a scenario cannot be compiled.
+    The exit code is 0 without differences or with cosmetic ones only, 1 with other differences, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed
@@ -70,7 +100,7 @@ def _data(one: str, other: str, found: Sequence[Change]) -> dict[str, object]:
 
 def _show(found: Sequence[Change], one: str, other: str) -> None:
     if not found:
-        terminal.say(f"{one} and {other} mean the same")
+        terminal.say(f"{one} and {other} have the same meaning")
     for group, heading in _HEADINGS.items():
         here = [change for change in found if change.group is group]
         if here:
@@ -83,10 +113,279 @@ def _show(found: Sequence[Change], one: str, other: str) -> None:
 def _show_change(change: Change) -> None:
     terminal.say(f"  {change.path}")
     if change.through:
-        terminal.say(f"      {change.one}\n      by another value of {', '.join(change.through)}")
+        terminal.say(f"      {change.one}\n      changed by the parameter{'s' * (len(change.through) > 1)} {', '.join(change.through)}")
         return
     if change.kind == "changed" and not (change.one or change.other):
         return
     for mark, text, absent in (("-", change.one, "added"), ("+", change.other, "removed")):
         if change.kind != absent:
             terminal.say(f"    {mark} {text or '(not written)'}")
+
+
+@dataclass(frozen=True)
+class Change:
+    """`one` and `other` are the texts of both sides; `through` names the parameters that differ where the texts are the same."""
+
+    path: str
+    group: Group
+    kind: Kind
+    one: str
+    other: str
+    through: tuple[str, ...] = ()
+
+
+_COLOURED = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
+_PATHS: tuple[tuple[str, str, Group], ...] = (
+    # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
+    (r"observation/([^/]+)/noise", r"observation.\1.noise", Group.task),
+    (r"observation/([^/]+)", r"observation.\1", Group.task),
+    (r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Group.task),
+    (r"action/([^/]+)", r"action.\1", Group.policy),
+    (r"agent/each/([^/]+)", r"robots.\1.count", Group.world),
+    (r"agent/(\w+)", r"agent.\1", Group.world),
+    (r"goal/achieved/noise", "goal.noise", Group.task),
+    (r"goal/(?:low|high)", "goal.range", Group.policy),
+    (r"goal/(\w+)", r"goal.\1", Group.task),
+    (r"signals/([^/]+)", r"signals.\1", Group.task),
+    (r"reward/([^/]+)", r"reward.\1", Group.task),
+    (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Group.task),
+    (r"truncation/(\w+)", r"truncation.\1", Group.task),
+    (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Group.world),
+    (r"robots/([^/]+)/commands/([^/]+)", r"robots.\1.apply.\2", Group.task),
+    (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Group.task),
+    (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.task),
+    (r"(name|summary)", r"\1", Group.cosmetic),
+    (r"world/robots/([^/]+)/model/links/([^/]+)" + _COLOURED, LOOK + r"robots.\1.links.\2", Group.cosmetic),
+    (r"world/objects/([^/#]+)[^/]*" + _COLOURED, LOOK + r"objects.\1", Group.cosmetic),
+    (r"world/lines/([^/]+)" + _COLOURED, LOOK + r"world.lines.\1", Group.cosmetic),
+    (r"world/(\w+)" + _COLOURED, LOOK + r"world.\1", Group.cosmetic),
+    (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Group.world),
+    (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Group.cosmetic),
+    (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Group.world),
+    (r"world/robots/([^/]+)/model/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.world),
+    (r"world/robots/([^/]+)/fixed_base", r"robots.\1.base", Group.world),
+    (r"world/robots/([^/]+)/(\w+)", r"robots.\1.\2", Group.world),
+    (r"world/objects/([^/#]+)[^/]*", r"objects.\1", Group.world),
+    (r"world/lines/([^/]+)", r"world.lines.\1", Group.world),
+    (r"(format|timing)", r"messages.\1", Group.world),
+    (r"(parameters|disturbances)/([^/]+)", r"\1.\2", Group.world),
+    (r"reset/variations/([^/]+)", r"\1", Group.world),
+    (r"reset/placements/([^/]+)", r"reset.place.\1", Group.world),
+    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.set.\1.\2", Group.world),
+    (r"reset/groups/([^/]+)", r"objects.\1.count", Group.world),
+    (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Group.world),
+    (r"reset/(\w+)", r"reset.\1", Group.world),
+    (r"(solved)", r"\1", Group.training),
+    (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
+    (r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
+    (r"training/policy/(\w+)", r"train.policy.\1", Group.training),
+    (r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
+    (r"scripts/([^/]+)", r"scripts.\1", Group.training),
+)
+_AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
+_PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Policy)
+"""Records that only hold other records; their class is not compared."""
+_NAME = re.compile(r"[a-z_][a-z0-9_]*")
+_LISTED = 3
+
+
+def changes(one: Opened, other: Opened) -> list[Change]:
+    """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
+    found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.ir, other.ir)]
+    if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
+        path = "last digits" if list(values(one.ir)) == list(values(other.ir)) else "order of keys"
+        found = [Change(path, Group.cosmetic, "changed", "", "")]
+    by_path: dict[str, Change] = {}
+    for change in sorted(found, key=lambda change: list(Group).index(change.group)):
+        # Components of an observation replace the entry of the whole observation.
+        parts = [known for path, known in by_path.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
+        if change.path not in by_path and not parts:
+            by_path[change.path] = change
+    return list(by_path.values())
+
+
+def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
+    """Differences in the interface of a policy: ranges, choices and messages."""
+    before, after = interface.interface(one.ir), interface.interface(other.ir)
+    for name in dict.fromkeys((*before, *after)):
+        if before.get(name) != after.get(name):
+            path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
+            path = re.sub(r"^message from robot ([^.]+)\.", r"robots.\1.emit.", path)
+            old, new = ({"": side[name]} if name in side else {} for side in (before, after))
+            yield _change(path, Group.policy, old, new, one, other)
+
+
+def _of_values(one: Opened, other: Opened) -> Iterator[Change]:
+    before, after = values(one.ir), values(other.ir)
+    items: dict[tuple[int, str, Group], tuple[dict[str, str], dict[str, str]]] = {}
+    for raw in dict.fromkeys((*before, *after)):
+        item, rest = _translated(raw, one.ir, other.ir)
+        for side, there in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
+            if raw in there:
+                side[rest] = there[raw]
+    for (_, path, group), (old, new) in sorted(items.items(), key=lambda item: item[0][0]):
+        if old != new:
+            yield _change(path, group, old, new, one, other)
+
+
+def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Group], str]:
+    """The rank, the path in the language and the group of the item that a value belongs to, and its path from there."""
+    for rank, (pattern, template, group) in enumerate(_PATHS):
+        if match := re.match(pattern, raw):
+            path = match.expand(template)
+            if path.startswith(LOOK) and any(_is_seen(path, scenario) for scenario in scenarios):
+                group = Group.world
+            return (rank, path, group), raw[match.end() :].strip("/").replace("/", ".")
+    return (len(_PATHS), raw.replace("/", "."), Group.task), ""
+
+
+def _is_seen(path: str, scenario: Program) -> bool:
+    """Whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
+    name = path.removeprefix(LOOK).split(".")[1]
+    bodies = [body for body in scenario.world.robots if path.startswith(f"{LOOK}robots.") and body.name == name]
+    shapeless = any(not any(link.collisions for link in body.model.links) for body in bodies)
+    return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
+
+
+def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, str], one: Opened, other: Opened) -> Change:
+    """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts do not."""
+    section, _, name = path.partition(".")
+    if section == "signals" and any(name in side.names("augment") for side in (one, other)):
+        path = f"augment.{name}"
+    written = f"{path.removeprefix(LOOK)}.colour" if path.startswith(LOOK) else path
+    texts = one.wording(written), other.wording(written)
+    kind = "changed" if all(texts) else _kind(bool(old), bool(new))
+    if texts[0] != texts[1]:
+        return Change(path, group, kind, *texts)
+    used = _NAME.findall(texts[0])
+    through = tuple(name for name in _altered_parameters(one, other) if name in used)
+    return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
+
+
+def _kind(before: bool, after: bool) -> Kind:
+    return "changed" if before and after else "removed" if before else "added"
+
+
+def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
+    """The first few values that differ; none of an item with many values that only one scenario has."""
+    names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
+    if len(names) > _LISTED and not (old and new):
+        return "", ""
+    rest = [f"... {len(names)} in all"] if len(names) > _LISTED else []
+    shown = [[f"{name} {side[name]}".strip() for name in names[:_LISTED] if name in side] for side in (old, new)]
+    return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
+
+
+def _altered_parameters(one: Opened, other: Opened) -> list[str]:
+    """The parameters whose texts differ, and those computed from them."""
+    names = dict.fromkeys((*one.names("parameters"), *other.names("parameters")))
+    texts = {name: (one.wording(f"parameters.{name}"), other.wording(f"parameters.{name}")) for name in names}
+    altered = [name for name, (here, there) in texts.items() if here != there]
+    while more := [name for name in texts if name not in altered and set(altered) & set(_NAME.findall(texts[name][0]))]:
+        altered += more
+    return altered
+
+
+def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
+    """Cases and stages, by the values that each changes in its scenario."""
+    for section, before, after in (
+        ("evaluation.cases", _variants(one.ir, one.ir.cases), _variants(other.ir, other.ir.cases)),
+        ("curriculum", _variants(one.ir, one.ir.curriculum), _variants(other.ir, other.ir.curriculum)),
+    ):
+        for name in dict.fromkeys((*before, *after)):
+            if before.get(name) != after.get(name):
+                path = f"{section}.{name}"
+                yield Change(path, Group.training, _kind(name in before, name in after), one.wording(path), other.wording(path))
+
+
+def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
+    base = values(scenario)
+    found: dict[str, object] = {}
+    for entry in entries:
+        made = values(entry.program)
+        changed = {path: made.get(path) for path in {**base, **made} if base.get(path) != made.get(path)}
+        found[entry.name] = {"set": changed, **dict(_leaves(replace(entry, program=None), ""))}
+    return found
+
+
+def _of_orders(one: Program, other: Program) -> Iterator[Change]:
+    """The same names in another order, where the order has a meaning."""
+    before, after = dict(_orders(one)), dict(_orders(other))
+    for (path, group), names in before.items():
+        there = after.get((path, group), names)
+        if names != there and sorted(names) == sorted(there):
+            yield Change(path, group, "changed", ", ".join(names), ", ".join(there))
+
+
+def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Group], list[str]]]:
+    yield ("order of what is observed, done and sent", Group.policy), list(interface.interface(scenario))
+    yield ("order of endings", Group.task), [ending.name for ending in scenario.endings]
+    yield ("order of reset.place", Group.world), [place.body for place in scenario.reset.placements]
+    yield ("order of evaluation.cases", Group.training), [case.name for case in scenario.cases]
+    yield ("order of curriculum", Group.training), [stage.name for stage in scenario.curriculum]
+
+
+# Values by path
+
+
+def values(scenario: Program) -> dict[str, str]:
+    """Every value of a scenario as text, by path; without cases, stages and paths of files."""
+    placeless = canonical.with_files(replace(scenario, cases=(), curriculum=()), lambda file: replace(file, path=""))
+    return dict(_leaves(placeless, ""))
+
+
+def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
+    """The single values in a record, with their paths; numbers to twelve digits, since units are converted in floats."""
+    value = value.value if isinstance(value, Const) else value
+    members = None if isinstance(value, Scalar) else canonical.members(value)
+    if members is not None and "scalars" in members:
+        members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
+    elif members is not None:
+        kind = {} if type(value) in _PLACES else {"kind": type(value).__name__.lower()}
+        key = path.rpartition("/")[2]
+        members = kind | {name: member for name, member in members.items() if name not in ("name", "body", "robot") or member != key}
+    elif isinstance(value, tuple) and not isinstance(value, Scalar) and not all(isinstance(entry, str) for entry in value):
+        members = _keyed(value, path)
+    elif isinstance(value, Mapping):
+        members = dict(value)
+    if members is not None:
+        for name, member in members.items():
+            yield from _leaves(member, f"{path}/{name}".strip("/"))
+    elif path.endswith("/fixed_base"):
+        yield path, "fixed" if value else "free"
+    elif isinstance(value, Scalar):
+        yield path, formula(value)
+    elif isinstance(value, float):
+        yield path, f"{value:.12g}"
+    elif value not in (None, ()):
+        yield path, cell(list(value)) if isinstance(value, tuple) else cell(value)
+
+
+def _keyed(entries: tuple[Any, ...], path: str) -> dict[str, Any]:
+    """The entries of a list by name where they have one, or by axis or position."""
+    axes = _AXES.get(path.rpartition("/")[2], ())
+    if len(entries) == len(axes):
+        return dict(zip(axes, entries, strict=True))
+    return {_key(entry) or (str(index) if len(entries) > 1 else ""): entry for index, entry in enumerate(entries)}
+
+
+def _key(entry: Any) -> str:
+    if isinstance(entry, Scalar):
+        return ""
+    if isinstance(entry, RandomizedParameter):
+        return _path_of_draw(entry)
+    if isinstance(entry, tuple):
+        return entry[0] if entry and isinstance(entry[0], str) else ""
+    name = next((str(getattr(entry, key)) for key in ("name", "body", "robot") if hasattr(entry, key)), "")
+    return f"{entry.outcome}/{name}" if hasattr(entry, "outcome") else name
+
+
+def _path_of_draw(entry: RandomizedParameter) -> str:
+    """The path in the language of a value that is drawn per episode."""
+    body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
+    if entry.what == "colour":
+        return f"{LOOK}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{LOOK}objects.{body}"
+    first = entry.scalars[0]
+    if isinstance(first, Draw):
+        return first.stream.partition("#")[0].partition(":")[0]
+    return " of ".join(filter(None, (f"drawn {entry.what}", ".".join(filter(None, entry.of)))))

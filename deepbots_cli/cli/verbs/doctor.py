@@ -16,8 +16,8 @@ import typer
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import Json
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import DeepbotsError, installing
@@ -34,7 +34,7 @@ _PACKAGES = {
 
 @dataclass(frozen=True)
 class Check:
-    """The state of one part: a missing part can be installed, a broken one needs repair."""
+    """The state of one part: a missing part can be installed, a broken part needs repair."""
 
     what: str
     state: State
@@ -44,12 +44,14 @@ class Check:
 def command(as_json: Json = False) -> None:
     """Check the installation.
 
-    Versions, extras, the shipped data, and whether a world can be built and stepped. Missing extras are no fault; the exit code is 1
-    if something is broken.
+    The command shows the versions, the extras and the shipped data, and takes one step in a simulated world. A missing extra is not an
+    error; the exit code is 1 if a part is broken.
 
     \b
       deepbots doctor
       deepbots doctor --json
+
+    Next: install a missing extra with the command that the table shows.
     """
     found = [asdict(check) for check in checks()]
     broken = [check["what"] for check in found if check["state"] == "broken"]
@@ -65,20 +67,20 @@ def command(as_json: Json = False) -> None:
 
 
 def _verdict(broken: list[str], missing: list[str]) -> str:
-    """The table in a sentence: what works, and what does not without an extra."""
+    """The result in a sentence: what works, and what needs an extra."""
     if broken:
         return f"broken: {', '.join(broken)}"
     if "sim" in missing:
-        return "linting works; simulating and training need the extras that are missing"
+        return "linting works; simulating and training need the missing extras"
     if "train" in missing:
-        return "linting and simulating work; training needs the extra that is missing"
+        return "linting and simulating work; training needs the missing extra"
     if "editor" in missing:
-        return "everything works but the language server, which needs the extra that is missing"
+        return "everything works except the language server, which needs the missing extra"
     return "everything works"
 
 
 def checks() -> Iterator[Check]:
-    """Everything that deepbots depends on, in the order of dependence."""
+    """The checks of everything that deepbots depends on, in the order of dependence."""
     yield Check("deepbots", "ok", deepbots_cli.__version__)
     yield Check("python", "ok" if sys.version_info >= (3, 11) else "broken", f"{platform.python_version()} at {sys.executable}")
     yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
@@ -108,7 +110,7 @@ def _extra(extra: str, names: tuple[str, ...]) -> Iterator[Check]:
 
 def _data() -> Check:
     names = shipped.scenario_names()
-    return Check("scenarios", "ok" if names else "broken", f"{', '.join(names) or 'none'} in {shipped.data_dir()}")
+    return Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
 
 
 def _linting() -> Check:
@@ -127,7 +129,7 @@ def _stepping() -> Check:
             name = environment.engine.name
     except (DeepbotsError, ImportError, OSError) as error:
         return Check("physics", "broken", str(error))
-    return Check("physics", "ok", f"cartpole makes a step on {name}")
+    return Check("physics", "ok", f"one step of cartpole on {name}")
 
 
 def _threads() -> Check:
@@ -135,4 +137,4 @@ def _threads() -> Check:
         import torch
     except (ImportError, OSError) as error:
         return Check("learning", "broken", str(error))
-    return Check("learning", "ok", f"torch on {torch.get_num_threads()} threads; training uses one")
+    return Check("learning", "ok", f"torch with {torch.get_num_threads()} threads; training uses one")

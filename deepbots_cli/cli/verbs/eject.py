@@ -1,4 +1,4 @@
-"""`deepbots eject`: a scenario as a small Python project whose generated classes are there to be edited."""
+"""`deepbots eject`: a scenario as a Python project with the generated classes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.rewriting import Files, write_new
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
@@ -26,10 +26,10 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Write a scenario out as a small Python project of its own.
+    """Write a scenario as a Python project that you can edit.
 
-    It holds the generated classes to edit, the scenario with its files, and scripts to run and to train. It needs deepbots as a library.
-    What can be said in the scenario is better changed there.
+    The project holds the generated classes, the scenario with its files, and scripts that run and train it. It needs deepbots as a library.
+    Change the classes only where the scenario cannot express the change.
 
     \b
       deepbots eject cartpole my_cartpole
@@ -44,7 +44,7 @@ def command(
         return
     for path in written:
         terminal.say(str(path))
-    terminal.note(f"run it: cd {quote(str(folder))} && python run.py")
+    terminal.note(f"\nnext: cd {quote(str(folder))} && python run.py")
 
 
 def project(compiled: api.Compiled) -> Files:
@@ -70,15 +70,15 @@ def project(compiled: api.Compiled) -> Files:
 
 
 def _requirements() -> str:
-    """What the project needs: the clone that deepbots was installed from, where pip knows it; no index of packages has deepbots."""
+    """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no package index has deepbots."""
     clone = cloned()
     known = clone != "deepbots-cli"
     here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if known else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
-    moved = ", where that has changed" if known else ""
-    return f"# deepbots {deepbots_cli.__version__} is installed from a clone; put its place here{moved}\n{here}\n"
+    moved = " if it has moved" if known else ""
+    return f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here{moved}\n{here}\n"
 
 
 def _check(folder: Path) -> None:
-    """Raises: UsageError: The folder is there and holds anything; a project is never written over another."""
+    """Raises: UsageError: The folder exists and is not empty."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UsageError(f"{folder} exists and is not an empty folder; name another")
+        raise UsageError(f"{folder} exists and is not an empty folder; name another folder")

@@ -12,8 +12,8 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.canonical import task_digest
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.learning import report
@@ -25,27 +25,35 @@ if TYPE_CHECKING:
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, as `deepbots train` makes them.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`.")],
     episodes: Annotated[
-        int | None, typer.Option("--episodes", metavar="N", parser=whole(), help="How many; the scenario's figure by default.")
+        int | None,
+        typer.Option(
+            "--episodes", metavar="N", parser=whole(), help="Number of episodes; by default `evaluation.episodes` of the scenario."
+        ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of the starts; the training's by default."),
+        typer.Option(
+            "--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of the starts; by default the seed of the training."
+        ),
     ] = None,
-    last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best.")] = False,
-    video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Film the first episode.")] = None,
+    last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best one.")] = False,
+    video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Record a video of the first episode.")] = None,
     scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario instead of the run's.")
+        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in that of the run.")
     ] = None,
     sets: Sets = None,
     case: Annotated[
-        str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and all its cases.")
+        str | None,
+        typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and in all its cases."),
     ] = None,
     require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
         float | None,
-        typer.Option("--min-success", metavar="SHARE", parser=fraction, help="Exit with 1 if fewer episodes succeed: 0.8 or 80%."),
+        typer.Option(
+            "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower, such as 0.8 or 80%."
+        ),
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -53,11 +61,11 @@ def command(
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
 
-    The cases in `evaluation.cases` are evaluated too, from the same starts. --require-solved and --min-success apply to the scenario
-    itself, or to the case that --case names.
+    The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
+    --require-solved and --min-success test the result in the scenario, or in the case that --case names.
 
-    --set changes the scenario of the run, or the one that --scenario names. Either must have the observation, the action and the
-    messages that the policy was trained with; its world may differ.
+    --set overrides values of the scenario of the run, or of the scenario that --scenario names. Its observation, action and messages must
+    be equal to those of the training; its world may differ.
 
     \b
       deepbots eval runs/cartpole-0-1
@@ -66,6 +74,8 @@ def command(
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
+
+    Next: `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
     known = Run.open(run)
     compiled = None
@@ -94,12 +104,12 @@ def command(
 
 
 def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
-    """How the report names a scenario that replaces that of the run."""
+    """The name in the report of a scenario that replaces the scenario of the run."""
     if compiled is None:
         return None
     same = task_digest(compiled.ir) == task_digest(run.ir)
     changed = "".join(f" --set {quote(text)}" for text in sets)
-    return f"{scenario or 'of the run'}{changed}, {'the same as in' if same else 'not the one of'} the training"
+    return f"{scenario or 'of the run'}{changed}, {'the same as in the training' if same else 'different from the training'}"
 
 
 def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhere: str | None = None) -> None:
@@ -110,7 +120,7 @@ def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhe
 
 
 def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> dict[str, Any]:
-    """The same as a dictionary."""
+    """An evaluation and its cases as a dictionary."""
     return {**report.to_json(result), "cases": [report.to_json(other) for other in cases]}
 
 
@@ -119,10 +129,12 @@ def _require(result: EvaluationResult, *, require_solved: bool, min_success: flo
     unmet = []
     if require_solved and not result.solved:
         unmet.append(
-            "the task is not solved" if result.solved is False else f"it is not known whether the task is solved ({result.verdict})"
+            "the task is not solved"
+            if result.solved is False
+            else f"the evaluation cannot say whether the task is solved ({result.verdict})"
         )
     if min_success is not None and result.success_rate < min_success:
-        unmet.append(f"the success rate is {result.success_rate:.3g}, not {min_success:g}")
+        unmet.append(f"the success rate is {result.success_rate:.3g}, below {min_success:g}")
     if unmet:
         terminal.complain(" and ".join(unmet))
         raise typer.Exit(FAILED)

@@ -24,19 +24,18 @@ _BOM = b"\xef\xbb\xbf"
 
 
 def command(
-    paths: Annotated[list[Path], typer.Argument(metavar="FILE", help="Files, or folders of scenarios.")],
-    check: Annotated[bool, typer.Option("--check", help="Write nothing; the exit code is 1 if a file would change.")] = False,
-    diff: Annotated[bool, typer.Option("--diff", help="The same, and show what would change.")] = False,
+    paths: Annotated[list[Path], typer.Argument(metavar="FILE", help="Scenario files, or folders of them.")],
+    check: Annotated[bool, typer.Option("--check", help="Write nothing, and exit with 1 if a file would change.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Like --check, and show the changes.")] = False,
 ) -> None:
-    """Put scenario files into the canonical layout.
+    """Format scenario files in the canonical layout.
 
-    What they say stays, and so do comments and aligned columns.
-
-    Of a folder, every .yaml or .yml file with a `deepbots:` key is meant, down through the folders inside, but for those that the
-    project excludes from linting.
+    Formatting keeps all values, comments and aligned columns. In a folder, fmt formats every .yaml or .yml file with a `deepbots:` key,
+    also in subfolders, except the files that the project excludes from linting.
 
     \b
       deepbots fmt cartpole.yaml
+      deepbots fmt cartpole.yaml --diff
       deepbots fmt scenarios/ --check
     """
     rewrites, refused = [], False
@@ -55,7 +54,7 @@ def command(
 
 
 def _meant(paths: Sequence[Path]) -> Iterator[Path]:
-    """Files as they are named; of folders what the project does not exclude."""
+    """The named files, and the scenarios in named folders that the project does not exclude."""
     for given in paths:
         if not given.exists():
             raise UsageError(f"there is no file {given}")
@@ -68,17 +67,17 @@ def _meant(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def _tidied(path: Path) -> Rewrite | None:
-    """The file in the canonical layout; None, and a word about it, if it cannot be had."""
+    """The file in the canonical layout; None after an error message if it cannot be formatted."""
     if not path.is_file():
         raise UsageError(f"{path} is not a regular file")
     data, findings = files.read(path), Findings()
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
-        terminal.complain(f"{path} cannot be read as it stands, and is left alone; see: deepbots lint {quote(str(path))}")
+        terminal.complain(f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}")
         return None
     done = tidy(source.text)
     if done is None:
-        terminal.complain(f"{path} is left alone: its layout cannot be changed without changing what it says")
+        terminal.complain(f"{path} is not changed because a new layout would change its values")
         return None
     return Rewrite(path.resolve(), data, (_BOM if data.startswith(_BOM) else b"") + done.encode())

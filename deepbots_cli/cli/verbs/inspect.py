@@ -11,7 +11,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Json, Sets, Stage, chosen
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Sets, Stage, chosen
 from deepbots_cli.cli.sources import is_robot, opened, opened_robot
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Image
 
 _CAPTIONS = {
-    "observation": "low .. high becomes what the policy sees; values beyond are clipped",
-    "poses": "of the ends of robots at the start of the episode with seed 0, world frame",
-    "drawn": "anew at every reset, in SI units",
-    "hyperparameters": "from the scenario, from a default of deepbots, or from the library's own default",
-    "timing": "in step n of the agent; n counts from 0, physics steps from 1",
+    "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
+    "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
+    "drawn": "values that each reset draws anew, in SI units",
+    "hyperparameters": "`from` is the scenario, deepbots (its default) or the library (its default)",
+    "timing": "in step n of the agent, n = 0, 1, ...; physics steps count from 1",
 }
 
 
@@ -40,25 +40,26 @@ def command(
     scenario: Annotated[
         str,
         typer.Argument(
-            metavar="SCENARIO|RUN|ROBOT", help="A scenario or robot file (a path, package://..., a shipped name), or a run directory."
+            metavar="SCENARIO|RUN|ROBOT",
+            help="A scenario file, a robot file (URDF), the name of a shipped scenario or robot, or a run directory.",
         ),
     ],
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="PNG", help="Also draw the world at the start of an episode; the file is replaced.")
+        Path | None,
+        typer.Option("--picture", metavar="PNG", help="Also render the world at the start of an episode to this file, which is replaced."),
     ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Show what a scenario means: spaces, messages, reward, timing. Or what a robot file holds: links, joints, what is odd.
+    """Show the values of a scenario, a run or a robot file as tables.
 
-    Of a run directory it shows the scenario that the run was trained with, and how far the training has come.
-
-    Values are in SI units. If the simulator is installed, the table of poses shows where the ends of robots are when an episode begins.
-    The table of timing shows the physics step from which an action acts, and the age of each observation.
+    The tables of a scenario show spaces, messages, reward, timing and hyperparameters in SI units. The table of timing shows the physics
+    step from which an action acts, and the age of each observation. The table of poses needs the simulator. A run shows its scenario and
+    the progress of its training. A robot file shows its links, joints and findings.
 
     \b
       deepbots inspect cartpole
@@ -67,6 +68,8 @@ def command(
       deepbots inspect find_ball_random --stage few
       deepbots inspect runs/cartpole-0-1
       deepbots inspect package://pybullet_data/husky/husky.urdf --picture husky.png
+
+    Next: `deepbots run SCENARIO` runs random actions.
     """
     if picture is not None:
         _check(picture)
@@ -87,11 +90,11 @@ def command(
     else:
         _show(tables)
     if picture is not None:
-        terminal.note(f"the world is drawn in {picture}")
+        terminal.note(f"wrote a picture of the world to {picture}")
 
 
 def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> inspection.Tables:
-    """Where the ends of robots are at the start of an episode, if the simulator is installed; draws the world if a picture is asked for."""
+    """The poses of end links at the start of an episode, if the simulator is installed; renders the world if `picture` is given."""
     links = inspection.end_links(ir)
     if picture is None and not links:
         return {}
@@ -108,7 +111,7 @@ def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> inspection
     except (EngineError, EvaluationError) as error:
         if picture is not None:
             raise
-        terminal.note(f"no poses are shown, since no episode can begin: {error}")
+        terminal.note(f"the table of poses is missing because no episode can begin: {error}")
     return {}
 
 
@@ -124,7 +127,7 @@ def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:
         if findings:
             terminal.show_findings(findings)
     if picture is not None:
-        terminal.note(f"the robot is drawn in {picture}")
+        terminal.note(f"wrote a picture of the robot to {picture}")
 
 
 def _rendered(model: RobotModel) -> Image:
@@ -141,9 +144,9 @@ def _rendered(model: RobotModel) -> Image:
 
 
 def _check(picture: Path) -> None:
-    """Raises: UsageError: No picture can be written there; found out before anything is drawn."""
+    """Raises: UsageError: The file cannot be a picture."""
     if picture.suffix.lower() != ".png":
-        raise UsageError(f"{picture} cannot be a picture: its name does not end in .png")
+        raise UsageError(f"{picture} is not the name of a PNG file; it must end in .png")
     if not picture.parent.is_dir():
         raise UsageError(f"{picture} cannot be written: there is no folder {picture.parent}")
 

@@ -1,26 +1,30 @@
-"""`deepbots lint`."""
+"""`deepbots lint`: files, folders and standard input, one after the other or in several processes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole
 from deepbots_cli.cli.exits import FAILED, FAULT
-from deepbots_cli.cli.linting import STDIN, Look, findings_of, named
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Sets, whole
-from deepbots_cli.cli.reports import report
-from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
-from deepbots_cli.diagnostics.render import summary
+from deepbots_cli.compiler import Checked
+from deepbots_cli.diagnostics import Edit, Finding, Severity, Source, formats
+from deepbots_cli.diagnostics.findings import failure
+from deepbots_cli.diagnostics.render import inert, render, summary
 from deepbots_cli.diagnostics.suppress import Selection, Words
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.lint import review
 from deepbots_cli.lint.fixes import Fixer
-from deepbots_cli.lint.settings import settings
+from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 
 
 class Format(StrEnum):
@@ -47,32 +51,49 @@ def command(
     scenarios: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SCENARIO]...", help="Files, shipped scenarios by name, folders (by default this one), - for standard input."
+            metavar="SCENARIO", help="Scenario files, names of shipped scenarios, folders, or - for standard input; by default this folder."
         ),
     ] = None,
     sets: Sets = None,
-    format: Annotated[Format | None, typer.Option("--format", help="With the lines in question, a line each, or a report.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
-    select: Annotated[Codes, typer.Option("--select", metavar="CODES", help="Only these: codes, beginnings of codes or names.")] = None,
-    ignore: Annotated[Codes, typer.Option("--ignore", metavar="CODES", help="Not these; the longer of two beginnings counts.")] = None,
-    fail_on: Annotated[FailOn | None, typer.Option("--fail-on", help="What makes the exit code 1; errors, unless said otherwise.")] = None,
-    exit_zero: Annotated[bool, typer.Option("--exit-zero", help="The same as --fail-on never.")] = False,
-    preview: Annotated[bool | None, typer.Option("--preview/--no-preview", help="Also the rules that may still misfire.")] = None,
-    deep: Annotated[bool, typer.Option("--deep", help="Also simulate each scenario for a short while, and measure.")] = False,
-    fix: Annotated[bool, typer.Option("--fix", help="Write what can only have been meant into the files.")] = False,
-    unsafe_fixes: Annotated[bool, typer.Option("--unsafe-fixes", help="Good guesses as well, with --fix or --diff.")] = False,
-    diff: Annotated[bool, typer.Option("--diff", help="Show what --fix would change, and write nothing.")] = False,
-    stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="The file that standard input is of.")] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", parser=whole(), help="Processes, which pay from tens of files on.")] = 1,
+    format: Annotated[Format | None, typer.Option("--format", help="Output format; full by default, with the source lines.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
+    select: Annotated[
+        Codes,
+        typer.Option(
+            "--select", metavar="CODES", help="Report only these findings: codes, prefixes of codes, or names, separated by commas."
+        ),
+    ] = None,
+    ignore: Annotated[
+        Codes,
+        typer.Option(
+            "--ignore", metavar="CODES", help="Do not report these findings; between --select and --ignore, the longer prefix wins."
+        ),
+    ] = None,
+    fail_on: Annotated[FailOn | None, typer.Option("--fail-on", help="Severity from which the exit code is 1; error by default.")] = None,
+    exit_zero: Annotated[bool, typer.Option("--exit-zero", help="Same as --fail-on never.")] = False,
+    preview: Annotated[
+        bool | None,
+        typer.Option("--preview/--no-preview", help="Also run the rules in preview, which can report false findings; off by default."),
+    ] = None,
+    deep: Annotated[bool, typer.Option("--deep", help="Also simulate each scenario without errors for a short time.")] = False,
+    fix: Annotated[bool, typer.Option("--fix", help="Apply the safe fixes to the files.")] = False,
+    unsafe_fixes: Annotated[
+        bool, typer.Option("--unsafe-fixes", help="Also apply the unsafe fixes, which are guesses; with --fix or --diff.")
+    ] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Show the changes of --fix, and write nothing.")] = False,
+    stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="File name for standard input.")] = None,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", metavar="N", parser=whole(), help="Number of processes; useful from tens of files on.")
+    ] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Check scenarios and report every problem.
 
-    Every problem is shown at once, with its place and what to write instead. Nothing is run, and no simulator is needed,
-    but for --deep, which simulates what has no errors in a process of its own and tells what it measures.
-    Of a folder, every .yaml or .yml file with a `deepbots:` key is read, down through the folders inside. What a project
-    always wants stands in its deepbots.toml, under [lint], or in its pyproject.toml, under [tool.deepbots.lint].
+    Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. Only --deep simulates scenarios
+    without errors, in a separate process, and reports what it measures.
+    In a folder, lint reads every .yaml or .yml file with a `deepbots:` key, also in subfolders. A project sets its defaults under [lint] in
+    deepbots.toml, or under [tool.deepbots.lint] in pyproject.toml.
 
     \b
       deepbots lint cartpole.yaml
@@ -83,7 +104,9 @@ def command(
       deepbots lint cartpole.yaml --fix --unsafe-fixes
       deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
 
-    A warning is suppressed by a comment on its line, or on the line above: # deepbots: ignore[DB603]
+    A comment on the line of a warning, or on the line above, suppresses it: # deepbots: ignore[DB603]
+
+    Next: `deepbots explain DB603` explains a finding.
     """
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
@@ -95,14 +118,14 @@ def command(
     look = Look(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
     names = named(scenarios or ["."], project)
     if stdin_name and STDIN not in names:
-        raise UsageError("--stdin-filename goes with - for standard input")
+        raise UsageError("--stdin-filename needs - (standard input) as a scenario")
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
     failing = _FAILING["never" if exit_zero else fail_on or project.fail_on or "error"]
     changes = False
     if fix or diff or unsafe_fixes:
         _check_fixing(fix, diff, sets, names)
         if diff and (as_json or format):
-            raise UsageError("--diff shows the change and no findings, so it takes no --format")
+            raise UsageError("--diff shows changes instead of findings, so it excludes --format and --json")
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
@@ -110,11 +133,11 @@ def command(
     if diff and shown and not changes:
         _explain_empty_diff([] if unsafe_fixes else shown)
     if not diff:
-        print(report(shown, format_.value, [look.called(name) for name in names], failing), end="")
+        print(report(shown, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
             _sum_up(shown, names, selection, fixable=not (fix or sets), deep=deep)
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.wants(finding)]
-    _confess(hidden)
+    _note_hidden(hidden)
     if any(finding.is_fault for finding in shown):
         raise typer.Exit(FAULT)
     if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
@@ -133,17 +156,17 @@ def _check_simulator(fixing: bool) -> None:
     from deepbots_cli.lint.simulation import require_simulator
 
     if fixing:
-        raise UsageError("--deep measures, and nothing that it finds can be fixed by a program; run it without --fix and --diff")
+        raise UsageError("findings of --deep have no fixes; run it without --fix and --diff")
     require_simulator()
 
 
 def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence[str]) -> None:
     if not (fix or diff):
-        raise UsageError("--unsafe-fixes goes with --fix, or with --diff to see what it would do")
+        raise UsageError("--unsafe-fixes needs --fix, or --diff to show the changes")
     if sets:
-        raise UsageError("--set changes values for one look only; fix the files without it")
+        raise UsageError("--set does not change files, so it excludes --fix and --diff")
     if STDIN in names:
-        raise UsageError("standard input is no file that could be fixed; name the file")
+        raise UsageError("standard input cannot be fixed; name the file")
 
 
 def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
@@ -175,16 +198,17 @@ def _hint(findings: Sequence[Finding]) -> str | None:
     safe = sum(finding.fix is not None and finding.fix.safe for finding in findings)
     unsafe = sum(finding.fix is not None and not finding.fix.safe for finding in findings)
     if not safe:
-        return f"{unsafe} may be fixed by --fix --unsafe-fixes; see what they would do with --diff --unsafe-fixes" if unsafe else None
+        count = f"{unsafe} unsafe fix{'es' * (unsafe > 1)} available"
+        return f"{count}: show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes" if unsafe else None
     return f"{safe} can be fixed by --fix" + (f", {unsafe} more by --unsafe-fixes" if unsafe else "")
 
 
 def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, deep: bool) -> None:
-    """How many there are, or a friendly word; and how many of them can be fixed."""
+    """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
-        asked = "" if selection.is_everything else " of those asked for"
-        terminal.say(f"{called}: no findings{asked}{', also when simulated' if deep else ''}")
+        asked = "" if selection.is_everything else " of the selected ones"
+        terminal.say(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
         return
     terminal.say(summary(findings))
     if fixable and any(finding.fix for finding in findings):
@@ -192,14 +216,156 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
 
 
 def _explain_empty_diff(left: list[Finding]) -> None:
-    """Say that there is no difference to show, and which option would show the good guesses among the fixes that are `left`."""
+    """Say that there are no changes, and which option shows the unsafe fixes among the findings that are `left`."""
     guesses = _hint([finding for finding in left if finding.fix and not finding.fix.safe])
-    terminal.note("there is no difference to show" + (f"; {guesses}" if guesses else ""))
+    terminal.note("there are no changes" + (f"; {guesses}" if guesses else ""))
 
 
-def _confess(hidden: list[Finding]) -> None:
-    """Say which errors are not shown: they keep a scenario from being compiled all the same, and other rules from looking at it."""
+def _note_hidden(hidden: list[Finding]) -> None:
+    """Name the errors that the selection hides: they still prevent compilation, and so the checks after it."""
     if hidden:
         places = ", ".join(dict.fromkeys(finding.span.source.name for finding in hidden))
         codes = ", ".join(sorted({finding.code for finding in hidden}))
-        terminal.note(f"{summary(hidden)} not asked for ({codes}) in {places}; nothing more was looked for there")
+        terminal.note(f"{summary(hidden)} not selected ({codes}) in {places}; these scenarios were not checked further")
+
+
+# Scenarios
+
+
+STDIN = "-"
+_NAMELESS = "<stdin>"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How each scenario is read, and whether it is simulated (`deep`); `stdin_name` is the file name for standard input."""
+
+    sets: tuple[str, ...] = ()
+    allow_paths: tuple[Path, ...] = ()
+    allow_code: bool = False
+    preview: bool = False
+    deep: bool = False
+    stdin_name: str | None = None
+
+    def findings(self, name: str) -> list[Finding]:
+        """The findings of one scenario."""
+        if name == STDIN:
+            return self._of_stdin()
+        checked = api.load(name, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+        return self._reviewed(checked, self.called(name))
+
+    def _of_stdin(self) -> list[Finding]:
+        """Paths in the text are relative to the folder of `stdin_name`, and the project is that of this folder."""
+        from dataclasses import replace
+
+        from deepbots_cli.compiler import check
+        from deepbots_cli.document import files, load
+
+        path = Path(self.stdin_name or _NAMELESS).resolve()
+        data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""
+        display = self.stdin_name or _NAMELESS
+        document = load(path, self.sets, display=display, allow_paths=self.allow_paths, drafts={path: data})
+        return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
+
+    def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+        try:
+            return self._found(checked, called)
+        finally:
+            checked.release()
+
+    def _found(self, checked: Checked, called: str) -> list[Finding]:
+        """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
+        found = review(checked, preview=self.preview)
+        if not self.deep:
+            return found
+        if any(finding.severity == "error" and not finding.is_fault for finding in found):
+            terminal.note(f"{called}: not simulated because it has errors")
+            return found
+        from deepbots_cli.lint import simulate
+
+        with terminal.passing(f"{called}: simulating"):
+            simulated = simulate(checked, preview=self.preview)
+        if simulated.left:
+            terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
+        return review(checked, preview=self.preview, measured=simulated.findings)
+
+    def called(self, name: str) -> str:
+        """The name of the scenario `name` in findings."""
+        return (self.stdin_name or _NAMELESS) if name == STDIN else api.locate(name)[1]
+
+
+def named(given: Iterable[str], project: Settings) -> list[str]:
+    """The scenarios that the arguments name, each once; files in folders that the project excludes are left out.
+
+    Raises:
+        UsageError: A scenario does not exist, or a folder holds no scenario.
+    """
+    names = list(dict.fromkeys(name for argument in given for name in _expanded(argument, project)))
+    for name in names:
+        if name != STDIN:
+            api.locate(name)
+    return names
+
+
+def _expanded(given: str, project: Settings) -> Iterator[str]:
+    folder = Path(given)
+    if given == STDIN or not folder.is_dir():
+        yield given
+        return
+    yield from map(str, scenarios_in(folder, project))
+
+
+def findings_of(names: Sequence[str], look: Look, jobs: int = 1) -> list[Finding]:
+    """The findings of the scenarios in their order; findings in shared files are reported once."""
+    look_at = partial(_look_at, look)
+    jobs = min(jobs, len(names))
+    each = _in_processes(look_at, names, jobs) if jobs > 1 else map(look_at, names)
+    return list({finding.sort_key: finding for findings in each for finding in findings}.values())
+
+
+def _look_at(look: Look, name: str) -> list[Finding]:
+    """The findings of one scenario. An internal error of deepbots becomes its only finding, and the other scenarios are still linted."""
+    try:
+        return look.findings(name)
+    except (DeepbotsError, OSError):
+        raise
+    except Exception as error:  # an internal error  # noqa: BLE001
+        return [failure("the compiler", Source(look.called(name), ""), error)]
+
+
+def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: int) -> list[list[Finding]]:
+    """The same in `jobs` processes; standard input is read in this one."""
+    import signal
+    from concurrent.futures import ProcessPoolExecutor
+
+    others = [name for name in names if name != STDIN]
+    # Ctrl-C reaches every process; only this one handles it.
+    with ProcessPoolExecutor(jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)) as pool:
+        found = dict(zip(others, pool.map(look_at, others, chunksize=max(1, len(others) // (4 * jobs))), strict=True))
+    return [found[name] if name in found else look_at(name) for name in names]
+
+
+# Formats
+
+
+def report(findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]) -> str:
+    """The text for standard output; `names` are the names of the scenarios in findings."""
+    match format:
+        case Format.github:
+            return formats.github(findings)
+        case Format.sarif:
+            return formats.sarif(findings, _page)
+        case Format.junit:
+            return formats.junit(findings, names, failing)
+        case Format.json:
+            return render(findings, "json")
+        case Format.full | Format.concise:
+            form: Literal["full", "concise"] = "full" if format is Format.full else "concise"
+            return inert(render(findings, form, terminal.colourful(sys.stdout), terminal.width()))
+
+
+def _page(code: str) -> tuple[str, str]:
+    from deepbots_cli.lint.pages import pages_of
+
+    pages = pages_of(code)
+    return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import Json
+from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Scalar, load, shipped
 from deepbots_cli.errors import RunError
@@ -16,16 +16,18 @@ from deepbots_cli.learning.record import NAME, Record, number, solved
 
 
 def command(
-    runs: Annotated[Path, typer.Option("--runs", metavar="DIR", help="The folder that holds your runs.")] = Path("runs"),
+    runs: Annotated[Path, typer.Option("--runs", metavar="DIR", help="Folder of your runs.")] = Path("runs"),
     as_json: Json = False,
 ) -> None:
     """List the scenarios that come with deepbots, and your runs.
 
-    Runs with the same digest were trained with the same scenario; `deepbots diff` compares two runs.
+    Two runs with the same digest have the same scenario; `deepbots diff` compares the scenarios of two runs.
 
     \b
       deepbots list
       deepbots list --runs /data/runs --json
+
+    Next: `deepbots inspect NAME` shows a scenario, and `deepbots copy NAME` copies it to a folder of yours.
     """
     scenarios, known = _scenarios(), _runs(runs)
     if as_json:
@@ -35,7 +37,7 @@ def command(
     if known:
         terminal.say(f"\nruns in {runs}\n" + table([{**row, "digest": str(row["digest"])[:8]} for row in known]))
     else:
-        terminal.note(f"\nno runs in {runs} yet; make one with: deepbots train cartpole")
+        terminal.note(f"\nthere are no runs in {runs}; next: deepbots train cartpole")
 
 
 def _scenarios() -> list[Row]:

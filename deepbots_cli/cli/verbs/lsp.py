@@ -7,19 +7,24 @@ from typing import Annotated
 
 import typer
 
-from deepbots_cli.cli.options import AllowCode, AllowPaths
+from deepbots_cli.cli.command import AllowCode, AllowPaths
 from deepbots_cli.errors import MissingExtraError
 
 
 def command(
-    port: Annotated[int | None, typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Listen on a port of this machine.")] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--tcp", metavar="PORT", min=1, max=65535, help="Listen on this port of this machine; by default standard input and output."
+        ),
+    ] = None,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Serve an editor: findings as you type, completion, fixes.
+    """Run the language server: findings, completion, hover, fixes.
 
-    Any editor that speaks the language server protocol starts it by itself, and talks to it over standard input and output.
-    It completes keys, names and functions, tells types, units and ranges, and leads to definitions.
+    An editor that supports the language server protocol starts this command itself. The server completes keys, names and functions, shows
+    types, units and ranges, and finds definitions. docs/editors.md has the settings of Neovim, Helix and VS Code.
 
     \b
       deepbots lsp

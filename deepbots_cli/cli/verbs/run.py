@@ -1,4 +1,4 @@
-"""`deepbots run`: episodes of policies without learning: random, zero, a list of actions, or a script of the scenario."""
+"""`deepbots run`: episodes of a policy without learning: random or zero actions, a list of actions, or a script of the scenario."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -26,8 +26,8 @@ from deepbots_cli.program.task import ActionRange, Choices
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
-MANY = 20
-"""More episodes than these are no longer shown one by one, but for the `FIRST` of them."""
+MAX_SHOWN = 20
+"""Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST` are."""
 FIRST = 5
 
 
@@ -41,13 +41,20 @@ def command(
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
-    policy: Annotated[Policy | None, typer.Option("--policy", help="Draw actions, or do nothing; random by default.")] = None,
-    actions: Annotated[
-        str | None, typer.Option("--actions", metavar="A,B,...", help="Take these actions, over and over: options by name, or numbers.")
+    policy: Annotated[
+        Policy | None, typer.Option("--policy", help="Random actions, or zero: the middle of each range; random by default.")
     ] = None,
-    script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Follow this script of the scenario.")] = None,
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="How many episodes to run.")] = 3,
-    steps: Annotated[int | None, typer.Option("--steps", metavar="N", parser=whole(), help="Stop after so many steps in all.")] = None,
+    actions: Annotated[
+        str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")
+    ] = None,
+    script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Use this script of the scenario as the policy.")] = None,
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="Number of episodes.")] = 3,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            "--steps", metavar="N", parser=whole(), help="Stop after this total number of steps; by default at the end of the last episode."
+        ),
+    ] = None,
     seed: Seed = 0,
     engine: Engine = "pybullet",
     as_json: Json = False,
@@ -56,7 +63,7 @@ def command(
 ) -> None:
     """Run episodes without a trained policy, and show the reward terms.
 
-    Look at the rewards and endings of a scenario before any training.
+    The result shows the returns, the reward terms and the endings of a scenario before any training.
 
     \b
       deepbots run cartpole
@@ -65,7 +72,9 @@ def command(
       deepbots run pit_escape --script rocking --episodes 100
       deepbots run find_ball_random --stage crowded
 
-    Colons separate the numbers of one action, commas the actions: --actions 0.5:0.5,0.5:-0.5
+    Commas separate actions, and colons the numbers of one action: --actions 0.5:0.5,0.5:-0.5
+
+    Next: `deepbots train SCENARIO` trains a policy.
     """
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
@@ -81,19 +90,19 @@ def command(
         elif actions is not None:
             acting = repeated(ir, actions)
         else:
-            acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # which the reset seeds
-        running = play(environment, acting, count=episodes, seed=seed, most_steps=steps)
+            acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
+        running = play(environment, acting, count=episodes, seed=seed, max_steps=steps)
         done: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
                 done.append(episode)
-                if show and episodes > MANY:
+                if show and episodes > MAX_SHOWN:
                     show(len(done), episodes)
     summary = Summary.of(done)
     if as_json:
-        figures = {"success_defined": ir.defines_success, **vars(summary)}
+        totals = {"success_defined": ir.defines_success, **vars(summary)}
         known = {"scenario": ir.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
-        terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": figures})
+        terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": totals})
         return
     _show(done)
     if len(done) > 1:
@@ -111,7 +120,7 @@ def _row(episode: Episode) -> Row:
 
 
 def _show(done: list[Episode]) -> None:
-    shown = done if len(done) <= MANY else done[:FIRST]
+    shown = done if len(done) <= MAX_SHOWN else done[:FIRST]
     rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
     terminal.say("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
     if len(shown) < len(done):
@@ -122,7 +131,7 @@ def _show(done: list[Episode]) -> None:
 def _term(done: list[Episode], name: str) -> Row:
     sums = [episode.terms[name] for episode in done]
     steps = sum(episode.length for episode in done)
-    return {"term": name, "per_episode": fmean(sums), "per_step": sum(sums) / steps, "least": min(sums), "greatest": max(sums)}
+    return {"term": name, "per_episode": fmean(sums), "per_step": sum(sums) / steps, "min": min(sums), "max": max(sums)}
 
 
 # Policies
@@ -132,27 +141,27 @@ Acting = Callable[[], Any]
 
 
 def zero(environment: Supervisor) -> Acting:
-    """The middle of every range, and the first of every choice."""
+    """The middle of every range, and the first option of every choice."""
     drawn = environment.action_space.sample()
     action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
     return lambda: action
 
 
 def repeated(scenario: Program, text: str) -> Acting:
-    """The actions in `text`, repeated: separated by commas, the parts of one action by colons. All copies of a robot act alike.
+    """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
 
-    A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
+    A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
 
     Raises:
-        UsageError: One of them is no action of the scenario.
+        UsageError: The scenario has no such action.
     """
     actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
     return lambda: next(actions)
 
 
-def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, most_steps: int | None) -> Iterator[Episode]:
-    """Up to `count` episodes, the first reset with `seed`; an episode that is cut by the limit of steps is ended by `--steps`."""
-    left = most_steps
+def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, max_steps: int | None) -> Iterator[Episode]:
+    """Up to `count` episodes, the first reset with `seed`; `ended_by` is `--steps` for an episode that `max_steps` cuts."""
+    left = max_steps
     for number in range(count):
         environment.reset(seed=seed if number == 0 else None)
         tally, ended = Tally(), False
@@ -174,7 +183,9 @@ def _action(scenario: Program, text: str) -> Any:
     parts = [width for part in scenario.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
-        raise UsageError(f"the action '{text}' has {len(words)} parts, the scenario's has {len(parts)}; separate them by colons")
+        raise UsageError(
+            f"the action '{text}' has {len(words)} parts, and an action of the scenario has {len(parts)}; separate the parts by colons"
+        )
     values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
@@ -185,7 +196,7 @@ def _action(scenario: Program, text: str) -> Any:
 
 
 def _of_all(scenario: Program, action: Any) -> Any:
-    """The action of one robot as that of all its copies, where there are any."""
+    """The action of one robot, repeated for each of its copies."""
     import numpy as np
 
     copies = scenario.agent.each
@@ -197,7 +208,7 @@ def _of_all(scenario: Program, action: Any) -> Any:
 
 
 def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
-    """The part once for each number of the action that it takes."""
+    """The part, repeated once per number that it takes in an action."""
     return [part] * (max(1, len(part.components)) if isinstance(part, ActionRange) else 1)
 
 
@@ -208,13 +219,13 @@ def _value(part: Choices | ActionRange, word: str) -> float:
             return names.index(word)
         if word.isdecimal() and int(word) < len(names):
             return int(word)
-        raise UsageError(f"'{word}' is no choice of '{part.name}'; there are: {', '.join(names)}")
+        raise UsageError(f"'{part.name}' has no option '{word}'; its options are: {', '.join(names)}")
     try:
         value = float(word)
     except ValueError:
         value = float("nan")
     if not -1 <= value <= 1:
-        order = f"; its numbers go in the order {':'.join(part.components)}" if len(part.components) > 1 else ""
-        meaning = f"which mean {part.low:g} and {part.high:g} {part.unit}{order}"
-        raise UsageError(f"'{word}' is no value of '{part.name}'; the agent acts from -1 to 1, {meaning}")
+        order = f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
+        meaning = f"they stand for {part.low:g} and {part.high:g} {part.unit}{order}"
+        raise UsageError(f"'{word}' is not a value of '{part.name}', which takes a number from -1 to 1; {meaning}")
     return value

@@ -11,7 +11,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.options import AllowPaths
+from deepbots_cli.cli.command import AllowPaths
 from deepbots_cli.cli.rewriting import modeline
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import known
@@ -22,23 +22,26 @@ from deepbots_cli.scenario.json_schema import to_text
 
 def command(
     scenario: Annotated[
-        str | None, typer.Option("--for", metavar="SCENARIO", help="List the joints, links, sensors and other names of this scenario too.")
+        str | None, typer.Option("--for", metavar="SCENARIO", help="Also list the joints, links, sensors and other names of this scenario.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write this file anew; - is standard output.")
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write to this file, which is replaced; by default, and with -, to standard output."
+        ),
     ] = None,
     allow_paths: AllowPaths = None,
 ) -> None:
     """Print the JSON Schema of scenario files, for editors.
 
-    An editor with a YAML language server then completes keys, explains them and marks what is wrong. With --for it
-    also knows the names of one scenario, whatever can be read of it.
+    With the schema, an editor with a YAML language server completes keys, shows their descriptions and marks mistakes. With --for, the
+    schema also lists the names of one scenario.
 
     \b
       deepbots schema -o deepbots.schema.json
       deepbots schema --for mine.yaml -o mine.schema.json
 
-    and, as the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
+    Next: write as the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
     """
     if output == Path("-"):
         output = None
@@ -47,16 +50,16 @@ def command(
         return
     checked = api.load(scenario, allow_paths=allow_paths or ())
     if output is not None and _is_read(checked, output):
-        raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
+        raise UsageError(f"{output} is an input of the scenario; name another output file")
     _write(to_text(known(checked)), output)
     if checked.findings.errors:
-        terminal.note(f"{summary(checked.findings.errors)}: what could not be read is not listed; see: deepbots lint {quote(scenario)}")
+        terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
-        terminal.note(f"as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
+        terminal.note(f"write as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
 
 
 def _is_read(checked: Checked, output: Path) -> bool:
-    """Whether the file is one of the scenario's own; one that is no text is known by its place alone."""
+    """Whether the file is an input of the scenario, by its path or its content."""
     if output.resolve() in checked.document.files:
         return True
     return output.is_file() and output.read_bytes() in checked.inputs.contents().values()

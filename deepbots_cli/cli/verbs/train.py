@@ -11,8 +11,8 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, known_engine, whole
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Sets, known_engine, whole
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -22,52 +22,66 @@ if TYPE_CHECKING:
 
 
 def command(
-    scenario: Annotated[str | None, typer.Argument(metavar="SCENARIO", help="A file, or the name of a shipped scenario.")] = None,
+    scenario: Annotated[
+        str | None, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")
+    ] = None,
     sets: Sets = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", parser=whole(0, MOST_SEED), help="The root of every random number; 0 by default.")
+        int | None, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers; 0 by default.")
     ] = None,
     timesteps: Annotated[
-        int | None, typer.Option("--timesteps", metavar="N", parser=whole(), help="Train for so many steps in all: 200000, 200k, 2e5.")
+        int | None,
+        typer.Option(
+            "--timesteps",
+            metavar="N",
+            parser=whole(),
+            help="Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.",
+        ),
     ] = None,
-    run: Annotated[Path | None, typer.Option("--run", metavar="DIR", help="The run directory to make; by default one in ./runs.")] = None,
-    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
-    full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
-    stage: Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Begin in this stage of the curriculum.")] = None,
+    run: Annotated[
+        Path | None, typer.Option("--run", metavar="DIR", help="Run directory to create; by default a new one in ./runs.")
+    ] = None,
+    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Continue the training of this run.")] = None,
+    full: Annotated[bool, typer.Option("--full", "--no-stop", help="Train for all timesteps, even if the task is solved earlier.")] = False,
+    stage: Annotated[
+        str | None, typer.Option("--stage", metavar="NAME", help="Begin with this stage of the curriculum; by default with the first.")
+    ] = None,
     engine: Annotated[
-        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet by default.")
+        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; pybullet by default.")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    The run directory keeps the inputs and the results of the training; none is ever overwritten. Training ends when the
-    scenario counts as solved. Ctrl-C ends it early and keeps the policy.
+    Training stops when the scenario counts as solved, or at the total number of timesteps. Ctrl-C stops it earlier and keeps the policy.
+    The run directory holds the inputs, the models and the results. A run never overwrites another one.
 
     \b
       deepbots train cartpole
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
-      deepbots train --resume runs/cartpole-0-1
+      deepbots train --resume runs/cartpole-0-1 --timesteps 200k
 
-    Steps are counted over all copies of the environment. A resumed training continues with its networks, optimiser and counts in
-    new episodes; with --timesteps it gets a new goal, counted from the very start.
+    Timesteps are counted over all parallel environments. A resumed run keeps its networks, optimizer and counts, and starts with new
+    episodes; --timesteps is its new total, which includes the timesteps before.
+
+    Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
     """
     told = not quiet
     if resume is not None:
         if scenario is not None or sets or seed is not None or run is not None or stage or engine is not None or allow_paths:
             raise UsageError(
-                "a resumed run keeps what it was made with; beside --resume go only --timesteps, --full, --quiet, --allow-code and --json"
+                "a resumed run keeps its scenario and options; --resume accepts only --timesteps, --full, --quiet, --allow-code and --json"
             )
         result = learning.resume(
             resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told, allow_code=allow_code
         )
     elif scenario is None:
-        raise UsageError("there is nothing to train; name a scenario, such as: deepbots train cartpole")
+        raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     else:
         compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
@@ -88,7 +102,7 @@ def command(
 
 
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
-    """Show how the training ended; unless it was interrupted, evaluate it and say how to go on."""
+    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     if not as_json:
         terminal.say(report.training_text(result))
     if result.interrupted:
@@ -96,7 +110,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
             terminal.show_json({"training": report.to_json(result), "evaluation": None})
         raise typer.Exit(INTERRUPTED)
     if not quiet:
-        terminal.note("evaluating on held-out starts ...")
+        terminal.note("evaluating on held-out episodes ...")
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)

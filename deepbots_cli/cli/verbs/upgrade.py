@@ -1,7 +1,6 @@
-"""`deepbots upgrade`: files of an older version of the language, a step for each version.
+"""`deepbots upgrade`: files of an older version of the language, with one step per version.
 
-A step changes the text and keeps comments and layout. A file that names no version counts as version 0: before version 1 there is only
-a file that has lost its first line, or never had it.
+A step changes the text and keeps comments and layout. A file without the key `deepbots` counts as version 0.
 """
 
 from __future__ import annotations
@@ -34,44 +33,46 @@ _BOM = "\ufeff"
 
 def command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A scenario file.")],
-    diff: Annotated[bool, typer.Option("--diff", help="Show what would change and write nothing; exit with 1 if something would.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Show the changes and write nothing; exit with 1 if the file would change.")] = False,
 ) -> None:
-    """Bring a scenario file to the current version of the language.
+    """Upgrade a scenario file to the current version of the language.
 
-    There has been one version so far, so all that a file may lack is the line `deepbots: 1`, without which lint refuses it. Comments and
-    layout stay. A file of a newer version is refused.
+    There is only version 1 so far, so the command only adds a missing line `deepbots: 1`, which lint requires. Comments and layout stay.
+    The command refuses a file of a newer version.
 
     \b
       deepbots upgrade old.yaml --diff
       deepbots upgrade old.yaml
+
+    Next: `deepbots lint old.yaml` reports the other problems of the file.
     """
     found = upgraded(file)
     if found.rewrite is None:
-        terminal.say(f"{file} is written in version {VERSION} of the language, the current one: nothing to do")
+        terminal.say(f"{file} is up to date: version {VERSION} of the language")
     elif diff:
         show(found.rewrite)
         raise typer.Exit(FAILED)
     else:
         write(found.rewrite)
         was = f"version {found.version}" if found.version else "no version"
-        terminal.say(f"{file} is now written in version {VERSION} of the language; it named {was}")
-        terminal.note(f"what is wrong with it otherwise: deepbots lint {quote(str(file))}")
+        terminal.say(f"{file} is now in version {VERSION} of the language; before, it had {was}")
+        terminal.note(f"next: deepbots lint {quote(str(file))}")
 
 
 @dataclass(frozen=True)
 class Upgraded:
-    """Which version a file was written in, and what it becomes; nothing where it is current."""
+    """The version of a file, and its rewrite; None for a file in the current version."""
 
     version: int
     rewrite: Rewrite | None
 
 
 def upgraded(path: Path) -> Upgraded:
-    """What the file has to become for this deepbots.
+    """The upgrade of a file to the current version.
 
     Raises:
-        UsageError: It is no scenario, or of a version that is newer or never was; says what to do.
-        ScenarioError: It cannot be read as YAML.
+        UsageError: The file is not a scenario, or its version is newer or unknown.
+        ScenarioError: The file is not valid YAML.
     """
     before = _read(path)
     root = _tree(path, before)
@@ -82,12 +83,12 @@ def upgraded(path: Path) -> Upgraded:
     after = text.encode()
     changed = _tree(path, after)
     if _version(path, changed) != VERSION:
-        raise UsageError(f"{path} cannot be upgraded by itself; write `deepbots: {VERSION}` as its first line")
+        raise UsageError(f"{path} cannot be upgraded automatically; write `deepbots: {VERSION}` as its first line")
     return Upgraded(version, None if after == before else Rewrite(path.resolve(), before, after))
 
 
 def _name_the_version(text: str, root: Tree) -> str:
-    """From 0 to 1: the line that says which version a file is written in, above its first key and as far indented."""
+    """From 0 to 1: adds the line `deepbots: 1` above the first key, with the same indentation."""
     start = root.span.start + text.startswith(_BOM)  # places count from behind the mark
     end = "\r\n" if "\r\n" in text else "\n"
     if text[start : start + 1] == "{":
@@ -97,12 +98,12 @@ def _name_the_version(text: str, root: Tree) -> str:
 
 
 STEPS: Mapping[int, Step] = {0: _name_the_version}
-"""By the version that a step begins with."""
+"""The steps by the version that each begins with."""
 
 
 def _read(path: Path) -> bytes:
     if not path.is_file():
-        raise UsageError(f"{path} is {'no regular file' if path.exists() else 'not there'}; name the file of a scenario")
+        raise UsageError(f"{path} {'is not a regular file' if path.exists() else 'does not exist'}; name a scenario file")
     return files.read(path)
 
 
@@ -113,24 +114,24 @@ def _tree(path: Path, data: bytes) -> Tree:
     if findings.errors or root is None:
         raise ScenarioError(list(findings))
     if not isinstance(root, Tree):
-        raise UsageError(f"{path} is no scenario: it holds no keys")
+        raise UsageError(f"{path} is not a scenario because it has no keys")
     return root
 
 
 def _version(path: Path, root: Tree) -> int:
-    """The version that a file says it is written in; 0 if it says nothing."""
+    """The version that a file names; 0 if it names none."""
     entry = root.entries.get("deepbots")
     if entry is None:
         if not _TELLING & root.entries.keys():
-            raise UsageError(f"{path} is no whole scenario, but at most a part that others include; parts name no version")
+            raise UsageError(f"{path} is not a whole scenario; a file that scenarios include has no version")
         return 0
     version = entry.value.value if isinstance(entry.value, Scalar) else None
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         said = " ".join(entry.value.span.text.split())[:40]
-        raise UsageError(f"{path} says `deepbots: {said}`, which is no version of the language; write `deepbots: {VERSION}`")
+        raise UsageError(f"{path} has `deepbots: {said}`, which is not a version of the language; write `deepbots: {VERSION}`")
     if version > VERSION:
         raise UsageError(
-            f"{path} is written in version {version} of the language, and this deepbots reads up to version {VERSION}; "
-            "get a newer one: pip install --upgrade deepbots-cli"
+            f"{path} is in version {version} of the language, and this deepbots reads up to version {VERSION}; "
+            "install a newer one: pip install --upgrade deepbots-cli"
         )
     return version

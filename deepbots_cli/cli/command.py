@@ -1,0 +1,179 @@
+"""The command `deepbots`, and the arguments and options that several verbs share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+import deepbots_cli
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.verbs import VERBS
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.program import Program
+
+
+MAX_SEED = 2**63 - 1
+"""The largest seed that a run can record."""
+
+
+def known_engine(name: str | None) -> str | None:
+    """A callback that refuses the name of an unknown engine."""
+    from deepbots_cli import engines
+
+    if name is not None and name not in engines.names():
+        raise typer.BadParameter(f"there is no engine '{name}'; the engines are: {', '.join(engines.names())}")
+    return name
+
+
+def whole(minimum: int = 1, maximum: int | None = None) -> Callable[[str | int], int]:
+    """A parser of whole numbers: `100000`, `100_000`, `100k` or `1e5`."""
+
+    def parse(text: str | int) -> int:
+        value = _whole(str(text))
+        if value is None:
+            raise typer.BadParameter(f"'{text}' is not a whole number; write it like 100000, 100_000, 100k or 1e5")
+        if value < minimum:
+            raise typer.BadParameter(f"{text} is too small; the minimum is {minimum}")
+        if maximum is not None and value > maximum:
+            raise typer.BadParameter(f"{text} is too large; the maximum is {maximum}")
+        return value
+
+    return parse
+
+
+def _whole(text: str) -> int | None:
+    try:
+        return int(text)
+    except ValueError:
+        from deepbots_cli.scenario.fields import count_meant
+
+        meant = count_meant(text)
+    try:
+        number = float(meant or text)
+    except ValueError:
+        return None
+    return int(number) if number.is_integer() and number < 1e15 else None
+
+
+def chosen(ir: Program, case: str | None, stage: str | None) -> Program:
+    """The scenario with the settings of an evaluation case or a curriculum stage; unchanged without either.
+
+    Raises:
+        UsageError: Both are given, or the scenario has no such case or stage.
+    """
+    if case is not None and stage is not None:
+        raise UsageError("--case and --stage exclude each other")
+    return ir.case(case).program if case is not None else ir.stage(stage).program if stage is not None else ir
+
+
+def fraction(text: str) -> float:
+    """A parser: a number from 0 to 1, written `0.8` or `80%`."""
+    from deepbots_cli.scenario.fields import read_fraction
+
+    try:
+        value = read_fraction(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1:
+        hint = f"; write {text}% for a percentage" if 1 < value <= 100 else ""
+        raise typer.BadParameter(f"'{text}' is not a number from 0 to 1 or a percentage{hint}")
+    return value
+
+
+Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")]
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Override a value of the scenario, such as fall_angle=10deg; may be repeated."),
+]
+AllowPaths = Annotated[
+    list[Path] | None,
+    typer.Option("--allow-path", metavar="DIR", help="Allow reading files from this folder outside the project; may be repeated."),
+]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="Allow terms that are Python functions; use it only for packages that you trust.")
+]
+Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Apply the settings of this case of `evaluation.cases`.")]
+Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Apply the settings of this stage of the curriculum.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers.")]
+Engine = Annotated[
+    str,
+    typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine: pybullet, or an engine of an installed package."),
+]
+
+
+# The command
+
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+class Verbs(TyperGroup):
+    """The group of the verbs; imports the module of a verb when the verb is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in VERBS:
+            near = nearest(cmd_name, VERBS)
+            ctx.fail(f"there is no verb '{cmd_name}'" + (f"; did you mean '{near}'?" if near else f"; the verbs are: {', '.join(VERBS)}"))
+        app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
+        app.command(cmd_name)(import_module(f"deepbots_cli.cli.verbs.{cmd_name}").command)
+        return typer.main.get_command(app)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            terminal.note("interrupted")
+            raise typer.Exit(130) from None
+
+
+def run_command(arguments: Sequence[str] | None) -> None:
+    """Parse the arguments and run the verb; ends with SystemExit, or with the exception of the verb."""
+    app = typer.Typer(
+        cls=Verbs,
+        add_completion=False,
+        rich_markup_mode=None,
+        no_args_is_help=True,
+        subcommand_metavar="VERB ...",
+        context_settings=_SETTINGS,
+    )
+    app.callback()(_deepbots)
+    typer.main.get_command(app).main(args=None if arguments is None else list(arguments), prog_name="deepbots")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"deepbots {deepbots_cli.__version__}")
+        raise typer.Exit
+
+
+def _deepbots(
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)] = False,
+) -> None:
+    """Train robot policies from one YAML scenario and one URDF robot.
+
+    A command takes the path of a scenario file, or the name of a scenario that comes with deepbots.
+
+    \b
+      deepbots new mine --template wheeled      write a first scenario with comments
+      deepbots lint mine.yaml                   report every problem in it
+      deepbots run mine.yaml                    run random actions and show the reward terms
+      deepbots train mine.yaml                  train a policy and evaluate it
+      deepbots explain "reward shaping"         explain a term
+
+    `deepbots VERB --help` shows the options, defaults and examples of a verb.
+    """
