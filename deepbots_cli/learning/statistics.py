@@ -1,0 +1,201 @@
+"""Statistics of evaluations: intervals, tests that may be read at any time, and comparisons of groups of runs.
+
+Scores are returns or successes of episodes. All intervals have a confidence of 95 % unless stated otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist, fmean, stdev, variance
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import betaln, stdtrit
+
+Interval = tuple[float, float]
+
+ALPHA = 0.05
+"""The probability that an interval misses the true value, or that a test that stops early decides wrongly."""
+
+
+def wilson(successes: int, episodes: int) -> Interval:
+    """The score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927, p. 209).
+
+    It solves (p - phat)^2 = z^2 p (1 - p) / n for p. It stays inside [0, 1] and has a width also at 0 and at n successes.
+    """
+    z = NormalDist().inv_cdf(1 - ALPHA / 2)
+    rate, spread = successes / episodes, z * z / episodes
+    centre = (rate + spread / 2) / (1 + spread)
+    half = math.sqrt(rate * (1 - rate) * spread + spread * spread / 4) / (1 + spread)
+    # Rounding may leave the rate itself outside: 20 of 20 reach up to exactly 1.
+    return max(0.0, min(rate, centre - half)), min(1.0, max(rate, centre + half))
+
+
+def mean_interval(values: Sequence[float]) -> Interval | None:
+    """Student's interval of a mean; None for fewer than two values."""
+    if len(values) < 2:
+        return None
+    half = float(stdtrit(len(values) - 1, 1 - ALPHA / 2)) * stdev(values) / math.sqrt(len(values))
+    centre = fmean(values)
+    return centre - half, centre + half
+
+
+def interquartile_mean(values: Sequence[float]) -> float:
+    """The mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its two edges count in part."""
+    ordered = np.sort(np.asarray(values, dtype=float))
+    quarter = len(ordered) / 4
+    # The share of each value that lies between the first and the third quartile, for values of equal width.
+    edges = np.arange(len(ordered) + 1)
+    share = np.clip(np.minimum(edges[1:], 3 * quarter) - np.maximum(edges[:-1], quarter), 0, 1)
+    return float(np.average(ordered, weights=share))
+
+
+# -- tests that may be read after every episode ---------------------------------------------------------------------------
+
+
+def rate_evidence(rate: float, successes: int, episodes: int) -> float:
+    """The natural logarithm of the evidence against a success rate of exactly `rate`, from 0 to 1.
+
+    This is the beta-binomial mixture martingale with Jeffreys' prior Beta(1/2, 1/2) (H. Robbins, Ann. Math. Stat. 41, 1970, p. 1397):
+    if `rate` is true, the evidence exceeds log(1 / ALPHA) after any number of episodes with a probability of at most ALPHA.
+    """
+    failures = episodes - successes
+    if (rate == 0 and successes) or (rate == 1 and failures):
+        return math.inf
+    likelihood = (successes * math.log(rate) if successes else 0.0) + (failures * math.log1p(-rate) if failures else 0.0)
+    return float(betaln(successes + 0.5, failures + 0.5) - betaln(0.5, 0.5)) - likelihood
+
+
+def rate_sequence(successes: int, episodes: int) -> Interval:
+    """The confidence sequence of a success rate: with a probability of 95 % it holds the true rate after every episode at once."""
+
+    def excess(rate: float) -> float:
+        return rate_evidence(rate, successes, episodes) - math.log(1 / ALPHA)
+
+    rate = successes / episodes
+    tiny = 1e-12
+    low = 0.0 if excess(tiny) <= 0 else brentq(excess, tiny, max(rate, 2 * tiny))
+    high = 1.0 if excess(1 - tiny) <= 0 else brentq(excess, min(rate, 1 - 2 * tiny), 1 - tiny)
+    return low, high
+
+
+def mean_evidence(mean: float, values: Sequence[float]) -> float:
+    """The natural logarithm of the evidence against a mean of exactly `mean`, for values of unknown spread.
+
+    This is the anytime-valid t-test with a Gaussian mixture of effect sizes of variance 1 (T. L. Lai, Ann. Stat. 4, 1976, p. 265; H. Wang
+    and A. Ramdas, "Anytime-valid t-tests and confidence sequences for Gaussian means with unknown variance", 2023). It is exact for normal
+    values. Values that are all equal to `mean` are no evidence.
+    """
+    count = len(values)
+    deviations = [value - mean for value in values]
+    total, squares = math.fsum(deviations), math.fsum(deviation * deviation for deviation in deviations)
+    if count < 2 or squares == 0:
+        return 0.0
+    return -math.log(count + 1) / 2 - count / 2 * math.log1p(-total * total / ((count + 1) * squares))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer of a gate so far: whether the requirement is met (None: not certain yet), and the reason."""
+
+    met: bool | None
+    reason: str
+
+
+def gate_rate(required: float, successes: int, episodes: int, planned: int) -> Verdict:
+    """Whether a success rate reaches `required` after `episodes` of `planned` episodes.
+
+    The answer is certain when the confidence sequence of the rate excludes `required`, or when the episodes that are left cannot change
+    it. After the last planned episode the measured rate decides.
+    """
+    rate = successes / episodes
+    if rate_evidence(required, successes, episodes) >= math.log(1 / ALPHA):
+        low, high = rate_sequence(successes, episodes)
+        return Verdict(rate > required, f"{successes} of {episodes} succeed; 95 % confidence sequence {low:.3g} .. {high:.3g}")
+    if successes >= required * planned:
+        return Verdict(True, f"{successes} of {planned} succeed, whatever the remaining {planned - episodes} do")
+    if successes + planned - episodes < required * planned:
+        return Verdict(False, f"{episodes - successes} of {planned} fail, whatever the remaining {planned - episodes} do")
+    return Verdict(None, f"{successes} of {episodes} succeed")
+
+
+def gate_mean(required: float, returns: Sequence[float], planned: int) -> Verdict:
+    """Whether a mean return reaches `required` after some of `planned` episodes.
+
+    The answer is certain when the anytime-valid t-test excludes `required`. After the last planned episode the measured mean decides.
+    """
+    measured = fmean(returns)
+    if mean_evidence(required, returns) >= math.log(1 / ALPHA):
+        return Verdict(measured > required, f"mean return {measured:.4g} in {len(returns)} episodes; anytime-valid t-test at 95 %")
+    if len(returns) >= planned:
+        return Verdict(measured >= required, f"mean return {measured:.4g} in {len(returns)} episodes")
+    return Verdict(None, f"mean return {measured:.4g} in {len(returns)} episodes")
+
+
+# -- comparisons ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The second of two groups against the first: `mean` is the difference of their means, with its interval.
+
+    `interval` is None where a group has one run only and episodes cannot be paired. `improvement` is the probability that a run of the
+    second group scores higher than one of the first; equal scores count half.
+    """
+
+    mean: float
+    interval: Interval | None
+    improvement: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether the interval excludes 0."""
+        return self.interval is not None and (self.interval[0] > 0 or self.interval[1] < 0)
+
+
+def compare_seeds(first: Sequence[float], second: Sequence[float]) -> Difference:
+    """Two groups of runs, by one score per seed: Welch's interval of the difference of their means (B. L. Welch, Biometrika 34, 1947).
+
+    The seeds of both groups are independent, also where they have the same numbers: two trainings diverge after the first update.
+    """
+    mean = fmean(second) - fmean(first)
+    improvement = probability_of_improvement(first, second)
+    if min(len(first), len(second)) < 2:
+        return Difference(mean, None, improvement)
+    parts = [variance(group) / len(group) for group in (first, second)]
+    error = math.sqrt(sum(parts))
+    if error == 0:
+        return Difference(mean, (mean, mean), improvement)
+    freedom = sum(parts) ** 2 / sum(part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True))
+    half = float(stdtrit(freedom, 1 - ALPHA / 2)) * error
+    return Difference(mean, (mean - half, mean + half), improvement)
+
+
+def compare_episodes(first: Sequence[float], second: Sequence[float]) -> Difference:
+    """Two policies on the same starts, by one score per episode in the same order: Student's interval of the mean of the differences."""
+    differences = [after - before for before, after in zip(first, second, strict=True)]
+    better = fmean(float(difference > 0) + 0.5 * float(difference == 0) for difference in differences)
+    return Difference(fmean(differences), mean_interval(differences), better)
+
+
+def probability_of_improvement(first: Sequence[float], second: Sequence[float]) -> float:
+    """The probability that a score of `second` exceeds one of `first`; equal scores count half.
+
+    This is the Mann-Whitney U statistic over the number of pairs.
+    """
+    before, after = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
+    return float(np.mean((after > before) + 0.5 * (after == before)))
+
+
+def improvement_interval(first: Sequence[float], second: Sequence[float], *, resamples: int = 2000) -> Interval:
+    """The bootstrap percentile interval of the probability of improvement (R. Agarwal et al., 2021). The resampling is seeded.
+
+    With fewer than five scores in a group the interval is too narrow.
+    """
+    generator = np.random.default_rng(0)
+    before = generator.choice(np.asarray(first, dtype=float), (resamples, len(first)))[:, :, None]
+    after = generator.choice(np.asarray(second, dtype=float), (resamples, len(second)))[:, None, :]
+    low, high = np.quantile(np.mean((after > before) + 0.5 * (after == before), axis=(1, 2)), [ALPHA / 2, 1 - ALPHA / 2])
+    return float(low), float(high)
