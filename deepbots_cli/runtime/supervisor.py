@@ -20,7 +20,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.channel import Channel, LossyChannel
-from deepbots_cli.runtime.formulas import Memory, clip
+from deepbots_cli.runtime.formulas import Memories, Memory, clip
 from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import Wire, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
@@ -97,7 +97,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._forget()
         self.controllers: dict[str, RobotController] = {}
         self._channels: list[Channel | LossyChannel] = []
-        self._memories: list[Memory] = []
+        self._memories: list[Memory | Memories] = []
         self.bind(engine)
 
     # What `bind` makes
@@ -137,9 +137,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._memories.append(made)
         return made
 
-    def memories(self, kind: type[M], count: int) -> list[M]:
+    def memories(self, kind: type[Memory], count: int) -> Memories:
         """One memory for each component of a vector."""
-        return [self.memory(kind) for _ in range(count)]
+        made = Memories(kind, count, self.scenario.world.timestep)
+        self._memories.append(made)
+        return made
 
     def _spec(self, name: str) -> Robot:
         return next(robot for robot in self.scenario.robots if robot.name == name)

@@ -330,7 +330,7 @@ class PyBulletEngine:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        springs = motors.Springs(self._client, body, indices, max_torque, stiffness, damping)
+        springs = motors.Springs(self._client, body, indices, self.joint_states(robot, joints), max_torque, stiffness, damping)
         self._springs[body, indices] = springs
         self._substeps.drive([each.act for each in self._springs.values()])
         return springs.aim
