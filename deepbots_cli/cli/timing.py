@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.program import Program
+from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import NoiseModel, Robot, Route
 from deepbots_cli.program.task import Choices
 
@@ -65,9 +66,9 @@ def _whole(ticks: float) -> int | None:
 def _sent(scenario: Program, robot: Robot) -> Ages:
     """The ages of what a robot sends, when it arrives."""
     varied = {
-        entry.of[1]
+        entry.of.sensor
         for entry in scenario.reset.variations
-        if entry.what == "sensor" and (entry.of[0], entry.of[2]) == (robot.name, "latency")
+        if isinstance(entry.of, OfSensor) and (entry.of.robot, entry.of.field) == (robot.name, "latency")
     }
     sensed = {
         sensor.name: math.inf if sensor.name in varied or faults.period > 1 else float(_ticks(faults.latency, scenario))

@@ -386,14 +386,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         for joint, position, velocity in zip(joints, positions, velocities or (0.0,) * len(joints), strict=True):
             self.engine.set_joint(robot, joint, position, velocity)
 
-    def paint(self, body: str, link: str | None, which: float, colours: Sequence[tuple[float, float, float, float]]) -> None:
-        """Give a link the colour of this number (red, green, blue, opacity)."""
-        self.engine.set_colour(body, link, colours[int(which)])
-
-    def rub(self, bodies: tuple[str, ...], friction: float) -> None:
+    def set_walls(self, bodies: Sequence[str], friction: float) -> None:
         """Let several bodies, such as the walls around an arena, have the same coefficient of friction."""
         for body in bodies:
-            self.engine.set_friction(body, None, lateral=friction)
+            self.engine.set_parameter("lateral_friction", (body, ""), friction)
 
     # The end of an episode, and failures: off the fast path
 
