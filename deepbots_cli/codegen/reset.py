@@ -31,9 +31,6 @@ from deepbots_cli.program.resets import (
 from deepbots_cli.program.robots import Route
 from deepbots_cli.program.values import Expression, Noise
 
-_ROUNDING = 1e-9
-"""In s: a period of a whole number of steps must not become one more by rounding."""
-
 
 def begin(space: Workspace) -> list[str]:
     """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
