@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from deepbots_cli.program.world import WorldModel
+    from deepbots_cli.program.world import EngineParameter, WorldModel
 
     Image = NDArray[np.uint8]
 
@@ -125,41 +125,21 @@ class Engine(Protocol):
     def choose(self, body: str, variant: str) -> None:
         """Let a pooled body take the form of one of its variants. Meant between `reset` and `place`, before figures are set."""
 
-    # Figures that an episode may vary; meant between `reset` and `place`, and in force until the next reset,
-    # which brings back those of the world model. `link` None is the root link.
+    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
+        """Set what an episode varies. Meant between `reset` and `place`, and in force until the next reset, which restores the world model.
 
-    def set_mass(self, body: str, link: str | None, mass: float) -> None:
-        """Mass in kg; the inertia scales along."""
+        Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of pictures; 1 is ordinary). Of a body and its
+        link, or "" for its root link: `mass` (kg; the inertia scales along), `colour` (red, green, blue and opacity, 0 to 1),
+        `lateral_friction`, `spinning_friction`, `rolling_friction`, `restitution`. Of a robot and its joint: `joint_damping` (N m s/rad or
+        N s/m), `joint_friction` (N m or N).
 
-    def set_friction(
-        self,
-        body: str,
-        link: str | None,
-        *,
-        lateral: float | None = None,
-        spinning: float | None = None,
-        rolling: float | None = None,
-        restitution: float | None = None,
-    ) -> None: ...
-
-    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
-        """In N m s/rad or N s/m."""
-
-    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
-        """In N m or N."""
+        Raises:
+            EngineError: The engine cannot set it, or the world has no such body, link or joint.
+        """
 
     @property
     def gravity(self) -> Triple:
         """Of the present episode, in m/s^2, world frame."""
-
-    def set_gravity(self, gravity: Triple) -> None:
-        """In m/s^2, world frame."""
-
-    def set_colour(self, body: str, link: str | None, colour: tuple[float, float, float, float]) -> None:
-        """Red, green, blue and opacity, 0 to 1."""
-
-    def set_light(self, brightness: float) -> None:
-        """Of pictures; 1 is ordinary."""
 
     # What acts in every engine step; bound at build, called in the order of binding
 

@@ -27,7 +27,7 @@ from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.record import number, solved
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.resets import RandomizedParameter
+from deepbots_cli.program.resets import OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, NoiseModel, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule, viewed
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
@@ -578,9 +578,9 @@ def _whole(ticks: float) -> int | None:
 def _sent(scenario: Program, robot: Robot) -> Ages:
     """The ages of what a robot sends, when it arrives."""
     varied = {
-        entry.of[1]
+        entry.of.sensor
         for entry in scenario.reset.variations
-        if entry.what == "sensor" and (entry.of[0], entry.of[2]) == (robot.name, "latency")
+        if isinstance(entry.of, OfSensor) and (entry.of.robot, entry.of.field) == (robot.name, "latency")
     }
     sensed = {
         sensor.name: math.inf if sensor.name in varied or faults.period > 1 else float(_ticks(faults.latency, scenario))

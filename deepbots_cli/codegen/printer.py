@@ -223,15 +223,11 @@ class Printer:
             return Column(whole) if found == [f"{whole}[{index}]" for index in range(len(states))] else None
         if any(found) or len({state.function for state in states}) > 1:
             return None
-        loop = _Loop(self)
-        try:
-            arguments = [loop.body(trees).text for trees in zip(*(state.args for state in states), strict=True)]
-        except (_UnlikeError, ValueError):
+        if len({len(state.args) for state in states}) > 1:
             return None
+        arguments = [self.vector(trees) for trees in zip(*(state.args for state in states), strict=True)]
         name = self._memory(states)
-        memory = loop.variable(Column(f"self.{name}"))
-        call = f"{memory}.update({', '.join(arguments)})"
-        self.line(f"{name} = {loop.code(call)}")
+        self.line(f"{name} = self.{name}.update({', '.join(arguments)})")
         self._hoisted |= {state: f"{name}[{index}]" for index, state in enumerate(states)}
         return Column(name)
 

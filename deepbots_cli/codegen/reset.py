@@ -6,7 +6,7 @@ to be some way, or where copies come and go, `_arrange` is one attempt at it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from deepbots_cli.codegen.layout import block, indent, quoted, quoted_tuple, tuple_code
 from deepbots_cli.codegen.names import Constants
@@ -15,12 +15,21 @@ from deepbots_cli.codegen.robot import Drives
 from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
 from deepbots_cli.program import Program
-from deepbots_cli.program.resets import Cells, Disturbance, Group, JointStart, Placement, RandomizedParameter, Region, Top
+from deepbots_cli.program.resets import (
+    Cells,
+    Disturbance,
+    Group,
+    JointStart,
+    OfActuator,
+    OfSensor,
+    OfWalls,
+    Placement,
+    RandomizedParameter,
+    Region,
+    Top,
+)
 from deepbots_cli.program.robots import Route
 from deepbots_cli.program.values import Expression, Noise
-
-_ROUNDING = 1e-9
-"""In s: a period of a whole number of steps must not become one more by rounding."""
 
 
 def begin(space: Workspace) -> list[str]:
@@ -36,7 +45,8 @@ def begin(space: Workspace) -> list[str]:
     else:
         printer.line("self.engine.reset()")
         for variation in reset.variations:
-            printer.line(_setting(variation, *_values(printer, variation)))
+            vector = printer.vector(variation.scalars) if _is_vector(variation) else ""
+            printer.line(_setting(variation, vector, [] if vector else [printer.value(value) for value in variation.scalars]))
         printer.lines += _releasing(scenario)
         for place in reset.placements:
             printer.line(_placing(place, printer))
@@ -110,13 +120,6 @@ def _forgetting(space: Workspace) -> list[str]:
 def _varied(space: Workspace, index: int) -> str:
     """The attribute that holds the values of a randomized parameter while places are looked for."""
     return f"self.{space.names(f'varied {index}')}"
-
-
-def _values(printer: Printer, variation: RandomizedParameter) -> tuple[str, list[str]]:
-    """The values of a randomized parameter as a vector, and one by one."""
-    if variation.what in _VECTORS:
-        return printer.vector(variation.scalars), []
-    return "", [printer.value(value) for value in variation.scalars]
 
 
 def _placing(place: Placement, printer: Printer) -> str:
@@ -206,69 +209,32 @@ def _options(place: Placement, printer: Printer) -> str:
 # What varies
 
 
-Setter = Callable[[Sequence[str], Sequence[str]], str]
-"""The statement that sets a value of a thing with these names to these values, which are code."""
+def _is_vector(variation: RandomizedParameter) -> bool:
+    """Whether its values are set together, one for each part of an actuator or each component of a sensor."""
+    return isinstance(variation.of, OfSensor) or (isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE)
 
 
-def _engine(method: str) -> Setter:
-    """A call of the engine with the names, quoted, and the values."""
-    return lambda of, values: f"self.engine.{method}({', '.join([*map(quoted, of), *values])})"
-
-
-def _body(of: str, link: str) -> str:
-    return f"{quoted(of)}, {quoted(link) if link else None}"
-
-
-def _response(name: str) -> Setter:
-    return lambda of, values: f"self.robot_{of[0]}.drive_{of[1]}.response.{name} = {values[0]}"
-
-
-def _walls(of: Sequence[str], values: Sequence[str]) -> str:
-    """One value for all of some fixed bodies."""
-    return f"self.rub({quoted_tuple(of)}, {values[0]})"
-
-
-def _colour(of: Sequence[str], values: Sequence[str]) -> str:
-    """The first value says which of the colours behind it, three shares each."""
-    which, *shares = values
-    options = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
-    return f"self.paint({_body(of[0], of[1])}, {which}, {options})"
-
-
-def _friction(which: str) -> Setter:
-    return lambda of, values: f"self.engine.set_friction({_body(of[0], of[1])}, {which}={values[0]})"
-
-
-_SETTERS: Mapping[str, Setter] = {
-    "mass": lambda of, values: f"self.engine.set_mass({_body(of[0], of[1])}, {values[0]})",
-    **{f"{which}_friction": _friction(which) for which in ("lateral", "spinning", "rolling")},
-    "restitution": _friction("restitution"),
-    "joint_damping": lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
-    "joint_friction": lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
-    **{f"actuator_{name}": _response(name) for name in ("delay", "lag")},
-    "gravity": lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))",
-    "light": _engine("set_light"),
-    "walls_friction": _walls,
-    "colour": _colour,
-}
-"""A link is named by body and link, the root link of an object by an empty link; a fault of a sensor by robot, sensor and fault."""
-
-
-_VECTORS: Mapping[str, Callable[[Sequence[str], str], str]] = {
-    **{
-        f"actuator_{name}": lambda of, vector, name=name: f"self.robot_{of[0]}.drive_{of[1]}.{name} = {vector}"  # type: ignore[misc]
-        for name in ("strength", "max_torque", "stiffness", "damping")
-    },
-    "sensor": lambda of, vector: f"self.vary_sensor({', '.join(map(quoted, of))}, {vector})",
-}
-"""Values that are set together, one for each part of an actuator or each component of a sensor."""
+_OF_RESPONSE = ("actuator_delay", "actuator_lag")
 
 
 def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:
-    """The statement that sets a randomized parameter."""
-    if variation.what in _VECTORS:
-        return _VECTORS[variation.what](variation.of, vector)
-    return _SETTERS[variation.what](variation.of, values)
+    """The statement that sets a randomized parameter to a vector or to values."""
+    of = variation.of
+    match of:
+        case OfActuator():
+            name = variation.what.removeprefix("actuator_")
+            drive = f"self.robot_{of.robot}.drive_{of.actuator}"
+            return f"{drive}.response.{name} = {values[0]}" if variation.what in _OF_RESPONSE else f"{drive}.{name} = {vector}"
+        case OfSensor():
+            return f"self.vary_sensor({', '.join(map(quoted, of))}, {vector})"
+        case OfWalls():
+            return f"self.set_walls({quoted_tuple(of)}, {values[0]})"
+    owner = quoted_tuple(of)
+    if variation.what == "colour":
+        which, *shares = values
+        colours = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
+        return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, *{colours}[int({which})])"
+    return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, {', '.join(values)})"
 
 
 # Draws

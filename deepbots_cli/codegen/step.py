@@ -147,28 +147,30 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
     picks = [chosen] if len(space.choices) == 1 else [space.names(f"{part.name} pick") for part in space.choices]
     if len(picks) > 1:
         printer.line(f"{', '.join(picks)} = {chosen}")
-    taken = [f"*self.TAKEN_{part.name}[{pick}]" for part, pick in zip(space.choices, picks, strict=True)]
+    given = {part.name: f"*self.TAKEN_{part.name}[{pick}]" for part, pick in zip(space.choices, picks, strict=True)}
     for part, pick in zip(space.choices, picks, strict=True):
         printer.line(f"{', '.join(map(space.local, part.variables))} = self.CHOICES_{part.name}[{pick}]")
-    alone = len(space.ranges) == 1 and bool(space.ranges[0].components)
-    if space.ranges and (alone or all(not part.components for part in space.ranges)):
-        printer.line(f"{space.local(space.ranges[0].name) if alone else targets_code(_ranged(space))} = self.ranges({ranged})")
-        shares = ["*" + space.local(space.ranges[0].name)] if alone else _ranged(space)
-    elif space.ranges:
+    names = {interval.name: space.local(interval.name) for interval in space.ranges}
+    vectors = [interval.name for interval in space.ranges if interval.components]
+    if len(vectors) == len(space.ranges) == 1:
+        (name,) = vectors
+        printer.line(f"{names[name]} = self.ranges({ranged})")
+        given[name] = f"*{names[name]}"
+    elif vectors:
         values, place = space.names("values of ranges"), 0
         printer.line(f"{values} = self.ranges({ranged})")
         for interval in space.ranges:
-            size = max(1, len(interval.components))
-            item = f"{place}:{place + size}" if interval.components else f"{place}"
-            printer.line(f"{space.local(interval.name)} = {values}[{item}]")
-            place += size
-        shares = [f"*{values}"]
-    else:
-        shares = []
+            end = place + max(1, len(interval.components))
+            printer.line(f"{names[interval.name]} = {values}[{f'{place}:{end}' if interval.components else place}]")
+            given[interval.name] = f"*{values}[{place}:{end}]"
+            place = end
+    elif space.ranges:
+        printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
+        given |= names
     if space.given:
-        given = [part for part in _in_order(space, taken, shares) if part]
-        code = given[0][1:] if len(given) == 1 and given[0][0] == "*" else tuple_code(given)
-        printer.line(f"{space.local('previous_action')} = {code}")
+        parts = [given[part.name] for part in space.scenario.action]
+        whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
+        printer.line(f"{space.local('previous_action')} = {whole}")
     for interval in space.ranges:
         half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
         name = space.local(interval.name)
@@ -177,24 +179,6 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
             code = f"{middle!r} + {half!r} * {item}" if middle else f"{half!r} * {item}"
             said = f"{interval.low:g} .. {interval.high:g} {interval.unit if interval.unit != '1' else ''}"
             printer.lines += noted(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
-
-
-def _in_order(space: Workspace, taken: Sequence[str], shares: Sequence[str]) -> list[str]:
-    """What the agent gave in the order of the parts of its action."""
-    picked = dict(zip((part.name for part in space.choices), taken, strict=True))
-    if len(shares) == len(space.ranges) and not any(share.startswith("*") for share in shares):
-        ranged = dict(zip((part.name for part in space.ranges), shares, strict=True))
-    else:
-        ranged, start = {}, 0
-        for part in space.ranges:
-            size = max(1, len(part.components))
-            ranged[part.name] = f"{shares[0]}[{start}:{start + size}]" if len(space.ranges) > 1 else shares[0]
-            start += size
-    return [picked.get(part.name) or ranged[part.name] for part in space.scenario.action]
-
-
-def _ranged(space: Workspace) -> list[str]:
-    return [space.local(part.name) for part in space.ranges]
 
 
 # Messages

@@ -27,6 +27,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, exact
 from deepbots_cli.expressions.types import Components, Context, Reference, Stage, Symbol, Type, walk
+from deepbots_cli.program.resets import OfActuator
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionPart, ActionRange
 from deepbots_cli.program.values import Expression
@@ -225,7 +226,8 @@ class Actuators:
 
     def _varied(self, spec: specs.Actuator, key: str, default: Default, **known: Unpack[Known]) -> float | Default:
         """A value that an episode may draw."""
-        return self._namespace.varied(spec, key, f"actuator_{key}", (self._scene.name, str(spec.path[-1])), default, **known)
+        of = OfActuator(self._scene.name, str(spec.path[-1]))
+        return self._namespace.varied(spec, key, f"actuator_{key}", of, default, **known)  # type: ignore[arg-type]
 
     def _compare(self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
         """DB304 for a limit that the robot file undercuts for every joint."""

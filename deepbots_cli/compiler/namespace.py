@@ -39,7 +39,7 @@ from deepbots_cli.expressions.types import (
     zero,
 )
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect
-from deepbots_cli.program.resets import Group, RandomizedParameter
+from deepbots_cli.program.resets import Group, OfLink, Owner, Randomizable, RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
@@ -174,17 +174,17 @@ class Namespace:
         return (found[0], found[1], found[2]) if found else None
 
     def varied(
-        self, section: Section, key: str, what: str, of: tuple[str, ...], default: Default, **known: Unpack[Known]
+        self, section: Section, key: str, what: Randomizable, of: Owner, default: Default, **known: Unpack[Known]
     ) -> float | Default:
         """The SI value of a field that an episode may draw; `default` where none is given, and after a finding.
 
-        `what` is its entry in the table of variations, `of` whose it is. A drawn value becomes a randomized parameter, and the middle
+        A drawn value becomes a randomized parameter, and the middle
         of its interval is returned. With `spread` it is drawn anew for each of these components.
         """
         found = self.all_varied(section, key, what, of, **known)
         return found[0] if found else default
 
-    def all_varied(self, section: Section, key: str, what: str, of: tuple[str, ...], **known: Unpack[Known]) -> tuple[float, ...] | None:
+    def all_varied(self, section: Section, key: str, what: Randomizable, of: Owner, **known: Unpack[Known]) -> tuple[float, ...] | None:
         """The same for a vector."""
         text = self._given(section, (key,))
         if text is None:
@@ -276,7 +276,7 @@ class Namespace:
             std = expect(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
         return Noise(text.expression(std, spread=components), relative) if std else None
 
-    def colour(self, section: Section, of: tuple[str, str] | None = None) -> Colour | None:
+    def colour(self, section: Section, of: OfLink | None = None) -> Colour | None:
         """The `colour` of a section, None where none is given.
 
         Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and link, `of`; without
@@ -311,7 +311,7 @@ class Namespace:
         scope = known.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
         return scope, known.get("dimension") or si(kind.dimension), known.get("components") or axes, stage
 
-    def varies(self, what: str, of: tuple[str, ...]) -> bool:
+    def varies(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""
         return any((known.what, known.of) == (what, of) for known in self.variations)
 

@@ -21,6 +21,8 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
 from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
 from deepbots_cli.frames import HERE, Frame, inside
 from deepbots_cli.frames import frame as pose_frame
+from deepbots_cli.program.resets import OfJoint, OfLink
+from deepbots_cli.program.world import JointParameter, LinkParameter
 from deepbots_cli.robots import edits, meshes
 from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
@@ -191,7 +193,7 @@ def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
 # Overrides
 
 # Keys of an override: what `edits.with_friction` and the table of variations call them.
-_CONTACT = {
+_CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
     "friction": ("lateral", "lateral_friction"),
     "spinning_friction": ("spinning", "spinning_friction"),
     "rolling_friction": ("rolling", "rolling_friction"),
@@ -241,7 +243,7 @@ class Overrides:
         return self.namespace.scope(Context.FIELD, {"urdf": known})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
-        of = (self.robot, link.name)
+        of = OfLink(self.robot, link.name)
         factors = self.namespace.triple(change, "stretch", stage=Stage.EPISODE)
         if factors:
             model = self._accepted(model, edits.stretch(model, link.name, factors), change, "stretch")
@@ -266,7 +268,7 @@ class Overrides:
     def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if link.inertial is None and link.name != change.path[-1]:
             return model  # a pattern means the links that have a mass
-        of, scope = (self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
+        of, scope = OfLink(self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
         mass = self.namespace.varied(change, "mass", "mass", of, None, scope=scope)
         if mass == 0 and not self.namespace.varies("mass", of):
             span = self.values.field(change, "mass").span
@@ -283,8 +285,8 @@ class Overrides:
     def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride) -> RobotModel:
         position, effort, limit = joint_dimension(joint), effort_of(joint), joint.limit
 
-        def drawn(key: str, what: str, urdf: float | None, dimension: Dimension) -> float | None:
-            of, scope = (self.robot, joint.name), self._scope(dimension, urdf)
+        def drawn(key: str, what: JointParameter, urdf: float | None, dimension: Dimension) -> float | None:
+            of, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
             return self.namespace.varied(change, key, what, of, None, dimension=dimension, scope=scope)
 
         def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:

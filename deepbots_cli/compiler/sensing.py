@@ -14,6 +14,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
+from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import MAX_SENSED_RAYS, MIN_RESOLUTION, CalibrationTable, CameraIntrinsics, NoiseModel, RayConfig, Sensor
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
 from deepbots_cli.robots.model import Pose, Vector
@@ -328,9 +329,8 @@ def _range(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[tuple[f
     return (ends.low, ends.high) if ends else ((), ())
 
 
-def _owner(path: Path, fault: str) -> tuple[str, str, str]:
-    """Robot, sensor and fault: what a randomized parameter belongs to."""
-    return str(path[1]), str(path[3]), fault
+def _owner(path: Path, field: str) -> OfSensor:
+    return OfSensor(str(path[1]), str(path[3]), field)
 
 
 def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, tick: float) -> NoiseModel | None:

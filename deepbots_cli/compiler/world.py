@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path as FilePath
+from typing import Any, cast, get_args
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import RobotScene, located
@@ -17,7 +18,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import lower, op
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
-from deepbots_cli.program.resets import Group
+from deepbots_cli.program.resets import Group, OfLink, OfWalls, OfWorld
 from deepbots_cli.program.world import (
     ARENA_WALLS,
     GROUND,
@@ -29,6 +30,7 @@ from deepbots_cli.program.world import (
     Formula,
     Ground,
     Line,
+    LinkParameter,
     ObjectBody,
     Picture,
     Pit,
@@ -38,6 +40,7 @@ from deepbots_cli.program.world import (
     TerrainShape,
     Variant,
     WorldModel,
+    WorldParameter,
 )
 from deepbots_cli.reading import MAX_PICTURE_BYTES, picture_fault, read_at_most
 from deepbots_cli.robots import meshes
@@ -200,7 +203,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
     ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
     names = pieces(name, spec)
-    friction = namespace.varied(spec, "friction", "walls_friction", names, None)
+    friction = namespace.varied(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.lose(name)
         return ()
@@ -221,8 +224,8 @@ _TRIED = 8  # places along either side at which a formula is tried
 
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """The terrain; None after a finding."""
-    friction = namespace.varied(given, "friction", "lateral_friction", (GROUND, ""), 1.0)
-    paint = namespace.colour(given, (GROUND, ""))
+    friction = namespace.varied(given, "friction", "lateral_friction", OfLink(GROUND), 1.0)
+    paint = namespace.colour(given, OfLink(GROUND))
     relief = _relief(given, namespace)
     return None if relief is None else Terrain(relief, friction, paint)
 
@@ -302,7 +305,7 @@ def bodies(name: str, thing: world_spec.Placed, namespace: Namespace) -> list[Ob
 
 
 def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespace, variants: tuple[Variant, ...] = ()) -> ObjectBody:
-    varied, of = namespace.varied, (name, "")
+    varied, of = namespace.varied, OfLink(name)
     return ObjectBody(
         name,
         made,
@@ -362,7 +365,7 @@ def shape(thing: world_spec.Material | world_spec.Placed, namespace: Namespace) 
     return None
 
 
-def _mass(thing: world_spec.Material, made: Shape, of: tuple[str, str], namespace: Namespace) -> float:
+def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namespace) -> float:
     """In kg."""
     still = bool(thing.fixed) or thing.solid is False
     if thing.mass is None:
@@ -392,8 +395,9 @@ def world(spec: Scenario, namespace: Namespace, robots: list[RobotScene], painte
         values.lose("timestep")  # the stand-in below is nothing to measure periods by
     else:
         _check_timestep(timestep, given, namespace)
-    gravity = namespace.all_varied(given, "gravity", "gravity", ()) or (0.0, 0.0, -9.81)
-    if gravity[2] > 0:
+    parameters = _parameters(given, namespace)
+    gravity = parameters.get("gravity")
+    if gravity is not None and gravity[2] > 0:
         span, downwards = values.field(given, "gravity").span, f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
         values.findings.add("DB505", span, "gravity that pulls upwards", help=f"z points up: write `{downwards}`", fix=fix)
@@ -403,15 +407,21 @@ def world(spec: Scenario, namespace: Namespace, robots: list[RobotScene], painte
     return WorldModel(
         timestep or 0.032,
         given.substeps,
-        (gravity[0], gravity[1], gravity[2]),
-        _ground(given.ground, namespace) if given.terrain is None else None,
-        None if given.arena is None else _arena(given.arena, namespace),
-        tuple(RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
-        (*pieces, *objects),
+        ground=_ground(given.ground, namespace) if given.terrain is None else None,
+        arena=None if given.arena is None else _arena(given.arena, namespace),
+        robots=tuple(RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
+        objects=(*pieces, *objects),
         terrain=terrain(given.terrain, namespace) if given.terrain is not None else None,
         lines=painted,
-        light=namespace.varied(given, "light", "light", (), 1.0),
+        **parameters,
     )
+
+
+def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
+    """What an engine sets of the world, by the fields of `WorldModel`; those that are not given, or had a finding, are left out."""
+    whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
+    found = {what: namespace.all_varied(spec, what, what, OfWorld()) for what in whats}
+    return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in found.items() if numbers}
 
 
 def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespace) -> None:
@@ -431,14 +441,17 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
-    of = (GROUND, "")
-    friction = namespace.varied(spec, "friction", "lateral_friction", of, 1.0)
-    return Ground(friction, namespace.varied(spec, "restitution", "restitution", of, 0.0), namespace.colour(spec, of))
+    of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "colour"]
+    whats = {field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact}
+    found: dict[str, Any] = {
+        field.name: namespace.varied(spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default) for field in contact
+    }
+    return Ground(**found, colour=namespace.colour(spec, of))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
     size, height, thickness = namespace.pair(spec, "size"), namespace.fixed(spec, "wall_height"), namespace.fixed(spec, "wall_thickness")
-    friction = namespace.varied(spec, "friction", "walls_friction", ARENA_WALLS, 1.0)
+    friction = namespace.varied(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
     if size is None or height is None or thickness is None:
         return None
     return Arena(size, height, thickness, friction, namespace.colour(spec))

@@ -6,11 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, NamedTuple
 
 from deepbots_cli import footprint
 from deepbots_cli.expressions.lower import op
 from deepbots_cli.expressions.scalar import Const, Scalar, is_drawn
 from deepbots_cli.program.values import Expression, NamedScalars
+from deepbots_cli.program.world import EngineParameter
 from deepbots_cli.robots.model import RobotModel, Shape
 
 MAX_SPOTS = 1_000_000  # of a region with a grid
@@ -168,17 +170,57 @@ class JointStart:
         return {"robot": self.robot, "states": self.states}
 
 
+class OfWorld(NamedTuple):
+    """The world itself."""
+
+
+class OfLink(NamedTuple):
+    """A link of a body; the root link of an object has an empty name."""
+
+    body: str
+    link: str = ""
+
+
+class OfJoint(NamedTuple):
+    robot: str
+    joint: str
+
+
+class OfActuator(NamedTuple):
+    robot: str
+    actuator: str
+
+
+class OfSensor(NamedTuple):
+    """A field of the noise model of a sensor, or its `latency`."""
+
+    robot: str
+    sensor: str
+    field: str
+
+
+class OfWalls(tuple[str, ...]):
+    """Several fixed bodies that have one value."""
+
+
+Owner = OfWorld | OfLink | OfJoint | OfActuator | OfSensor | OfWalls
+"""Whose value it is."""
+ActuatorParameter = Literal[
+    "actuator_strength", "actuator_max_torque", "actuator_stiffness", "actuator_damping", "actuator_delay", "actuator_lag"
+]
+Randomizable = EngineParameter | ActuatorParameter | Literal["walls_friction", "sensor"]
+
+
 @dataclass(frozen=True, eq=False)
 class RandomizedParameter:
-    """A value that is drawn anew in every episode.
+    """A value that is drawn anew in every episode, such as the `mass` of `OfLink("dog", "trunk")`.
 
-    `what` is an entry of the tables of setters in `codegen/reset.py`, such as `mass` of ("dog", "trunk"), which says how
-    many values it takes; the nominal value stands where the parameter belongs in the program. A single value stands for all
-    of `size` values. `max` cuts values off, one limit per value.
+    The nominal value stands where the parameter belongs in the program. A single value stands for all of `size` values. `max` cuts
+    values off, one limit per value. The first value of a `colour` is the number of one of the colours after it, three shares each.
     """
 
-    what: str
-    of: tuple[str, ...]
+    what: Randomizable
+    of: Owner
     value: Expression
     size: int = 1
     max: tuple[float | None, ...] = ()

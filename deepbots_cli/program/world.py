@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
@@ -21,6 +22,13 @@ ARENA_WALLS = ("front wall", "back wall", "left wall", "right wall")
 Point = tuple[float, float]
 Colour = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
+
+WorldParameter = Literal["gravity", "light"]
+LinkParameter = Literal["mass", "lateral_friction", "spinning_friction", "rolling_friction", "restitution", "colour"]
+JointParameter = Literal["joint_damping", "joint_friction"]
+EngineParameter = WorldParameter | LinkParameter | JointParameter
+"""What an engine sets anew for an episode; `port.Engine.set_parameter` gives the units."""
+
 WALL_COLOUR: Colour = (0.55, 0.60, 0.68, 1.0)
 """Of walls, unless they are given one."""
 

@@ -7,6 +7,7 @@ language means is its entry in `expressions.functions`; the formulas here comput
 from __future__ import annotations
 
 import operator
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime.supervisor import Supervisor
 
 
+_COMPENSATES = sys.version_info >= (3, 12)
+
+
 def clamp(x: float, low: float, high: float) -> float:
     """`min(max(x, low), high)`, in a third of the time."""
     x = low if x < low else x
@@ -36,8 +40,8 @@ def wrap_angle(angle: float) -> float:
 
 
 def total(values: Iterable[float]) -> float:
-    """The sum of one or more values from left to right. `sum` compensates for rounding from Python 3.12 on."""
-    return reduce(operator.add, values)
+    """The sum of one or more values from left to right; `sum` is five times as fast, but from Python 3.12 on compensates for rounding."""
+    return reduce(operator.add, values) if _COMPENSATES else sum(values, -0.0)
 
 
 # The mapping of observations and actions to [-1, 1]
@@ -138,10 +142,11 @@ def local(pose: Frame, vector: Sequence[float]) -> Triple:
     """A vector of the world as seen from the body: the transposed rotation matrix times the vector."""
     x, y, z, w = pose[1]
     a, b, c = vector
+    xx, yy, zz, xy, xz, yz, xw, yw, zw = x * x, y * y, z * z, x * y, x * z, y * z, x * w, y * w, z * w
     return (
-        (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * (y * x + z * w) * b + 2.0 * (z * x - y * w) * c,
-        2.0 * (x * y - z * w) * a + (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * (z * y + x * w) * c,
-        2.0 * (x * z + y * w) * a + 2.0 * (y * z - x * w) * b + (1.0 - 2.0 * (x * x + y * y)) * c,
+        (1.0 - 2.0 * (yy + zz)) * a + 2.0 * (xy + zw) * b + 2.0 * (xz - yw) * c,
+        2.0 * (xy - zw) * a + (1.0 - 2.0 * (xx + zz)) * b + 2.0 * (yz + xw) * c,
+        2.0 * (xz + yw) * a + 2.0 * (yz - xw) * b + (1.0 - 2.0 * (xx + yy)) * c,
     )
 
 
@@ -181,6 +186,24 @@ class Memory(ABC):
     @abstractmethod
     def advance(self, *arguments: Any) -> Any:
         """The value in this timestep."""
+
+
+class Memories:
+    """One memory for each component of a vector; `update` takes and gives vectors."""
+
+    def __init__(self, kind: type[Memory], count: int, timestep: float) -> None:
+        self._each = [kind(timestep) for _ in range(count)]
+        self._advance = [memory.advance for memory in self._each]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self._update: list[Callable[..., Any]] = [memory.begin for memory in self._each]
+
+    def update(self, *arguments: Iterable[Any]) -> list[Any]:
+        """The value of each component in this timestep; one vector per argument that the function has in the language."""
+        update, self._update = self._update, self._advance
+        return list(map(operator.call, update, *arguments))
 
 
 class Delta(Memory):

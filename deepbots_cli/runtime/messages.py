@@ -14,7 +14,7 @@ from base64 import b64decode, b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from operator import itemgetter
 from types import GenericAlias
 from typing import Any
 
@@ -62,9 +62,16 @@ class Wire:
         vectors = [bool(field.components) for field in layout.fields]
         self._decode = made.decode
         self._count = 1 + len(struct_codes(layout))
-        self._places = places(layout, 1)
+        found = places(layout, 1)
+        self._fields: Callable[[Any], Sequence[Any]] = itemgetter(*found) if len(found) > 1 else partial(_each, found)
 
         def flattened(message: Sequence[Any]) -> Any:
+            numbers: list[Any] = []
+            for value in message:
+                numbers += value
+            return made.encode(*numbers)
+
+        def mixed(message: Sequence[Any]) -> Any:
             numbers: list[Any] = []
             for value, vector in zip(message, vectors, strict=True):
                 if vector:
@@ -73,10 +80,7 @@ class Wire:
                     numbers.append(value)
             return made.encode(*numbers)
 
-        if all(vectors):
-            self.encode = lambda message: made.encode(*chain.from_iterable(message))
-        else:
-            self.encode = flattened if any(vectors) else lambda message: made.encode(*message)
+        self.encode = flattened if all(vectors) else mixed if any(vectors) else lambda message: made.encode(*message)
         self.silence = made.encode(*zeros(layout))
 
     def decode(self, message: Any) -> Sequence[Any]:
@@ -91,7 +95,7 @@ class Wire:
                 raise ValueError("another layout")
         except MALFORMED:
             raise self._refuse(self.layout, message) from None
-        return [values[place] for place in self._places]
+        return self._fields(values)
 
 
 def places(layout: MessageLayout, start: int = 0) -> list[int | slice]:
@@ -104,9 +108,13 @@ def places(layout: MessageLayout, start: int = 0) -> list[int | slice]:
     return found
 
 
+def _each(found: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
+    return [values[place] for place in found]
+
+
 def grouped(layout: MessageLayout, values: Sequence[Any]) -> list[Any]:
     """One value per field: a vector as the list of its components."""
-    return [values[place] for place in places(layout)]
+    return _each(places(layout), values)
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from deepbots_cli.port import Engine, MotorWriter
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, CustomActuator, Motor, Robot
 from deepbots_cli.runtime.actuation import CustomMotor, Site
-from deepbots_cli.runtime.formulas import Memory
+from deepbots_cli.runtime.formulas import Memories, Memory
 from deepbots_cli.runtime.sensing import Device, instrument, sees
 from deepbots_cli.runtime.streams import Streams
 
@@ -39,7 +39,7 @@ class RobotController:
         self.spec = spec
         self.devices: dict[str, Device] = {}
         self._world, self._engine = scenario.world, engine
-        self._memories: list[Memory] = []
+        self._memories: list[Memory | Memories] = []
         self.bind(engine)
         drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
         self._drives = [(actuator, drive) for actuator, drive in drives if drive is not None]
@@ -67,9 +67,11 @@ class RobotController:
         self._memories.append(made)
         return made
 
-    def memories(self, kind: type[M], count: int) -> list[M]:
+    def memories(self, kind: type[Memory], count: int) -> Memories:
         """One memory for each component of a vector."""
-        return [self.memory(kind) for _ in range(count)]
+        made = Memories(kind, count, self._world.timestep)
+        self._memories.append(made)
+        return made
 
     def sees(self, sensor: str, body: str) -> Callable[[], bool]:
         """Whether the newest picture of a camera shows the body."""

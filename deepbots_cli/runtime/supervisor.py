@@ -20,7 +20,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.channel import Channel, LossyChannel
-from deepbots_cli.runtime.formulas import Memory, clip
+from deepbots_cli.runtime.formulas import Memories, Memory, clip
 from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import Wire, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
@@ -97,7 +97,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._forget()
         self.controllers: dict[str, RobotController] = {}
         self._channels: list[Channel | LossyChannel] = []
-        self._memories: list[Memory] = []
+        self._memories: list[Memory | Memories] = []
         self.bind(engine)
 
     # What `bind` makes
@@ -137,9 +137,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._memories.append(made)
         return made
 
-    def memories(self, kind: type[M], count: int) -> list[M]:
+    def memories(self, kind: type[Memory], count: int) -> Memories:
         """One memory for each component of a vector."""
-        return [self.memory(kind) for _ in range(count)]
+        made = Memories(kind, count, self.scenario.world.timestep)
+        self._memories.append(made)
+        return made
 
     def _spec(self, name: str) -> Robot:
         return next(robot for robot in self.scenario.robots if robot.name == name)
@@ -384,14 +386,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         for joint, position, velocity in zip(joints, positions, velocities or (0.0,) * len(joints), strict=True):
             self.engine.set_joint(robot, joint, position, velocity)
 
-    def paint(self, body: str, link: str | None, which: float, colours: Sequence[tuple[float, float, float, float]]) -> None:
-        """Give a link the colour of this number (red, green, blue, opacity)."""
-        self.engine.set_colour(body, link, colours[int(which)])
-
-    def rub(self, bodies: tuple[str, ...], friction: float) -> None:
+    def set_walls(self, bodies: Sequence[str], friction: float) -> None:
         """Let several bodies, such as the walls around an arena, have the same coefficient of friction."""
         for body in bodies:
-            self.engine.set_friction(body, None, lateral=friction)
+            self.engine.set_parameter("lateral_friction", (body, ""), friction)
 
     # The end of an episode, and failures: off the fast path
 

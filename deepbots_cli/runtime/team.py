@@ -36,7 +36,7 @@ from deepbots_cli.port import (
 )
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
-from deepbots_cli.program.world import WorldModel
+from deepbots_cli.program.world import EngineParameter, WorldModel
 from deepbots_cli.runtime.placement import offset
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
@@ -111,42 +111,10 @@ class Share:
         if self._sets(body):
             self._engine.choose(self._of(body), variant)
 
-    def set_mass(self, body: str, link: str | None, mass: float) -> None:
+    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
+        body = of[0] if of else None
         if self._sets(body):
-            self._engine.set_mass(self._of(body), link, mass)
-
-    def set_friction(
-        self,
-        body: str,
-        link: str | None,
-        *,
-        lateral: float | None = None,
-        spinning: float | None = None,
-        rolling: float | None = None,
-        restitution: float | None = None,
-    ) -> None:
-        if self._sets(body):
-            self._engine.set_friction(self._of(body), link, lateral=lateral, spinning=spinning, rolling=rolling, restitution=restitution)
-
-    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
-        if self._sets(robot):
-            self._engine.set_joint_damping(self._of(robot), joint, damping)
-
-    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
-        if self._sets(robot):
-            self._engine.set_joint_friction(self._of(robot), joint, friction)
-
-    def set_gravity(self, gravity: Triple) -> None:
-        if self._leads:
-            self._engine.set_gravity(gravity)
-
-    def set_colour(self, body: str, link: str | None, colour: tuple[float, float, float, float]) -> None:
-        if self._sets(body):
-            self._engine.set_colour(self._of(body), link, colour)
-
-    def set_light(self, brightness: float) -> None:
-        if self._leads:
-            self._engine.set_light(brightness)
+            self._engine.set_parameter(what, of if body is None else (self._of(body), *of[1:]), *values)
 
     # What is bound once
 

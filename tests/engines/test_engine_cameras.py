@@ -97,9 +97,9 @@ def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(buil
     assert look().names[look().bodies[middle]] == "mark"
     assert look().depth[middle] == pytest.approx(2.0, rel=1e-4)
     assert look().colours[middle].argmax() == 1
-    engine.set_colour("mark", None, RED)
+    engine.set_parameter("colour", ("mark", ""), *RED)
     assert look().colours[middle].argmax() == 0
-    engine.set_light(0.5)
+    engine.set_parameter("light", (), 0.5)
     assert look().colours[middle][0] < 200
     engine.reset()
     assert look().bodies[middle] == -1
@@ -125,7 +125,7 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(build):
     engine = build("pybullet", replace(world(), ground=Ground(colour=GREEN), lines=(square, speck)))
     look = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 2.4)
     engine.place("scout", (0.0, 0.0, 1.0), frames.UPRIGHT)
-    engine.set_colour("scout", None, (0, 0, 1, 1))
+    engine.set_parameter("colour", ("scout", ""), 0, 0, 1, 1)
     sight = look()
     pixel = 2 * tan(1.2) / HIGH
     x = -pixel * (np.arange(HIGH) + 0.5 - HIGH / 2)[:, None]  # the first row is ahead
@@ -144,9 +144,9 @@ def test_the_floor_gets_another_colour_until_the_next_reset(build):
     view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
     look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
     usual, seen = engine.render(view), look().colours
-    engine.set_colour("ground", None, RED)
+    engine.set_parameter("colour", ("ground", ""), *RED)
     assert engine.render(view)[-1, 0].argmax() == look().colours[-1, 0].argmax() == 0
-    engine.set_light(0.4)
+    engine.set_parameter("light", (), 0.4)
     assert look().colours[0, 0, 2] < 0.6 * seen[0, 0, 2]
     engine.reset()
     assert (engine.render(view) == usual).all()

@@ -94,7 +94,7 @@ def test_the_mass_of_an_absent_body_is_kept_for_its_entrance(build):
     for mass in (None, 1.5, None):
         engine.reset()
         if mass:
-            engine.set_mass("thing#1", None, mass)
+            engine.set_parameter("mass", ("thing#1", ""), mass)
         engine.place("thing#1", (0, 0, 0), UPRIGHT)
         push((3.0, 0, 0), (0, 0, 0.01))
         engine.step(1)
@@ -112,8 +112,8 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
         form = rng.choice(("round", "square", "pillar"))
         engine.choose(name, form)
         if rng.random() < 0.5 and form != "pillar":
-            engine.set_mass(name, None, rng.uniform(0.05, 1.0))
-            engine.set_friction(name, None, lateral=rng.uniform(0.2, 1.0))
+            engine.set_parameter("mass", (name, ""), rng.uniform(0.05, 1.0))
+            engine.set_parameter("lateral_friction", (name, ""), rng.uniform(0.2, 1.0))
         engine.place(name, (rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0.05), UPRIGHT)
     readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [engine.velocity("robot")]
     drive, touched, gap = (

@@ -35,12 +35,12 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     """A dog of drawn mass, friction and strength that treads at random and is pushed."""
     rng = random.Random(seed)
     if rng.random() < 0.7:
-        engine.set_mass("dog", None, rng.uniform(3.0, 8.0))
-        engine.set_friction("dog", "FR_toe", lateral=rng.uniform(0.3, 1.0))
-        engine.set_friction("ground", None, lateral=rng.uniform(0.5, 1.0))
-        engine.set_joint_damping("dog", LEGS[1], rng.uniform(0.0, 0.2))
-        engine.set_joint_friction("dog", LEGS[4], rng.uniform(0.0, 0.2))
-        engine.set_gravity((0.0, 0.0, rng.uniform(-12.0, -8.0)))
+        engine.set_parameter("mass", ("dog", ""), rng.uniform(3.0, 8.0))
+        engine.set_parameter("lateral_friction", ("dog", "FR_toe"), rng.uniform(0.3, 1.0))
+        engine.set_parameter("lateral_friction", ("ground", ""), rng.uniform(0.5, 1.0))
+        engine.set_parameter("joint_damping", ("dog", LEGS[1]), rng.uniform(0.0, 0.2))
+        engine.set_parameter("joint_friction", ("dog", LEGS[4]), rng.uniform(0.0, 0.2))
+        engine.set_parameter("gravity", (), 0.0, 0.0, rng.uniform(-12.0, -8.0))
     engine.place("dog", (0, 0, 0.33), (0, 0, 0, 1), (rng.uniform(-0.3, 0.3), 0, 0), (0, 0, rng.uniform(-1, 1)))
     for joint, angle in zip(LEGS, STAND, strict=True):
         engine.set_joint("dog", joint, angle + rng.uniform(-0.1, 0.1), 0.0)

@@ -116,9 +116,9 @@ def test_walls_of_a_map_are_there_only_in_its_layout(make: Callable[..., Supervi
 def test_every_copy_draws_its_own_mass_and_kind(make: Callable[..., Supervisor]) -> None:
     environment = make("reset.layout=scattered", "parameters.crates=4")
     masses: list[tuple[float, ...]] = []
-    set_mass = environment.engine.set_mass
+    set_parameter = environment.engine.set_parameter
     heard: list[float] = []
-    environment.engine.set_mass = lambda body, link, mass: (heard.append(mass), set_mass(body, link, mass))
+    environment.engine.set_parameter = lambda what, of, mass: (heard.append(mass), set_parameter(what, of, mass))
     kinds: Counter[str] = Counter()
     environment.reset(seed=0)
     for _ in range(50):

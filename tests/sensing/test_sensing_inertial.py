@@ -124,7 +124,7 @@ def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
     world = scene(brick(), pose=Pose((0, 0, 50)))
     down, accelerometer = world.sensor(on("inclinometer", "brick")), world.sensor(on("accelerometer", "brick"))
     world.engine.reset()
-    world.engine.set_gravity((3.0, 0.0, -4.0))
+    world.engine.set_parameter("gravity", (), 3.0, 0.0, -4.0)
     world.begin()
     assert accelerometer.reading == pytest.approx((-3, 0, 4))
     assert down.reading == pytest.approx((0.6, 0, -0.8))

@@ -100,7 +100,7 @@ def test_a_ball_comes_to_rest_on_the_bottom_of_a_pit_and_touches_the_ground_ther
     with closing(engines.create("pybullet", world(Pit(3.2, 2.0)))) as engine:
         engine.place("ball", (0.1, 0.0, 0.3), UPRIGHT)
         touches = engine.contact(("ball", None), [("ground", None)])
-        engine.set_friction("ground", None, lateral=0.5)
+        engine.set_parameter("lateral_friction", ("ground", ""), 0.5)
         for _ in range(100):
             engine.step(8)
         assert touches()

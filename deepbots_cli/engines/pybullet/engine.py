@@ -18,7 +18,7 @@ from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, re
 from deepbots_cli.engines.pybullet.cameras import Floor, lit, smoothed
 from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
-from deepbots_cli.engines.pybullet.parameters import Colour, Parameters
+from deepbots_cli.engines.pybullet.parameters import Parameters
 from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.readers import Moments
 from deepbots_cli.errors import EngineError
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         VelocityReader,
         View,
     )
-    from deepbots_cli.program.world import WorldModel
+    from deepbots_cli.program.world import EngineParameter, WorldModel
 
 Act = Callable[[], object]
 Given = ParamSpec("Given")
@@ -131,13 +131,13 @@ class PyBulletEngine:
         self.step = self._substeps.stepper(self._client)
         self._timestep = world.timestep / world.substeps
         self._floor = Floor(world.ground.colour, world.lines) if world.ground and not world.terrain else None
-        self._parameters = Parameters(self._client, world.gravity, world.light)
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._watches: dict[int, contacts.Watch] = {}
         self._rays: Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
         try:
             self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
+            self._parameters = Parameters(self._client, world, self._pools, self._floor)
             every = [body for pool in self._pools.values() for body in pool]
             self._moving = [body for body in every if not body.fixed or body.brakes]
             self._still = [body for body in every if body.fixed and not body.brakes]
@@ -192,46 +192,12 @@ class PyBulletEngine:
     def choose(self, body: str, variant: str) -> None:
         self._pool(body).choose(variant)
 
-    def set_mass(self, body: str, link: str | None, mass: float) -> None:
-        self._parameters.set_mass(*self._link(body, link), mass)
-
-    def set_friction(
-        self,
-        body: str,
-        link: str | None,
-        *,
-        lateral: float | None = None,
-        spinning: float | None = None,
-        rolling: float | None = None,
-        restitution: float | None = None,
-    ) -> None:
-        owner, index = self._link(body, link)
-        given = {"lateralFriction": lateral, "spinningFriction": spinning, "rollingFriction": rolling, "restitution": restitution}
-        self._parameters.set_friction(owner, index, given, owner.model.link(link or owner.model.root).friction)
-
-    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
-        owner = self._body(robot)
-        self._parameters.set_joint_damping(owner, self._joint(owner, joint), damping, owner.model.joint(joint).damping)
-
-    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
-        owner = self._body(robot)
-        self._parameters.set_joint_friction(owner, self._joint(owner, joint), friction)
+    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
+        self._open()._parameters.set(what, of, values)
 
     @property
     def gravity(self) -> Triple:
         return self._parameters.gravity
-
-    def set_gravity(self, gravity: Triple) -> None:
-        self._open()._parameters.set_gravity(gravity)
-
-    def set_colour(self, body: str, link: str | None, colour: Colour) -> None:
-        if body == GROUND and self._floor is not None:
-            self._parameters.set_floor(self._floor, colour)
-        else:
-            self._parameters.set_colour(*self._link(body, link), colour)
-
-    def set_light(self, brightness: float) -> None:
-        self._parameters.set_light(brightness)
 
     def before_substep(self, act: Callable[[], object]) -> None:
         self._substeps.act(act)
@@ -330,7 +296,7 @@ class PyBulletEngine:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        springs = motors.Springs(self._client, body, indices, max_torque, stiffness, damping)
+        springs = motors.Springs(self._client, body, indices, self.joint_states(robot, joints), max_torque, stiffness, damping)
         self._springs[body, indices] = springs
         self._substeps.drive([each.act for each in self._springs.values()])
         return springs.aim

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import copysign
+from operator import add
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
@@ -69,13 +70,15 @@ class Springs:
         client: int,
         body: int,
         indices: Sequence[int],
+        read: JointReader,
         max_torque: Sequence[float],
         stiffness: Sequence[float],
         damping: Sequence[float] | None,
     ) -> None:
         self.indices = tuple(indices)
-        self._gains = tuple(zip(stiffness, damping or (0.0,) * len(stiffness), _limits(max_torque), strict=True))
-        self._read = partial(p.getJointStates, body, tuple(indices), client)
+        limits = _limits(max_torque)
+        self._columns = tuple(stiffness), tuple(damping or (0.0,) * len(stiffness)), tuple(-limit for limit in limits), tuple(limits)
+        self._read = read
         self._exert = _plain_torques(client, body, indices)
         self.exerted = self._nothing = [0.0] * len(indices)
         self._targets: Sequence[float] | None = None
@@ -90,8 +93,8 @@ class Springs:
         targets = self._targets
         if targets is not None:
             self.exerted = torques = [
-                limit if (torque := k * (target - state[0]) - d * state[1]) > limit else -limit if torque < -limit else torque
-                for (k, d, limit), target, state in zip(self._gains, targets, self._read(), strict=True)
+                high if (torque := k * (target - state[0]) - d * state[1]) > high else low if torque < low else torque
+                for k, d, low, high, target, state in zip(*self._columns, targets, self._read(), strict=True)
             ]
             self._exert(torques)
 
@@ -117,12 +120,16 @@ def torques(read: JointReader, body: int, indices: Sequence[int], springs: Mappi
         exerted = [state[3] for state in read()]
         for (driven, _), some in springs.items():
             if driven == body:
+                if some.indices == own:
+                    exerted = list(map(add, exerted, some.exerted))
+                    continue
                 for index, torque in zip(some.indices, some.exerted, strict=True):
                     if index in places:
                         exerted[places[index]] += torque
         return exerted
 
-    places = {index: place for place, index in enumerate(indices)}
+    own = tuple(indices)
+    places = {index: place for place, index in enumerate(own)}
     return read_torques
 
 

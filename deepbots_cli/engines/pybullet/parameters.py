@@ -2,30 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
+from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet.library import BASE, GAINS
 from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.errors import EngineError
+from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.pybullet.body import Body
+    from deepbots_cli.engines.pybullet.body import Body, Pool
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Triple
+    from deepbots_cli.program.world import Colour, EngineParameter, WorldModel
     from deepbots_cli.robots.model import Friction
 
-Colour = tuple[float, float, float, float]
+_CONTACT = {
+    "lateral_friction": "lateralFriction",
+    "spinning_friction": "spinningFriction",
+    "rolling_friction": "rollingFriction",
+    "restitution": "restitution",
+}
+"""PyBullet's names of the parameters of contacts."""
 
 
 class Parameters:
-    """`light`, the brightness of pictures, and `gravity` (m/s^2), as they are now; at first those of the world model."""
+    """Sets a parameter by the method of its name, with whose it is and the values.
 
-    def __init__(self, client: int, gravity: Triple, light: float) -> None:
-        self.light = light
-        self._client = client
-        self.gravity = gravity
+    `light`, the brightness of pictures, and `gravity` (m/s^2) are as they are now; at first those of the world model.
+    """
+
+    def __init__(self, client: int, world: WorldModel, pools: dict[str, Pool], floor: Floor | None) -> None:
+        self.light, self.gravity = world.light, world.gravity
+        self._client, self._pools, self._floor = client, pools, floor
         self._ways_back: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
@@ -34,61 +45,82 @@ class Parameters:
             back()
         self._ways_back.clear()
 
-    def set_mass(self, body: Body, index: int, mass: float) -> None:
+    def set(self, what: EngineParameter, of: tuple[str, ...], values: Sequence[float]) -> None:
+        """See `Engine.set_parameter`."""
+        if what in _CONTACT:
+            self._set_contact(_CONTACT[what], *of, *values)  # type: ignore[arg-type]
+        else:
+            getattr(self, f"_set_{what}")(*of, *values)
+
+    def _body(self, name: str) -> Body:
+        return find(self._pools, name, "the world has no body").chosen
+
+    def _link(self, body: str, link: str) -> tuple[Body, int]:
+        owner = self._body(body)
+        return owner, find(owner.links, link, f"'{body}' has no link") if link else BASE
+
+    def _joint(self, robot: str, joint: str) -> tuple[Body, int]:
+        owner = self._body(robot)
+        return owner, find(owner.joints, joint, f"'{robot}' has no joint")
+
+    def _set_mass(self, body: str, link: str, mass: float) -> None:
         """That of the base of a fixed body means nothing, and would set it loose."""
-        if index == BASE and body.fixed:
+        owner, index = self._link(body, link)
+        if index == BASE and owner.fixed:
             return
-        usual = body.dynamics(index).mass
+        usual = owner.dynamics(index).mass
         if not (usual > 0.0 and mass > 0.0):
-            raise EngineError(f"the mass of a link of '{body.name}' cannot go from {usual:g} kg to {mass:g} kg")
-        body.weigh(index, mass / usual)
-        self._ways_back["mass", body.number, index] = partial(body.weigh, index, 1.0)
+            raise EngineError(f"the mass of a link of '{owner.name}' cannot go from {usual:g} kg to {mass:g} kg")
+        owner.weigh(index, mass / usual)
+        self._ways_back["mass", owner.number, index] = partial(owner.weigh, index, 1.0)
 
-    def set_friction(self, body: Body, index: int, given: dict[str, float | None], nominal: Friction) -> None:
+    def _set_contact(self, name: str, body: str, link: str, value: float) -> None:
         """One call per property: two in one went to the root link."""
-        change = partial(p.changeDynamics, body.number, index, physicsClientId=self._client)
-        usual = contact_parameters(nominal)
-        for what, value in given.items():
-            if value is not None:
-                change(**{what: value})
-                self._ways_back[what, body.number, index] = partial(change, **{what: usual[what]})
+        owner, index = self._link(body, link)
+        change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
+        usual = contact_parameters(owner.model.link(link or owner.model.root).friction)
+        change(**{name: value})
+        self._ways_back[name, owner.number, index] = partial(change, **{name: usual[name]})
 
-    def set_joint_damping(self, body: Body, index: int, damping: float, nominal: float) -> None:
-        change = partial(p.changeDynamics, body.number, index, physicsClientId=self._client)
+    def _set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+        owner, index = self._joint(robot, joint)
+        change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
         change(jointDamping=damping)
-        self._ways_back["damping", body.number, index] = partial(change, jointDamping=nominal)
+        self._ways_back["damping", owner.number, index] = partial(change, jointDamping=owner.model.joint(joint).damping)
 
-    def set_joint_friction(self, body: Body, index: int, friction: float) -> None:
+    def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         """A reset brakes every joint anew, so there is no way back to note."""
-        p.setJointMotorControl2(body.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *GAINS, self._client)
+        owner, index = self._joint(robot, joint)
+        p.setJointMotorControl2(owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *GAINS, self._client)
 
-    def set_gravity(self, gravity: Triple) -> None:
+    def _set_gravity(self, x: float, y: float, z: float) -> None:
         self._ways_back.setdefault("gravity", partial(self._pull, self.gravity))
-        self._pull(gravity)
+        self._pull((x, y, z))
 
     def _pull(self, gravity: Triple) -> None:
         self.gravity = gravity
         p.setGravity(*gravity, self._client)
 
-    def set_colour(self, body: Body, index: int, colour: Colour) -> None:
-        key = ("colour", body.number, index)
+    def _set_colour(self, body: str, link: str, *colour: float) -> None:
+        if body == GROUND and self._floor is not None:
+            self._floor.colour(colour)  # type: ignore[arg-type]
+            self._ways_back["floor"] = partial(self._floor.colour, self._floor.usual)
+            return
+        owner, index = self._link(body, link)
+        key = ("colour", owner.number, index)
         if key not in self._ways_back:
-            shapes = p.getVisualShapeData(body.number, physicsClientId=self._client)
+            shapes = p.getVisualShapeData(owner.number, physicsClientId=self._client)
             usual = [shape[7] for shape in shapes if shape[1] == index]
-            self._ways_back[key] = partial(self._paint, body.number, index, usual)
-        p.changeVisualShape(body.number, index, rgbaColor=colour, physicsClientId=self._client)
+            self._ways_back[key] = partial(self._paint, owner.number, index, usual)
+        p.changeVisualShape(owner.number, index, rgbaColor=colour, physicsClientId=self._client)
 
     def _paint(self, number: int, index: int, colours: list[Colour]) -> None:
         for place, colour in enumerate(colours):
             p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=colour, physicsClientId=self._client)
 
-    def set_light(self, brightness: float) -> None:
+    def _set_light(self, brightness: float) -> None:
         self._ways_back.setdefault("light", partial(setattr, self, "light", self.light))
         self.light = brightness
-
-    def set_floor(self, floor: Floor, colour: Colour) -> None:
-        floor.colour(colour)
-        self._ways_back["floor"] = partial(floor.colour, floor.usual)
 
 
 def contact_parameters(friction: Friction) -> dict[str, float]:

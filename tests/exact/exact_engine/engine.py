@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         VelocityReader,
         View,
     )
-    from deepbots_cli.program.world import RobotBody, WorldModel
+    from deepbots_cli.program.world import EngineParameter, RobotBody, WorldModel
     from deepbots_cli.robots.model import RobotModel
 
 
@@ -123,8 +123,16 @@ class ExactEngine:
     def choose(self, body: str, variant: str) -> None:
         raise _lacks("bodies of several forms")
 
-    def set_mass(self, body: str, link: str | None, mass: float) -> None:
-        motion, name = self._link(body, link)
+    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
+        if what in ("colour", "light"):
+            return  # nothing sees it
+        setter = getattr(self, f"_set_{what}", None)
+        if setter is None:
+            raise _lacks(f"parameters such as {what}")
+        setter(*of, *values)
+
+    def _set_mass(self, body: str, link: str, mass: float) -> None:
+        motion, name = self._link(body, link or None)
         usual = self._models[body]
         inertial = usual.link(name).inertial
         if inertial is None or inertial.mass <= 0.0:
@@ -141,32 +149,23 @@ class ExactEngine:
         motion.place(frame)
         self._models[body] = model
 
-    def set_friction(self, body: str, link: str | None, **figures: float | None) -> None:
-        raise _lacks("friction between bodies")
-
-    def set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+    def _set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
         motion, (index,) = self._joints(robot, (joint,))
         motion.damp(index, damping)
         self._ways_back.append(partial(motion.damp, index, self._models[robot].joint(joint).damping))
 
-    def set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
+    def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         if friction:
             raise _lacks("friction in joints")
 
-    def set_gravity(self, gravity: Triple) -> None:
+    def _set_gravity(self, x: float, y: float, z: float) -> None:
         self._ways_back.append(partial(self._pull, self.gravity))
-        self._pull(gravity)
+        self._pull((x, y, z))
 
     def _pull(self, gravity: Triple) -> None:
         self.gravity = gravity
         for motion in self._open().values():
             motion.pull(gravity)
-
-    def set_colour(self, body: str, link: str | None, colour: tuple[float, float, float, float]) -> None:
-        """Nothing sees it."""
-
-    def set_light(self, brightness: float) -> None:
-        """Nothing sees it."""
 
     def before_substep(self, act: Callable[[], object]) -> None:
         self._acts.append(act)
