@@ -2,7 +2,7 @@
 
 supervisor.py  base of the generated supervisor, a Gymnasium environment; hindsight.py rewards for other goals
 robot.py       base of the generated robot controllers
-team.py        copies of a robot in one world, and what each sees of the engine
+copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
 spaces.py      action and observation spaces, actions in their forms, frame stacks
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
 channel.py     channels of messages; messages.py their formats
@@ -18,6 +18,7 @@ Nothing here reads YAML or knows an engine beyond the port.
 
 from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
+from deepbots_cli.runtime.copies import assemble
 from deepbots_cli.runtime.formulas import (
     Accumulate,
     Delta,
@@ -50,7 +51,6 @@ from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor
-from deepbots_cli.runtime.team import assemble
 from deepbots_cli.runtime.ways import Ways
 
 __all__ = [

@@ -78,6 +78,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         }
         self.observation_space = observation_space(scenario)
         self.action_space = action_space(scenario)
+        self.world = scenario.world
+        """What the engine holds: with copies of a robot, each under its own name."""
+        self.agents: dict[str, Supervisor] = {"agent": self}
+        """Each agent by name: the supervisor that observes and scores for it. Where there is one agent, this one."""
         self.streams = Streams(None)
         self.views = views(scenario)
         self.depth = len(self.views)
@@ -321,7 +325,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     def _advance(self, action: Any) -> Any:
         """One step: act, let the world go on, and observe.
 
-        That of a copy in a team is a generator, which waits wherever the world goes on.
+        Where there are copies of the robot it is a generator, which waits where the world goes on (`copies.py`).
         """
 
     # What generated code calls

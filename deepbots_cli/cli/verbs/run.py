@@ -20,7 +20,6 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.episodes import Episode, Tally
 from deepbots_cli.learning.summary import Summary
-from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -79,7 +78,7 @@ def command(
         if script is not None:
             acting: Acting = partial(environment.script, script)
         elif actions is not None:
-            acting = repeated(ir, actions)
+            acting = repeated(environment, actions)
         else:
             acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # which the reset seeds
         running = play(environment, acting, count=episodes, seed=seed, most_steps=steps)
@@ -138,7 +137,7 @@ def zero(environment: Supervisor) -> Acting:
     return lambda: action
 
 
-def repeated(scenario: Program, text: str) -> Acting:
+def repeated(environment: Supervisor, text: str) -> Acting:
     """The actions in `text`, repeated: separated by commas, the parts of one action by colons. All copies of a robot act alike.
 
     A part is the name of an option, or a number: of the option from 0, or from -1 to 1 in the range.
@@ -146,7 +145,7 @@ def repeated(scenario: Program, text: str) -> Acting:
     Raises:
         UsageError: One of them is no action of the scenario.
     """
-    actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
+    actions = cycle([_action(environment, word.strip()) for word in text.split(",")])
     return lambda: next(actions)
 
 
@@ -168,32 +167,15 @@ def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, most
             return
 
 
-def _action(scenario: Program, text: str) -> Any:
-    import numpy as np
-
-    parts = [width for part in scenario.action for width in _slots(part)]
+def _action(environment: Supervisor, text: str) -> Any:
+    parts = [width for part in environment.scenario.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
         raise UsageError(f"the action '{text}' has {len(words)} parts, the scenario's has {len(parts)}; separate them by colons")
     values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
-    if not choices:
-        return np.array(ranges, np.float32)
-    chosen = choices[0] if len(choices) == 1 else np.array(choices, np.int64)
-    return {"choices": chosen, "ranges": np.array(ranges, np.float32)} if ranges else chosen
-
-
-def _of_all(scenario: Program, action: Any) -> Any:
-    """The action of one robot as that of all its copies, where there are any."""
-    import numpy as np
-
-    copies = scenario.agent.each
-    if copies is None:
-        return action
-    if isinstance(action, dict):
-        return {key: _of_all(scenario, part) for key, part in action.items()}
-    return np.array([action] * copies.count)
+    return environment.acting(choices, ranges)
 
 
 def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
