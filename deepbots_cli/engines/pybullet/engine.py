@@ -362,6 +362,13 @@ class PyBulletEngine:
             self._backdrop = (seen, camera.behind(aim))
         return lit(smoothed(camera.picture(aim, self._backdrop[1]), view.samples), self._parameters.light)
 
+    def snapshot(self) -> object:
+        """Refused: PyBullet's `saveState` leaves out motors, masses and frictions, and is not exact in every world (docs/engines.md)."""
+        raise EngineError("PyBullet has no exact snapshot of a world; begin the episode again and repeat its actions")
+
+    def restore(self, snapshot: object) -> None:
+        self.snapshot()
+
     def close(self) -> None:
         self._release()
 
