@@ -1,17 +1,17 @@
 """What generated code runs on.
 
-supervisor.py  base of the generated supervisor, a Gymnasium environment; hindsight.py rewards for other goals
+supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
 copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
-spaces.py      action and observation spaces, actions in their forms, frame stacks
+spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
 channel.py     channels of messages; messages.py their formats
 streams.py     named random streams under one root seed, and values that `reset` is given in place of draws
 placement.py   where bodies stand when an episode begins; ways.py shortest ways around solid objects
 lines.py       painted lines: places beside and along them, light
 view.py        a camera that sees the whole scene
-actuation/     actuators that are more than a motor of the engine, and pushes
-sensing/       sensors that are sampled once per tick, with their faults
+actuation.py   actuators that are more than a motor of the engine, and pushes
+sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
 
 Nothing here reads YAML or knows an engine beyond the port.
 """

@@ -21,10 +21,9 @@ from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.channel import Channel, LossyChannel
 from deepbots_cli.runtime.formulas import Memory, clip
-from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import Wire, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, usual, views
+from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, recomputed, usual, views
 from deepbots_cli.runtime.streams import Streams, episode_values
 from deepbots_cli.runtime.view import moved, overview
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from deepbots_cli.engines.pybullet.library import BASE, GAINS
-from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet import BASE, GAINS
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
