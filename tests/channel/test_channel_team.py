@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from deepbots_cli import api
-from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
+from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, UsageError
 from deepbots_cli.runtime.copies import CopiesSupervisor
 
 TEAM = Path(__file__).parent / "team.yaml"
@@ -89,6 +89,30 @@ def test_copies_stand_in_a_row_around_the_place_of_the_robot(team: Make) -> None
     environment.reset(seed=0)
     places = [member.engine.pose("cart")()[0] for member in environment.agents.values()]
     assert places == [(0.25, -1.5, 0.0), (0.75, -0.5, 0.0), (1.25, 0.5, 0.0), (1.75, 1.5, 0.0)]
+
+
+def test_an_environment_holds_its_agents_by_name(team: Make) -> None:
+    together, alone = team(), team(source=RAIL)
+    assert list(together.agents) == [robot.name for robot in together.world.robots] == ["cart#1", "cart#2", "cart#3"]
+    assert list(alone.agents.values()) == [alone]
+
+
+def test_a_copy_means_itself_by_the_name_of_the_robot(team: Make) -> None:
+    environment = team()
+    environment.reset(seed=0)
+    world, first, second = environment.engine, *(environment.agents[name].engine for name in ("cart#1", "cart#2"))
+    second.set_joint("cart", "slider", 0.25, 0.0)
+    assert world.joint_states("cart#2", ["slider"])()[0][0] == 0.25
+    # A link of the robot has its name too. It stays a link, whether arguments go by place or by name.
+    assert second.pose("cart", "cart")() == second.pose(body="cart", link="cart")() == world.pose("cart#2", "cart")()
+    second.set_joint_damping("cart", "slider", 0.5)
+    second.set_mass("other", None, 3.0)  # the first copy sets what is not of a copy
+    with pytest.raises(EngineError, match="no body 'other'"):
+        first.set_mass("other", None, 3.0)
+    second.set_gravity((0.0, 0.0, -1.0))
+    assert world.gravity == second.gravity == (0.0, 0.0, -9.81)
+    first.set_gravity((0.0, 0.0, -1.0))
+    assert world.gravity == second.gravity == (0.0, 0.0, -1.0)
 
 
 def test_the_episode_ends_for_all_when_it_ends_for_one(team: Make) -> None:
