@@ -5,6 +5,10 @@ by name. Whatever happens in every step is bound once, when the environment is b
 out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
 steps return equal values.
 
+The names of methods that set a value of the episode begin with `set`, and parameters that hold a body or a part of one are called
+`body`, `robot`, `part`, `of`, `one` or `other`: `runtime/copies.py` passes calls on by these names. docs/engine-port.md describes every
+method.
+
 A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
 `engines/`, with its line in `engines/__init__.py`.
 """

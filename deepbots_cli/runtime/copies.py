@@ -30,8 +30,8 @@ from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
 _FINISHED = object()
-_BODIES = ("body", "robot", "part", "one", "other")
-"""Parameters of the port that hold a body or a part of one."""
+_BODIES = ("body", "robot", "part", "of", "one", "other")
+"""Parameters of the port that hold a body, or a tuple that begins with one."""
 
 
 def copy_name(copies: RobotCopies, number: int) -> str:
@@ -117,16 +117,17 @@ class EngineOfCopy:
     def _call(self, name: str, method: Callable[..., Any], *given: Any, **named: Any) -> Any:
         """Call a method with the names exchanged; one that sets a value, only if this copy sets it."""
         places = _PLACES.get(name, ())
-        bodies = [value for place, value in enumerate(given) if place in places] + [named[key] for key in _BODIES if key in named]
-        if (name.startswith("set") or name == "choose") and not self._is_first and self._robot not in bodies:
+        own = tuple(self._exchanged(value) if place in places else value for place, value in enumerate(given))
+        own_named = {key: self._exchanged(value) if key in _BODIES else value for key, value in named.items()}
+        sets = name.startswith("set") or name == "choose"
+        if sets and not self._is_first and own == given and own_named == named:  # nothing of this copy
             return None
-        exchanged = [self._exchanged(value) if place in places else value for place, value in enumerate(given)]
-        return method(*exchanged, **{key: self._exchanged(value) if key in _BODIES else value for key, value in named.items()})
+        return method(*own, **own_named)
 
     def _exchanged(self, value: Any) -> Any:
-        """A body or a part, with the copy in place of the robot."""
+        """A body, or a tuple that begins with one, with the copy in place of the robot."""
         if isinstance(value, tuple):
-            return (self._exchanged(value[0]), *value[1:])
+            return (*map(self._exchanged, value[:1]), *value[1:])
         return self._copy if value == self._robot else value
 
 
