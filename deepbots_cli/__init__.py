@@ -14,9 +14,9 @@ geometry.py   meshes at simulation time
 arrays.py     expressions over arrays    terrain.py    heights of the ground
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
-errors.py     the exceptions, as a tree   reading.py    bytes of files
+errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
 plugins.py    what other packages add     message_formats.py  how messages may be written
-atomic.py     files written whole         progress.py   a bar or lines on standard error
+progress.py   a bar or lines on standard error
 
 The documented Python API is `Scenario`, `load`, `compile`, `make`, `train` and `evaluate`; each is imported when
 it is first asked for, so that importing this package costs nothing.

@@ -5,6 +5,10 @@ by name. Whatever happens in every step is bound once, when the environment is b
 out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
 steps return equal values.
 
+The names of methods that set a value of the episode begin with `set`, and parameters that hold a body or a part of one are called
+`body`, `robot`, `part`, `of`, `one` or `other`: `runtime/copies.py` passes calls on by these names. docs/engine-port.md describes every
+method.
+
 A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
 `engines/`, with its line in `engines/__init__.py`.
 """
@@ -27,7 +31,8 @@ if TYPE_CHECKING:
 
 SERVO_TIME = 0.02
 """s in which the servo of an engine, without stiffness, closes all but 1/e of its error."""
-Capability = Literal["contacts", "rendering"]
+Capability = Literal["contacts", "rendering", "snapshot"]
+"""What an engine may leave out: contacts between bodies, pictures, an exact `snapshot` of the world."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
@@ -184,6 +189,29 @@ class Engine(Protocol):
 
     def step(self, substeps: int) -> None:
         """Advance by `substeps` engine steps of `timestep / substeps` of the world model each."""
+
+    def snapshot(self) -> object:
+        """The state of the world between two steps, for `restore`; taking it changes nothing.
+
+        It holds all that decides what follows: poses, velocities, the memory of contacts, the commands of motors, and the values that
+        were set since the reset. It does not hold what callers keep: random streams, messages under way, and the state behind functions
+        that were given to `before_substep`.
+
+        Only an engine that is exact to the bit has "snapshot" among its capabilities. With any other, callers begin the episode
+        again and repeat its actions.
+
+        Raises:
+            EngineError: The engine has no exact snapshot.
+        """
+
+    def restore(self, snapshot: object) -> None:
+        """Bring the world back to a snapshot of this engine object, taken at any time before; any number of times, across resets too.
+
+        The same calls then give bit for bit the same readings as after the snapshot was taken. Readers and writers stay bound.
+
+        Raises:
+            EngineError: The engine has no exact snapshot.
+        """
 
     def overlaps(self) -> Sequence[Overlap]:
         """What lies within something else as the world stands now, the deepest pair of links of every two bodies; deepest first.

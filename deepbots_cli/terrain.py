@@ -18,9 +18,9 @@ import numpy as np
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
+from deepbots_cli.files import MAX_PICTURE_BYTES, picture_fault
 from deepbots_cli.geometry import triangles
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
-from deepbots_cli.reading import MAX_PICTURE_BYTES, picture_fault
 from deepbots_cli.robots.model import Mesh
 
 if TYPE_CHECKING:

@@ -351,8 +351,8 @@ def end_links(scenario: Program) -> list[tuple[str, str]]:
 
 
 def poses(environment: Supervisor, links: list[tuple[str, str]]) -> list[Row]:
-    """Where links are now, in the world frame; of a team those of its first copy."""
-    engine = getattr(environment, "members", [environment])[0].engine
+    """Where links are now, in the world frame; with copies of a robot, those of the first."""
+    engine = next(iter(environment.agents.values())).engine
     rows: list[Row] = []
     for robot, link in links:
         position, orientation = engine.pose(robot, link)()

@@ -8,11 +8,11 @@ from io import StringIO
 from pathlib import Path, PurePosixPath
 
 from deepbots_cli import api
-from deepbots_cli.atomic import atomic
 from deepbots_cli.cli.terminal import printable
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic
 from deepbots_cli.lint.fixes import Rewrite
 from deepbots_cli.scenario.json_schema import to_text
 

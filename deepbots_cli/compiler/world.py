@@ -18,6 +18,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import lower, op
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
+from deepbots_cli.files import MAX_PICTURE_BYTES, picture_fault, read_at_most
 from deepbots_cli.program.resets import Group, OfLink, OfWalls, OfWorld
 from deepbots_cli.program.world import (
     ARENA_WALLS,
@@ -42,7 +43,6 @@ from deepbots_cli.program.world import (
     WorldModel,
     WorldParameter,
 )
-from deepbots_cli.reading import MAX_PICTURE_BYTES, picture_fault, read_at_most
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.inertia import volume
 from deepbots_cli.robots.meshes import measure

@@ -16,7 +16,7 @@ from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.reading import read_at_most
+from deepbots_cli.files import read_at_most
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20

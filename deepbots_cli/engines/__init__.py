@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import WorldModel
 
 ENGINES = {
-    "pybullet": "deepbots_cli.engines.pybullet:PyBulletEngine",
+    "pybullet": "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
 }
 GROUP = "deepbots.engines"
 _OF_EXTRA_SIM = ("pybullet", "numpy", "trimesh", "yourdfpy")

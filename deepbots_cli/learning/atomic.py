@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import RunError
+from deepbots_cli.files import atomic
 
 T = TypeVar("T")
 

@@ -138,8 +138,7 @@ class Teams(Copies):
 
     @staticmethod
     def _agents(world: World) -> Sequence[World]:
-        agents: Sequence[World] = world.get_wrapper_attr("members")
-        return agents
+        return list(world.get_wrapper_attr("agents").values())
 
     def reset(self) -> VecEnvObs:
         self._tallies = [Tally() for _ in range(self.num_envs)]
@@ -193,8 +192,8 @@ def copies_over(
 
 
 def is_team(world: World) -> bool:
-    """Whether several copies of a robot act in it, each for itself."""
-    return world.has_wrapper_attr("members")
+    """Whether copies of a robot act in it, each for itself: then it holds other agents than itself."""
+    return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
 
 
 def _seen(agent: World) -> Any:

@@ -11,8 +11,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.files import atomic
 from deepbots_cli.learning.environments import World
 
 

@@ -34,8 +34,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.her import HerReplayBuffer
 
-from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import RunError
+from deepbots_cli.files import atomic
 from deepbots_cli.learning.atomic import Entries, parse_object
 
 Array = npt.NDArray[Any]

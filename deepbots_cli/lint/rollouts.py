@@ -48,7 +48,6 @@ from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
-from deepbots_cli.runtime.team import populated
 
 _DEFAULT_DISCOUNT = 0.99
 _ROUNDING = 1e-6
@@ -335,14 +334,9 @@ def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
 def _idle(environment: Supervisor) -> Iterator[Any]:
     wanted = idle(environment.scenario)
     assert wanted is not None  # or it would not be in the plan
-    copies = environment.scenario.agent.each
-    one = getattr(environment, "members", [environment])[0].acting(*wanted)
-    if copies is not None:
-        one = (
-            {key: np.stack([part] * copies.count) for key, part in one.items()} if isinstance(one, dict) else np.array([one] * copies.count)
-        )
+    action = environment.acting(*wanted)
     while True:
-        yield one
+        yield action
 
 
 def _discount(program: Program) -> float:
@@ -398,8 +392,7 @@ class SpeedWatch:
     """Checks the speeds of robots and of movable objects. `news` holds the fastest body so far, whenever its speed has grown a lot."""
 
     def __init__(self, environment: Supervisor) -> None:
-        scenario, engine = environment.scenario, environment.engine
-        world = populated(scenario.world, scenario.agent.each) if scenario.agent.each else scenario.world
+        world, engine = environment.world, environment.engine
         self._substep = world.timestep / world.substeps
         self._fall = math.hypot(*engine.gravity)
         self._watched = []
@@ -465,7 +458,7 @@ class ArmWatch:
         self.commands: dict[tuple[str, str], int] = {}
         """The number of commands since the last `take_misses`, by robot and actuator."""
         self._misses: dict[tuple[str, str], Miss] = {}
-        self.actuators = [arm for world in getattr(environment, "members", [environment]) for arm in self._watched(world)]
+        self.actuators = [arm for world in environment.agents.values() for arm in self._watched(world)]
 
     def _watched(self, world: Supervisor) -> Iterator[str]:
         """Watch the commands of a supervisor; yields the names of the actuators."""

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.errors import EngineError
-from deepbots_cli.reading import read_at_most
+from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import parse
 from deepbots_cli.robots.model import Mesh, Vector
 

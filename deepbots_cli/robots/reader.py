@@ -14,7 +14,7 @@ from typing import get_args
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.reading import read_at_most
+from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names, parse, quoted
 from deepbots_cli.robots.inertia import is_plausible
 from deepbots_cli.robots.meshes import Meshes, Refusal, ResolveMesh, beside

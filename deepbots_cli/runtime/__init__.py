@@ -1,23 +1,24 @@
 """What generated code runs on.
 
-supervisor.py  base of the generated supervisor, a Gymnasium environment; hindsight.py rewards for other goals
+supervisor.py  base of the generated supervisor, a Gymnasium environment
 robot.py       base of the generated robot controllers
-team.py        copies of a robot in one world, and what each sees of the engine
-spaces.py      action and observation spaces, actions in their forms, frame stacks
+copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
+spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
 channel.py     channels of messages; messages.py their formats
 streams.py     named random streams under one root seed, and values that `reset` is given in place of draws
 placement.py   where bodies stand when an episode begins; ways.py shortest ways around solid objects
 lines.py       painted lines: places beside and along them, light
 view.py        a camera that sees the whole scene
-actuation/     actuators that are more than a motor of the engine, and pushes
-sensing/       sensors that are sampled once per tick, with their faults
+actuation.py   actuators that are more than a motor of the engine, and pushes
+sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
 
 Nothing here reads YAML or knows an engine beyond the port.
 """
 
 from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
+from deepbots_cli.runtime.copies import assemble
 from deepbots_cli.runtime.formulas import (
     Accumulate,
     Delta,
@@ -50,7 +51,6 @@ from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.supervisor import Supervisor
-from deepbots_cli.runtime.team import assemble
 from deepbots_cli.runtime.ways import Ways
 
 __all__ = [

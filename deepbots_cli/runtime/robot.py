@@ -10,7 +10,8 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, CustomActuator, Motor, Robot
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory
-from deepbots_cli.runtime.sensing import Device, instrument, sees
+from deepbots_cli.runtime.readers import sees
+from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
 
 M = TypeVar("M", bound=Memory)

@@ -21,10 +21,9 @@ from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.channel import Channel, LossyChannel
 from deepbots_cli.runtime.formulas import Memories, Memory, clip
-from deepbots_cli.runtime.hindsight import recomputed
 from deepbots_cli.runtime.messages import Wire, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, usual, views
+from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, recomputed, usual, views
 from deepbots_cli.runtime.streams import Streams, episode_values
 from deepbots_cli.runtime.view import moved, overview
 
@@ -78,6 +77,10 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         }
         self.observation_space = observation_space(scenario)
         self.action_space = action_space(scenario)
+        self.world = scenario.world
+        """What the engine holds: with copies of a robot, each under its own name."""
+        self.agents: dict[str, Supervisor] = {"agent": self}
+        """Each agent by name: the supervisor that observes and scores for it. Where there is one agent, this one."""
         self.streams = Streams(None)
         self.views = views(scenario)
         self.depth = len(self.views)
@@ -323,7 +326,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
     def _advance(self, action: Any) -> Any:
         """One step: act, let the world go on, and observe.
 
-        That of a copy in a team is a generator, which waits wherever the world goes on.
+        Where there are copies of the robot it is a generator, which waits where the world goes on (`copies.py`).
         """
 
     # What generated code calls

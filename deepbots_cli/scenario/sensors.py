@@ -48,7 +48,7 @@ from deepbots_cli.scenario.fields import (
 )
 from deepbots_cli.scenario.world import SensorFrame
 
-_RUNTIME = "deepbots_cli.runtime.sensing"
+_READERS = "deepbots_cli.runtime.readers"
 
 
 class Sensor(Section):
@@ -115,7 +115,7 @@ class JointPosition(JointSensor):
 
     dimension = ANGLE
     sliding = LENGTH
-    reader = f"{_RUNTIME}.body:positions"
+    reader = f"{_READERS}:positions"
     fact = "joint_position"
 
     type: Literal["joint_position"]
@@ -130,7 +130,7 @@ class JointVelocity(JointSensor):
 
     dimension = ANGULAR_VELOCITY
     sliding = SPEED
-    reader = f"{_RUNTIME}.body:velocities"
+    reader = f"{_READERS}:velocities"
     fact = "joint_velocity"
 
     type: Literal["joint_velocity"]
@@ -141,7 +141,7 @@ class JointTorque(JointSensor):
 
     dimension = TORQUE
     sliding = FORCE
-    reader = f"{_RUNTIME}.body:torques"
+    reader = f"{_READERS}:torques"
     fact = "joint_torque"
 
     type: Literal["joint_torque"]
@@ -161,7 +161,7 @@ class Gyro(LinkSensor):
 
     dimension = ANGULAR_VELOCITY
     components = SPACE
-    reader = f"{_RUNTIME}.body:gyro"
+    reader = f"{_READERS}:gyro"
 
     type: Literal["gyro"]
 
@@ -171,7 +171,7 @@ class Accelerometer(LinkSensor):
 
     dimension = ACCELERATION
     components = SPACE
-    reader = f"{_RUNTIME}.body:accelerometer"
+    reader = f"{_READERS}:accelerometer"
 
     type: Literal["accelerometer"]
 
@@ -181,7 +181,7 @@ class Inclinometer(LinkSensor):
 
     components = SPACE
     interval = iv.SIGNED_UNIT
-    reader = f"{_RUNTIME}.body:inclinometer"
+    reader = f"{_READERS}:inclinometer"
 
     type: Literal["inclinometer"]
 
@@ -191,7 +191,7 @@ class Compass(LinkSensor):
 
     dimension = ANGLE
     interval = iv.TURN
-    reader = f"{_RUNTIME}.body:compass"
+    reader = f"{_READERS}:compass"
 
     type: Literal["compass"]
 
@@ -201,7 +201,7 @@ class Position(LinkSensor):
 
     dimension = LENGTH
     components = SPACE
-    reader = f"{_RUNTIME}.body:position"
+    reader = f"{_READERS}:position"
     fact = "position"
 
     type: Literal["position"]
@@ -212,7 +212,7 @@ class Velocity(LinkSensor):
 
     dimension = SPEED
     components = SPACE
-    reader = f"{_RUNTIME}.body:velocity"
+    reader = f"{_READERS}:velocity"
     fact = "velocity"
 
     type: Literal["velocity"]
@@ -223,7 +223,7 @@ class Orientation(LinkSensor):
 
     components = QUATERNION
     interval = iv.SIGNED_UNIT
-    reader = f"{_RUNTIME}.body:orientation"
+    reader = f"{_READERS}:orientation"
     fact = "orientation"
 
     type: Literal["orientation"]
@@ -234,7 +234,7 @@ class AngularVelocity(LinkSensor):
 
     dimension = ANGULAR_VELOCITY
     components = SPACE
-    reader = f"{_RUNTIME}.body:angular_velocity"
+    reader = f"{_READERS}:angular_velocity"
     fact = "angular_velocity"
 
     type: Literal["angular_velocity"]
@@ -256,7 +256,7 @@ class Touch(ContactSensor):
     """Whether a link touched anything in any physics step of the tick."""
 
     boolean = True
-    reader = f"{_RUNTIME}.body:touch"
+    reader = f"{_READERS}:touch"
 
     type: Literal["touch"]
     against: Annotated[str | tuple[str, ...], Reference("bodies or links")] | None = None
@@ -268,7 +268,7 @@ class Force(ContactSensor):
 
     dimension = FORCE
     interval = iv.POSITIVE
-    reader = f"{_RUNTIME}.body:force"
+    reader = f"{_READERS}:force"
 
     type: Literal["force"]
 
@@ -300,7 +300,7 @@ class RaySensor(RayScan):
     """Measures the free distance along rays, which point along x of their frames."""
 
     dimension = LENGTH
-    reader = f"{_RUNTIME}.rays:ranging"
+    reader = f"{_READERS}:ranging"
     perceives = True
 
     measure: Literal["each", "nearest", "mean"] = "each"
@@ -337,7 +337,7 @@ class Reflectance(RayScan):
     """Ground reflectance below the sensor: 1 without paint."""
 
     interval = Interval(0.0, 1.0)
-    reader = f"{_RUNTIME}.rays:reflectance"
+    reader = f"{_READERS}:reflectance"
 
     type: Literal["reflectance"]
     spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = "4 mm"
@@ -347,7 +347,7 @@ class Reflectance(RayScan):
 class Camera(LinkSensor):
     """A picture along x of its frame."""
 
-    reader = f"{_RUNTIME}.camera:camera"
+    reader = f"{_READERS}:camera"
     perceives = True
 
     type: Literal["camera"]

@@ -12,7 +12,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.actuation.forces import Push
+from deepbots_cli.runtime.actuation import Push
 
 DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
 MASS, TICK = 0.02572680943 + 4 * 0.0005, 0.01

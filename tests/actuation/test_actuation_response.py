@@ -6,7 +6,7 @@ from math import exp, inf
 
 import pytest
 
-from deepbots_cli.runtime.actuation.motors import Response
+from deepbots_cli.runtime.actuation import Response
 
 SUBSTEP = 0.005
 

@@ -24,7 +24,7 @@ import gymnasium as gym
 import numpy as np
 
 from deepbots_cli import api
-from deepbots_cli.engines.pybullet.library import hushed
+from deepbots_cli.engines.pybullet import hushed
 from tests.benchmarks.report import Row, options, ratio, show
 
 with hushed():  # PyBullet prints when it is imported and when it connects

@@ -25,12 +25,12 @@ import gymnasium as gym
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.engines.pybullet.library import hushed
+from deepbots_cli.engines.pybullet import hushed
 from deepbots_cli.runtime import Supervisor
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 
 with hushed():  # PyBullet prints when it is imported and when it connects
-    from deepbots_cli.engines.pybullet import PyBulletEngine
+    from deepbots_cli.engines.pybullet.engine import PyBulletEngine
     from tests.benchmarks.layered import LayeredCartPole
 
 RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")

@@ -14,14 +14,14 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from deepbots_cli import api
-from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
-from deepbots_cli.runtime.team import Team
+from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, UsageError
+from deepbots_cli.runtime.copies import CopiesSupervisor
 
 TEAM = Path(__file__).parent / "team.yaml"
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
 ASIDE = (0.0, 1.0, 0.0)
 CALM = "reset.set={cart.hinge: 0.02 rad}"
-Make = Callable[..., Team]
+Make = Callable[..., CopiesSupervisor]
 
 
 @pytest.fixture
@@ -37,11 +37,11 @@ def team() -> Iterator[Make]:
         environment.close()
 
 
-def rows(environment: Team, steps: int, seed: int | None = 0) -> list[Any]:
+def rows(environment: CopiesSupervisor, steps: int, seed: int | None = 0) -> list[Any]:
     """All that an episode gives, with one action for all that changes every five steps, and other ones for the last copy."""
     given: list[Any] = [environment.reset(seed=seed)]
     for step in range(steps):
-        action = np.array([step // 5 % 2] * (environment.copies.count - 1) + [step // 3 % 2])
+        action = np.array([step // 5 % 2] * (len(environment.agents) - 1) + [step // 3 % 2])
         given.append(environment.step(action))
         if given[-1][2] or given[-1][3]:
             break
@@ -60,7 +60,7 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
     assert observation in environment.observation_space
     assert info["each"] == {"reward": (0.0,) * 3, "terminated": (False,) * 3, "is_success": (False,) * 3}
     wide = team("action={drive: -1 .. 1, other: -1 .. 1}")
-    assert (wide.action_space.shape, wide.members[0].action_space.shape) == ((3, 2), (2,))
+    assert (wide.action_space.shape, wide.agents["cart#1"].action_space.shape) == ((3, 2), (2,))
     both = team("action={drive: {choices: {a: 1, b: -1}}, other: {choices: {a: 1, b: 2, c: 3}}}")
     assert both.action_space.shape == (3, 2)
     both.reset(seed=0)
@@ -87,8 +87,32 @@ def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, sets: tu
 def test_copies_stand_in_a_row_around_the_place_of_the_robot(team: Make) -> None:
     environment = team("robots.cart.count=4", "robots.cart.spacing=0.5 1 0 m", "robots.cart.pose={x: 1 m}")
     environment.reset(seed=0)
-    places = [member.engine.pose("cart")()[0] for member in environment.members]
+    places = [member.engine.pose("cart")()[0] for member in environment.agents.values()]
     assert places == [(0.25, -1.5, 0.0), (0.75, -0.5, 0.0), (1.25, 0.5, 0.0), (1.75, 1.5, 0.0)]
+
+
+def test_an_environment_holds_its_agents_by_name(team: Make) -> None:
+    together, alone = team(), team(source=RAIL)
+    assert list(together.agents) == [robot.name for robot in together.world.robots] == ["cart#1", "cart#2", "cart#3"]
+    assert list(alone.agents.values()) == [alone]
+
+
+def test_a_copy_means_itself_by_the_name_of_the_robot(team: Make) -> None:
+    environment = team()
+    environment.reset(seed=0)
+    world, first, second = environment.engine, *(environment.agents[name].engine for name in ("cart#1", "cart#2"))
+    second.set_joint("cart", "slider", 0.25, 0.0)
+    assert world.joint_states("cart#2", ["slider"])()[0][0] == 0.25
+    # A link of the robot has its name too. It stays a link, whether arguments go by place or by name.
+    assert second.pose("cart", "cart")() == second.pose(body="cart", link="cart")() == world.pose("cart#2", "cart")()
+    second.set_parameter("joint_damping", ("cart", "slider"), 0.5)
+    second.set_parameter("mass", ("other", ""), 3.0)  # the first copy sets what is not of a copy
+    with pytest.raises(EngineError, match="no body 'other'"):
+        first.set_parameter("mass", ("other", ""), 3.0)
+    second.set_parameter("gravity", (), 0.0, 0.0, -1.0)
+    assert world.gravity == second.gravity == (0.0, 0.0, -9.81)
+    first.set_parameter("gravity", (), 0.0, 0.0, -1.0)
+    assert world.gravity == second.gravity == (0.0, 0.0, -1.0)
 
 
 def test_the_episode_ends_for_all_when_it_ends_for_one(team: Make) -> None:
@@ -191,7 +215,7 @@ def test_numbers_that_do_not_fit_change_nothing(team: Make, bad: Any) -> None:
     environment.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(bad)
-    assert environment.members[0].step_count == 0
+    assert environment.agents["cart#1"].step_count == 0
 
 
 def test_copies_act_by_choices_and_ranges_together(team: Make) -> None:
@@ -206,7 +230,7 @@ def test_copies_act_by_choices_and_ranges_together(team: Make) -> None:
     for bad in ({"choices": np.array([0, 1, 0])}, action | {"ranges": np.full((3, 1), np.nan)}, [0, 1, 0]):
         with pytest.raises(UsageError, match="does not fit"):
             environment.step(bad)
-    assert environment.members[0].step_count == 3
+    assert environment.agents["cart#1"].step_count == 3
 
 
 def test_errors_name_the_expression_as_ever(team: Make) -> None:

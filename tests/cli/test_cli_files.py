@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic
 
 
 def put(path: Path, text: str) -> None:

@@ -50,7 +50,7 @@ def numbers(observation: Any) -> Any:
 
 def agents(environment: Supervisor) -> list[Supervisor]:
     """The supervisors that score and send: the environment itself, of a team one for each copy."""
-    return list(getattr(environment, "members", [environment]))
+    return list(environment.agents.values())
 
 
 def flat_bytes(observation: Any) -> bytes:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.reading import read_at_most
+from deepbots_cli.files import read_at_most
 
 
 @pytest.mark.parametrize(("size", "most"), [(0, 5), (4, 5), (5, 5), (6, 5), (70_000, 5), (70_000, 70_001), (70_000, 1 << 25)])

@@ -47,6 +47,55 @@ def test_a_reset_world_equals_a_fresh_one_after_a_different_episode(engine_name,
         assert episode(engine, 40) == fresh
 
 
+def test_a_restored_snapshot_goes_on_to_the_bit_whatever_came_between(worlds, build):
+    engine = build("exact", worlds.rail())
+    push = engine.torque_motor("robot", ["slide"], [8.0])
+    aim = engine.position_motor("robot", ["hinge"], [2.0], [3.0], [0.1])
+    read, pose = engine.joint_states("robot", ["slide", "hinge"]), engine.pose("robot", "tip")
+
+    def follow(ticks: int) -> list[object]:
+        """What follows with the commands that motors have, from the present state on."""
+        seen: list[object] = [read(), pose(), engine.gravity]
+        for _ in range(ticks):
+            engine.step(4)
+            seen += [read(), pose()]
+        return seen
+
+    engine.set_parameter("mass", ("robot", "pole"), 0.3)
+    engine.set_parameter("gravity", (), 0.0, 0.5, -3.0)
+    engine.set_joint("robot", "hinge", 0.3, 0.2)
+    push([0.5])
+    aim([0.4])
+    engine.step(4)
+    kept = engine.snapshot()
+    expected = follow(30)
+
+    def other_commands() -> None:
+        push([-3.0])
+        aim([-1.0])
+
+    def other_episode() -> None:
+        engine.reset()
+        engine.set_parameter("mass", ("robot", "pole"), 0.05)
+        engine.set_parameter("joint_damping", ("robot", "slide"), 5.0)
+        episode(engine, 9)
+
+    for between in (lambda: None, other_commands, other_episode, engine.reset):
+        between()
+        engine.restore(kept)
+        assert follow(30) == expected
+    engine.reset()
+    assert episode(engine, 20) == episode(build("exact", worlds.rail()), 20)  # values that were restored are reset as well
+
+
+def test_an_engine_without_exact_snapshots_says_so(worlds, build):
+    engine = build("pybullet", worlds.rail())
+    assert "snapshot" not in engine.capabilities
+    for ask in (engine.snapshot, lambda: engine.restore(None)):
+        with pytest.raises(EngineError, match="begin the episode again"):
+            ask()
+
+
 @BOTH
 def test_motors_exert_nothing_after_a_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())

@@ -50,25 +50,25 @@ class Team(gym.Env[Any, Any]):
     """Three of them; the episode ends for all when it ends for one."""
 
     def __init__(self, ir: Program, render_mode: str | None = None) -> None:
-        self.members = [Member(ir) for _ in range(SIZE)]
+        self.agents = {f"cart#{number}": Member(ir) for number in range(1, SIZE + 1)}
         self.observation_space = gym.spaces.Box(-1, 1, (SIZE, 4), np.float32)
         self.action_space = gym.spaces.MultiDiscrete([2] * SIZE)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
-        for member in self.members:
+        for member in self.agents.values():
             member.reset(seed=int(self.np_random.integers(2**31)))
         return self._rows(), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         assert np.shape(action) == (SIZE,)
-        outcomes = [member.step(int(row)) for member, row in zip(self.members, action, strict=True)]
+        outcomes = [member.step(int(row)) for member, row in zip(self.agents.values(), action, strict=True)]
         ended = [info for _, _, terminated, _, info in outcomes if terminated]
         info = ended[0] if ended else outcomes[0][4]
         return self._rows(), float(np.mean([o[1] for o in outcomes])), bool(ended), not ended and outcomes[0][3], info
 
     def _rows(self) -> Any:
-        return np.stack([member.get_observations() for member in self.members])
+        return np.stack([member.get_observations() for member in self.agents.values()])
 
 
 def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:

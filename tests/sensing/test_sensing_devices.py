@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli.program.robots import NoiseModel, Sensor
-from deepbots_cli.runtime.sensing.device import Device, Instrument
+from deepbots_cli.runtime.sensing import Device, Instrument
 from deepbots_cli.runtime.streams import Streams
 
 TIMESTEP = 0.01

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli.program.robots import CalibrationTable, RayConfig, Sensor
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import Box, Pose, Sphere
-from deepbots_cli.runtime.sensing.rays import Table
+from deepbots_cli.runtime.readers import Table
 from deepbots_cli.runtime.streams import Streams
 from tests.sensing.conftest import DEGREE, Scene, brick
 

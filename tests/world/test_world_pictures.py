@@ -12,7 +12,6 @@ from deepbots_cli.document import shipped
 from deepbots_cli.frames import cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.team import copy_name
 from deepbots_cli.runtime.view import around, overview
 from tests.few import few
 
@@ -59,11 +58,8 @@ def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> N
 
 
 def robot_bodies(environment: Supervisor) -> list[str]:
-    """The bodies of the robots in the engine; of a team, those of every copy."""
-    copies = environment.scenario.agent.each
-    if copies is None:
-        return [robot.name for robot in environment.scenario.world.robots]
-    return [copy_name(copies, number + 1) for number in range(copies.count)]
+    """The bodies of the robots in the engine; with copies of a robot, those of every copy."""
+    return [robot.name for robot in environment.world.robots]
 
 
 def test_every_copy_of_a_row_begins_in_the_picture() -> None:

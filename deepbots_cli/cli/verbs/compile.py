@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api, canonical
-from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic
 
 
 def command(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Sets, Stage, chosen
 from deepbots_cli.cli.sources import is_robot, opened, opened_robot
@@ -18,6 +17,7 @@ from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import Mapping
 from deepbots_cli.document.load import under
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
+from deepbots_cli.files import atomic
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import add
 from deepbots_cli.program import Program

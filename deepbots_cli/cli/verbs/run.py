@@ -20,7 +20,6 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.episodes import Episode, Tally
 from deepbots_cli.learning.summary import Summary
-from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -88,7 +87,7 @@ def command(
         if script is not None:
             acting: Acting = partial(environment.script, script)
         elif actions is not None:
-            acting = repeated(ir, actions)
+            acting = repeated(environment, actions)
         else:
             acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
         running = play(environment, acting, count=episodes, seed=seed, max_steps=steps)
@@ -147,7 +146,7 @@ def zero(environment: Supervisor) -> Acting:
     return lambda: action
 
 
-def repeated(scenario: Program, text: str) -> Acting:
+def repeated(environment: Supervisor, text: str) -> Acting:
     """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
 
     A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
@@ -155,7 +154,7 @@ def repeated(scenario: Program, text: str) -> Acting:
     Raises:
         UsageError: The scenario has no such action.
     """
-    actions = cycle([_of_all(scenario, _action(scenario, word.strip())) for word in text.split(",")])
+    actions = cycle([_action(environment, word.strip()) for word in text.split(",")])
     return lambda: next(actions)
 
 
@@ -177,10 +176,8 @@ def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, max_
             return
 
 
-def _action(scenario: Program, text: str) -> Any:
-    import numpy as np
-
-    parts = [width for part in scenario.action for width in _slots(part)]
+def _action(environment: Supervisor, text: str) -> Any:
+    parts = [width for part in environment.scenario.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
         raise UsageError(
@@ -189,22 +186,7 @@ def _action(scenario: Program, text: str) -> Any:
     values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
-    if not choices:
-        return np.array(ranges, np.float32)
-    chosen = choices[0] if len(choices) == 1 else np.array(choices, np.int64)
-    return {"choices": chosen, "ranges": np.array(ranges, np.float32)} if ranges else chosen
-
-
-def _of_all(scenario: Program, action: Any) -> Any:
-    """The action of one robot, repeated for each of its copies."""
-    import numpy as np
-
-    copies = scenario.agent.each
-    if copies is None:
-        return action
-    if isinstance(action, dict):
-        return {key: _of_all(scenario, part) for key, part in action.items()}
-    return np.array([action] * copies.count)
+    return environment.acting(choices, ranges)
 
 
 def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:

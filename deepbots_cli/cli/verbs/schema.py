@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.atomic import atomic
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowPaths
 from deepbots_cli.cli.rewriting import modeline
@@ -17,6 +16,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic
 from deepbots_cli.scenario.json_schema import to_text
 
 

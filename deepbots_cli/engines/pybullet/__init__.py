@@ -1,13 +1,11 @@
-"""PyBullet behind the port; the only package that imports it.
+"""PyBullet behind the port; the only package that imports it, without what it prints.
 
-library.py     the library itself, and its numbers that stand for something
 engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
 body.py        a robot or an object: links and joints by name, frames of links and of inertia; pooled bodies
 readers.py     joints, poses and velocities, kept while the world stands still
 motors.py      motors and springs on joints, and forces on links
-contacts.py    what touches what, how hard, and distances between surfaces
-rays.py        how far rays from a link are free
+surfaces.py    what touches what and how hard, distances between surfaces and along rays
 parameters.py  masses, friction, colours that an episode varies, and their way back
 cameras.py     pictures: bodies, floor and sky
 
@@ -27,6 +25,58 @@ What PyBullet leaves to its callers, and is settled here:
   half of it in 1.3 s of coasting; implicit, 0.2000 and nothing
 """
 
-from deepbots_cli.engines.pybullet.engine import PyBulletEngine
+from __future__ import annotations
 
-__all__ = ["PyBulletEngine"]
+import ctypes
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+
+@contextmanager
+def hushed() -> Iterator[Callable[[], str]]:
+    """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read it."""
+    _flush()
+    with tempfile.TemporaryFile() as caught:
+        kept: list[tuple[int, int]] = []
+        for fd in (1, 2):
+            with suppress(OSError):  # a program may have closed its own
+                kept.append((fd, os.dup(fd)))
+        try:
+            for fd, _ in kept:
+                os.dup2(caught.fileno(), fd)
+
+            def said() -> str:
+                _flush()
+                caught.seek(0)
+                return caught.read().decode(errors="replace").strip()
+
+            yield said
+        finally:
+            _flush()
+            for fd, copy in kept:
+                os.dup2(copy, fd)
+                os.close(copy)
+
+
+def _flush() -> None:
+    """Empty Python's buffers and the C library's, which would otherwise print after the terminal is back."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    if os.name == "posix":
+        ctypes.CDLL(None).fflush(None)
+
+
+with hushed():  # it prints the time of its build
+    import pybullet
+
+__all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "hushed", "pybullet"]
+
+BASE = -1  # the number of a root link
+FAINT = 1e-200  # N m or N; stands for no force, at which a motor would go on reporting what it last exerted
+STRONGEST = 1e12  # N m or N; stands for an unlimited motor
+UNREACHABLE = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
+GAINS = (0.1, 1.0, -1.0)  # the library's own position and velocity gain, and no cap; positional arguments cost half of named ones

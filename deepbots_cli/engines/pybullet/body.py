@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from deepbots_cli import frames
 from deepbots_cli.engines.objects import find
-from deepbots_cli.engines.pybullet.library import BASE
-from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet import BASE
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.frames import HERE, Frame
 from deepbots_cli.port import STILL
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.frames import add, cross, rotate, scaled, subtract
 from deepbots_cli.port import SIGHT, Sight
 

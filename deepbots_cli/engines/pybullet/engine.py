@@ -14,12 +14,10 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.objects import find
-from deepbots_cli.engines.pybullet import cameras, contacts, loading, motors, readers
+from deepbots_cli.engines.pybullet import BASE, FAINT, GAINS, cameras, loading, motors, readers, surfaces
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, lit, smoothed
-from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS
-from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.parameters import Parameters
-from deepbots_cli.engines.pybullet.rays import Rays
 from deepbots_cli.engines.pybullet.readers import Moments
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL, Overlap, Sight
@@ -132,8 +130,8 @@ class PyBulletEngine:
         self._timestep = world.timestep / world.substeps
         self._floor = Floor(world.ground.colour, world.lines) if world.ground and not world.terrain else None
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
-        self._watches: dict[int, contacts.Watch] = {}
-        self._rays: Rays | None = None
+        self._watches: dict[int, surfaces.Watch] = {}
+        self._rays: surfaces.Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
         try:
             self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
@@ -208,28 +206,28 @@ class PyBulletEngine:
     def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
         if others is None:
             left_out = () if ground else self._ground
-            return self._bound(one, lambda body, link: self._watch(body).of_all_but(link, left_out), contacts.ANY)
-        places = [(body.number, _index(body, link, contacts.ANY)) for name, link in others for body in self._pool(name)]
-        return self._bound(one, lambda body, link: self._watch(body).of_some(link, places), contacts.ANY)
+            return self._bound(one, lambda body, link: self._watch(body).of_all_but(link, left_out), surfaces.ANY)
+        places = [(body.number, _index(body, link, surfaces.ANY)) for name, link in others for body in self._pool(name)]
+        return self._bound(one, lambda body, link: self._watch(body).of_some(link, places), surfaces.ANY)
 
     def contact_force(self, one: Part) -> ForceReader:
-        return self._bound(one, lambda body, link: contacts.force(self._client, body.number, link), contacts.ANY)
+        return self._bound(one, lambda body, link: surfaces.force(self._client, body.number, link), surfaces.ANY)
 
     def gap(self, one: Part, other: Part) -> GapReader:
         pools = (self._pool(one[0]), self._pool(other[0]))
 
         def between(body: Body, link: int) -> GapReader:
             near = (body.number, link)
-            return self._bound(other, lambda its, its_link: contacts.gap(self._client, near, (its.number, its_link)), contacts.ANY)
+            return self._bound(other, lambda its, its_link: surfaces.gap(self._client, near, (its.number, its_link)), surfaces.ANY)
 
-        read = self._bound(one, between, contacts.ANY)
+        read = self._bound(one, between, surfaces.ANY)
         if not any(pool.pooled for pool in pools):
             return read
         return lambda: read() if all(pool.present for pool in pools) else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
         if self._rays is None:
-            self._rays = Rays(self._client, [body for pool in self._pools.values() for body in pool], self._moments)
+            self._rays = surfaces.Rays(self._client, [body for pool in self._pools.values() for body in pool], self._moments)
         return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
@@ -241,7 +239,7 @@ class PyBulletEngine:
     def overlaps(self) -> list[Overlap]:
         bodies = {body.number: (pool.name, body) for pool in self._pools.values() if pool.present for body in (pool.chosen,)}
         deepest: dict[tuple[str, str], Overlap] = {}
-        for ((one, link), (other, other_link)), depth in contacts.depths(self._client).items():
+        for ((one, link), (other, other_link)), depth in surfaces.depths(self._client).items():
             if one in bodies and other in bodies:
                 (a, first), (b, second) = bodies[one], bodies[other]
                 found = Overlap((a, first.link(link).name), (b, second.link(other_link).name), depth)
@@ -249,9 +247,9 @@ class PyBulletEngine:
                 deepest[a, b] = found if known is None or known.depth < depth else known
         return sorted(deepest.values(), key=lambda found: -found.depth)
 
-    def _watch(self, body: Body) -> contacts.Watch:
+    def _watch(self, body: Body) -> surfaces.Watch:
         if body.number not in self._watches:
-            watch = self._watches[body.number] = contacts.Watch(self._client, body.number)
+            watch = self._watches[body.number] = surfaces.Watch(self._client, body.number)
             self._substeps.watch(watch.forget, watch.look)
         return self._watches[body.number]
 
@@ -327,6 +325,13 @@ class PyBulletEngine:
         if self._backdrop is None or self._backdrop[0] != seen:
             self._backdrop = (seen, camera.behind(aim))
         return lit(smoothed(camera.picture(aim, self._backdrop[1]), view.samples), self._parameters.light)
+
+    def snapshot(self) -> object:
+        """Refused: PyBullet's `saveState` leaves out motors, masses and frictions, and is not exact in every world (docs/engines.md)."""
+        raise EngineError("PyBullet has no exact snapshot of a world; begin the episode again and repeat its actions")
+
+    def restore(self, snapshot: object) -> None:
+        self.snapshot()
 
     def close(self) -> None:
         self._release()

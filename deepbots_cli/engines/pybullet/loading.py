@@ -12,9 +12,9 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.objects import as_robot, forms, moves, walls
+from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, hushed
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.body import Body, Pool, held_by
-from deepbots_cli.engines.pybullet.library import BASE, UNREACHABLE, hushed
-from deepbots_cli.engines.pybullet.library import pybullet as p
 from deepbots_cli.engines.pybullet.parameters import contact_parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import triangles

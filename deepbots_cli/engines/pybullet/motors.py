@@ -9,8 +9,8 @@ from operator import add
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet.library import BASE, FAINT, GAINS, STRONGEST, UNREACHABLE
-from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet import BASE, FAINT, GAINS, STRONGEST, UNREACHABLE
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.port import SERVO_TIME, STILL
 
 if TYPE_CHECKING:

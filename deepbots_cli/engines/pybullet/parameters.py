@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from deepbots_cli.engines.objects import find
-from deepbots_cli.engines.pybullet.library import BASE, GAINS
-from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet import BASE, GAINS
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
 from deepbots_cli.program.world import GROUND
 

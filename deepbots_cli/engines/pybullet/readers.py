@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet.library import BASE
-from deepbots_cli.engines.pybullet.library import pybullet as p
+from deepbots_cli.engines.pybullet import BASE
+from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.port import STILL
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ passes the end of its range is an error, since there are no stops.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli import frames
 from deepbots_cli.engines.objects import as_robot, find, moves
@@ -70,7 +71,7 @@ class ExactEngine:
     """One world of exact motions."""
 
     name = "exact"
-    capabilities: frozenset[Capability] = frozenset()
+    capabilities: frozenset[Capability] = frozenset({"snapshot"})
 
     def __init__(self, world: WorldModel) -> None:
         self._timestep = world.timestep / world.substeps
@@ -255,6 +256,19 @@ class ExactEngine:
         servo = Servo(self.joint_states(robot, joints), exert, stiffness, damping)
         self._servos[robot, tuple(joints)] = servo
         return servo.aim
+
+    def snapshot(self) -> object:
+        motions = {name: deepcopy(vars(motion)) for name, motion in self._open().items()}
+        targets = {key: servo.targets for key, servo in self._servos.items()}
+        return motions, targets, self.gravity, dict(self._models), list(self._ways_back)
+
+    def restore(self, snapshot: Any) -> None:
+        motions, targets, self.gravity, models, ways_back = snapshot
+        for name, motion in self._open().items():
+            vars(motion).update(deepcopy(motions[name]))
+        for key, servo in self._servos.items():
+            servo.targets = targets.get(key)
+        self._models, self._ways_back = dict(models), list(ways_back)
 
     def render(self, view: View) -> Image:
         raise _lacks("rendering")

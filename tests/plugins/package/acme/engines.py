@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deepbots_cli.engines.pybullet import PyBulletEngine
+from deepbots_cli.engines.pybullet.engine import PyBulletEngine
 
 
 class Counting(PyBulletEngine):

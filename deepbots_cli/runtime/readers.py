@@ -1,14 +1,31 @@
-"""Sensors of the robot itself: joints, poses and velocities, inertial measurements, contacts."""
+"""What each kind of sensor measures; the classes of `scenario.sensors` name these functions as their readers.
+
+In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and how bright the ground is; pictures.
+"""
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Callable
 from math import atan2, hypot
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import HERE, UPRIGHT, Frame, Quaternion, Triple
-from deepbots_cli.port import Engine, Part, PoseReader, VelocityReader
-from deepbots_cli.runtime.sensing.device import Instrument, Site
+from deepbots_cli.port import Engine, Part, PoseReader, RayReader, Sight, VelocityReader
+from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
+from deepbots_cli.runtime.lines import Paint
+from deepbots_cli.runtime.sensing import Figures, Instrument, Normals, Site
+
+if TYPE_CHECKING:
+    from deepbots_cli.port import Image
+    from deepbots_cli.runtime.sensing import Device
+
+
+# The robot itself
 
 
 def positions(site: Site) -> Instrument:
@@ -201,3 +218,147 @@ def force(site: Site) -> Instrument:
 def _part(name: str) -> Part:
     body, _, link = name.partition(".")
     return body, link or None
+
+
+# Rays
+
+
+def ranging(site: Site) -> Instrument:
+    """How far each ray is free, or one figure of all, in m; or what the lookup table makes of that."""
+    beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
+    rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
+    read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
+    if beams.lookup is None:
+        return Instrument(read)
+    table = Table(beams.lookup, max(1, len(site.sensor.components)))
+    return Instrument(lambda: table(read()), table.restart)
+
+
+def _combined(read: RayReader, beams: RayConfig) -> RayReader:
+    count = len(beams.rays)
+    match beams.combined:
+        case "nearest":
+            return lambda: (min(read()),)
+        case "mean":
+            return lambda: (sum(read()) / count,)
+        case _:
+            return read
+
+
+class Table:
+    """Readings of `width` rays by their distances, with the noise of each row."""
+
+    def __init__(self, spec: CalibrationTable, width: int) -> None:
+        distance, value = spec.distance, spec.value
+        noise = spec.noise or (0.0,) * len(distance)
+        self._distances = distance
+        self._normals = Normals(width) if spec.noise else None
+        starts = zip(distance, value, noise, _slopes(distance, value), _slopes(distance, noise), strict=True)
+        first = (distance[0], value[0], noise[0], 0.0, 0.0)
+        self._rows = [first, *starts]
+        """Distance, value and noise at the start of a stretch, and how value and noise change along it; the first is before the table."""
+
+    def restart(self, generator: Any) -> None:
+        if self._normals is not None:
+            self._normals.restart(generator)
+
+    def __call__(self, distances: Figures) -> Figures:
+        known, rows = self._distances, self._rows
+        if self._normals is None:
+            return [(row := rows[bisect_right(known, x)])[1] + row[3] * (x - row[0]) for x in distances]
+        readings = []
+        for x, normal in zip(distances, self._normals.row(), strict=True):
+            start, value, noise, slope, growth = rows[bisect_right(known, x)]
+            along = x - start
+            readings.append((value + slope * along) * (1.0 + (noise + growth * along) * normal))
+        return readings
+
+
+def _slopes(distance: Figures, column: Figures) -> list[float]:
+    """By how much a column changes per m after each row; not at all after the last."""
+    pairs = zip(distance, distance[1:], column, column[1:], strict=False)
+    return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
+
+
+_DOWN: Triple = (0.0, 0.0, -1.0)
+
+
+def reflectance(site: Site) -> Instrument:
+    """The light that the plane z = 0 throws back where -z of each ray's frame meets it; none where it looks level or up.
+
+    Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
+    """
+    beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
+    rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
+    eyes = [(origin, frames.rotate(turned, _DOWN)) for origin, turned in rays]
+    read, paint, rotate = site.engine.pose(site.robot, site.link), Paint(site.world.lines, spot / 2), frames.rotate
+
+    def brightness() -> list[float]:
+        (x, y, z), turned = read()
+        readings = []
+        for origin, direction in eyes:
+            right, left, up = rotate(turned, origin)
+            ahead, aside, down = rotate(turned, direction)
+            if down > -1e-6:
+                readings.append(0.0)
+                continue
+            way = (z + up) / -down
+            readings.append(paint(x + right + way * ahead, y + left + way * aside))
+        return readings
+
+    return Instrument(brightness)
+
+
+# Cameras
+
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)
+"""How bright red, green and blue are (ITU-R BT.601)."""
+
+
+def camera(site: Site) -> Instrument:
+    """A picture, uint8 of the shape of the optics; behind it what the engine saw, for `sees`."""
+    optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
+    read, taken = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
+
+    def picture() -> tuple[Image, Sight]:
+        sight = read()
+        return taken(sight, optics), sight
+
+    return Instrument(picture)
+
+
+def sees(device: Device, body: str) -> Callable[[], bool]:
+    """Whether the newest picture of a camera shows at least one pixel of the body."""
+
+    def seen() -> bool:
+        sight: Sight = device.reading[1]
+        return body in sight.names and bool((sight.bodies == sight.names.index(body)).any())
+
+    return seen
+
+
+def _colours(sight: Sight, _optics: CameraIntrinsics) -> Image:
+    return sight.colours
+
+
+def _grey(sight: Sight, _optics: CameraIntrinsics) -> Image:
+    return _bytes(np.asarray(sight.colours @ _GREY))
+
+
+def _depth(sight: Sight, optics: CameraIntrinsics) -> Image:
+    """Black at `near`, white at `far` and beyond."""
+    share = (sight.depth - optics.near) / (optics.far - optics.near)
+    return _bytes(255.0 * np.clip(share, 0.0, 1.0))
+
+
+def _mask(sight: Sight, _optics: CameraIntrinsics) -> Image:
+    """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from there on."""
+    return _bytes(np.clip(sight.bodies + 1, 0, 255))
+
+
+def _bytes(figures: NDArray[Any]) -> Image:
+    """One channel of whole figures from 0 to 255."""
+    return np.asarray(np.rint(figures), np.uint8)[..., None]
+
+
+_PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {"rgb": _colours, "grey": _grey, "depth": _depth, "mask": _mask}

@@ -1,0 +1,250 @@
+"""Copies of a robot in one world under one policy: a supervisor for each, and the one that holds them.
+
+The generated supervisor of a scenario describes one agent. With a single agent it is the environment and holds itself. With copies there is
+one such supervisor for each, over an engine in which the robot's name means this copy, and `CopiesSupervisor` is the environment. Whoever
+runs an environment finds its agents by name in `Supervisor.agents`, and the generated code of a robot does not know of copies.
+
+Only the loop over the world differs. A physics step acts on all copies at once, so no copy can call it by itself: its `_advance` is a
+generator that waits there, with its local variables, until every copy has acted.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Literal, cast
+
+import numpy as np
+from gymnasium.vector.utils import batch_space
+
+from deepbots_cli.frames import Quaternion, Triple, add
+from deepbots_cli.port import STILL, ContactReader, Engine, Part, Pusher
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import RobotCopies
+from deepbots_cli.program.world import WorldModel
+from deepbots_cli.runtime.placement import offset
+from deepbots_cli.runtime.spaces import alike, usual
+from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.runtime.supervisor import Info, Supervisor
+
+_FINISHED = object()
+_BODIES = ("body", "robot", "part", "of", "one", "other")
+"""Parameters of the port that hold a body, or a tuple that begins with one."""
+
+
+def copy_name(copies: RobotCopies, number: int) -> str:
+    """The name of a copy in the world, numbered from 1."""
+    return f"{copies.robot}#{number}"
+
+
+def populated(world: WorldModel, copies: RobotCopies) -> WorldModel:
+    """The world with the copies in place of the robot."""
+    one = next(robot for robot in world.robots if robot.name == copies.robot)
+    others = tuple(robot for robot in world.robots if robot is not one)
+    return replace(world, robots=(*others, *(replace(one, name=copy_name(copies, k + 1)) for k in range(copies.count))))
+
+
+def assemble(
+    kind: type[Supervisor], scenario: Program, create: Callable[[WorldModel], Engine], render_mode: str | None = None
+) -> Supervisor:
+    """The environment of a scenario whose generated supervisor is `kind`."""
+    copies = scenario.agent.each
+    if copies is None:
+        return kind(scenario, create(scenario.world), render_mode)
+    return CopiesSupervisor(kind, scenario, copies, create(populated(scenario.world, copies)), render_mode)
+
+
+_PLACES = {
+    name: [place - 1 for place, parameter in enumerate(inspect.signature(method).parameters) if parameter in _BODIES]
+    for name, method in vars(Engine).items()
+    if inspect.isfunction(method)
+}
+"""The arguments of each method of the port that hold bodies."""
+
+
+class EngineOfCopy:
+    """The engine as one copy sees it: the robot's name means this copy, and its place is relative to the copy's place in the row.
+
+    Values of the world, and of bodies other than the robot, are set by the first copy alone. `reset` and `step` leave the world to
+    the supervisor of all copies; `settling` is how many engine steps the world shall make after the reset.
+
+    Every other method of the port is called with the names exchanged. Its parameters tell which arguments are bodies, and a name that
+    begins with `set` tells that it sets a value; a method that is added to the port needs nothing here.
+    """
+
+    def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
+        self._engine = engine
+        self._robot = copies.robot
+        self._copy = copy_name(copies, number)
+        self._offset = offset(copies, number)
+        self._is_first = number == 1
+        self.settling = 0
+
+    def reset(self) -> None:
+        self.settling = 0
+
+    def step(self, substeps: int) -> None:
+        self.settling = substeps
+
+    def close(self) -> None:
+        """Nothing: the supervisor of all copies closes the world."""
+
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+    ) -> None:
+        if body == self._robot:
+            self._engine.place(self._copy, add(position, self._offset), orientation, velocity, angular_velocity)
+        elif self._is_first:
+            self._engine.place(body, position, orientation, velocity, angular_velocity)
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        if self._is_first or part[0] == self._robot:
+            return self._engine.pusher(self._exchanged(part), frame)
+        return lambda _force, _torque: None
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        seen = None if others is None else [self._exchanged(other) for other in others]
+        return self._engine.contact(self._exchanged(one), seen, ground=ground)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # pickle and copy ask for these before there is an engine
+            raise AttributeError(name)
+        found = getattr(self._engine, name)
+        return partial(self._call, name, found) if callable(found) else found
+
+    def _call(self, name: str, method: Callable[..., Any], *given: Any, **named: Any) -> Any:
+        """Call a method with the names exchanged; one that sets a value, only if this copy sets it."""
+        places = _PLACES.get(name, ())
+        own = tuple(self._exchanged(value) if place in places else value for place, value in enumerate(given))
+        own_named = {key: self._exchanged(value) if key in _BODIES else value for key, value in named.items()}
+        sets = name.startswith("set") or name == "choose"
+        if sets and not self._is_first and own == given and own_named == named:  # nothing of this copy
+            return None
+        return method(*own, **own_named)
+
+    def _exchanged(self, value: Any) -> Any:
+        """A body, or a tuple that begins with one, with the copy in place of the robot."""
+        if isinstance(value, tuple):
+            return (*map(self._exchanged, value[:1]), *value[1:])
+        return self._copy if value == self._robot else value
+
+
+class CopiesSupervisor(Supervisor):
+    """The environment of all copies: observations and actions have a row for each, in the order of `agents`.
+
+    Each agent has rewards, endings and channels of its own. Draws are its own too, except parameters, which have one value for all. The
+    episode ends for all when it ends for one. The reward is the mean over the copies. `info["each"]` holds the reward of each copy,
+    whether it terminated, and whether it succeeded.
+    """
+
+    def __init__(
+        self, kind: type[Supervisor], scenario: Program, copies: RobotCopies, engine: Engine, render_mode: str | None = None
+    ) -> None:
+        self._engines = [EngineOfCopy(engine, copies, number + 1) for number in range(copies.count)]
+        members = [kind(scenario, cast("Engine", view)) for view in self._engines]
+        self._streams_of_agents: Streams | None = None
+        super().__init__(scenario, engine, render_mode)
+        self.world = populated(scenario.world, copies)
+        self.agents = {copy_name(copies, number): member for number, member in enumerate(members, start=1)}
+        self.observation_space = batch_space(members[0].observation_space, copies.count)
+        self.action_space = batch_space(members[0].action_space, copies.count)
+
+    def begin_robots(self) -> None:
+        for agent in self.agents.values():
+            agent.begin_robots()
+
+    def _begin(self) -> None:
+        if self._streams_of_agents is not self.streams:
+            self._streams_of_agents = self.streams
+            for name, agent in self.agents.items():
+                agent.streams = Streams(self.streams.root, name)
+        self.engine.reset()
+        for agent in self.agents.values():
+            agent._forget()
+            agent.chosen = self.chosen
+            agent._begin()
+        if self._engines[0].settling:
+            self.engine.step(self._engines[0].settling)
+
+    def _start(self) -> None:
+        for agent in self.agents.values():
+            agent._start()
+            agent._fill_frames()
+        self._gather()
+
+    def _fill_frames(self) -> None:
+        """The agents have frames of their own."""
+
+    def _advance(self, action: Any) -> None:
+        fitting = usual(self.action_space, action)
+        if fitting is None or not alike(fitting, action):  # refused before any copy has acted: those that have cannot go back
+            raise ValueError("no action of this space")
+        self.step_count += 1
+        agents = self.agents.values()
+        rows = [{key: part[row] for key, part in action.items()} for row in range(len(agents))] if isinstance(action, dict) else action
+        turns = [agent._advance(row) for agent, row in zip(agents, rows, strict=True)]
+        for turn in turns:
+            next(turn)
+        running = True
+        while running:
+            self.engine.step(self.scenario.world.substeps)
+            running = not [turn for turn in turns if next(turn, _FINISHED) is _FINISHED]
+        for turn in turns:
+            turn.close()
+        self._gather()
+
+    def _gather(self) -> None:
+        """Take reward and endings from the agents."""
+        agents = list(self.agents.values())
+        self.step_count, self.tick_count = agents[0].step_count, agents[0].tick_count
+        self.reward = sum(agent.reward for agent in agents) / len(agents)
+        ended = [agent for agent in agents if agent.terminated]
+        over = ended or [agent for agent in agents if agent.truncated]
+        self.terminated, self.truncated = bool(ended), bool(over) and not ended
+        self.is_success = bool(ended) and all(agent.is_success for agent in ended)
+        self.endings = tuple(dict.fromkeys(name for agent in over for name in agent.endings))
+        failed = [agent for agent in over if not agent.is_success]
+        self.ended_by = (failed or over)[0].ended_by if over else None
+
+    def scripted(self, name: str) -> Any:
+        """Every copy follows the script."""
+        return _rows([agent.scripted(name) for agent in self.agents.values()])
+
+    def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
+        """Every copy acts alike."""
+        return _rows([agent.acting(choices, ranges) for agent in self.agents.values()])
+
+    def get_observations(self) -> Any:
+        return _rows([agent.get_observations() for agent in self.agents.values()])
+
+    def get_reward(self) -> float:
+        return self.reward
+
+    def is_done(self) -> tuple[bool, bool]:
+        return self.terminated, self.truncated
+
+    def get_info(self) -> Info:
+        agents = self.agents.values()
+        infos = [agent.get_info() for agent in agents]
+        return {
+            "is_success": self.is_success,
+            "ended_by": self.ended_by,
+            "endings": self.endings,
+            "reward_terms": {name: sum(info["reward_terms"][name] for info in infos) / len(infos) for name in infos[0]["reward_terms"]},
+            "each": {what: tuple(getattr(agent, what) for agent in agents) for what in ("reward", "terminated", "is_success")},
+        }
+
+    def _strayed(self) -> Triple:
+        return next(iter(self.agents.values()))._strayed()
+
+    def allowed(self) -> tuple[tuple[bool, ...], ...]:
+        return tuple(mask for agent in self.agents.values() for mask in agent.allowed())
+
+
+def _rows(values: Sequence[Any]) -> Any:
+    """Observations or actions of all agents as one, with a row for each."""
+    if isinstance(values[0], dict):
+        return {key: np.stack([value[key] for value in values]) for key in values[0]}
+    return np.stack(values)
