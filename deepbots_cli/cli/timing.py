@@ -23,9 +23,9 @@ def timing(scenario: Program) -> list[Row]:
     have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
     the supervisor.
     """
-    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.agent.repeat
+    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.repeat
     rows: list[Row] = []
-    for part in scenario.action:
+    for part in scenario.policy.action:
         named = set(part.variables) if isinstance(part, Choices) else {part.name}
         routes = [robot.to_route for robot in scenario.robots if named & {entry.name for entry in robot.received}]
         ticks = _whole(_slowest(scenario, routes))
@@ -39,8 +39,8 @@ def timing(scenario: Program) -> list[Row]:
     for signal in scenario.signals:  # in order of evaluation, so what a signal reads is known
         ages[signal.name] = _oldest(signal.scalars, ages)
         senders[signal.name] = _senders(signal.scalars, senders)
-    observed = [(entry.full_name, entry.scalar) for entry in scenario.numbers]
-    observed += [(entry.name, entry.value.scalar) for entry in scenario.images]
+    observed = [(entry.full_name, entry.scalar) for entry in scenario.policy.numbers]
+    observed += [(entry.name, entry.value.scalar) for entry in scenario.policy.images]
     for name, scalar in observed:
         ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)

@@ -39,7 +39,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Agent, Evaluation
+from deepbots_cli.program.task import Evaluation, Policy, Truncation
 from deepbots_cli.scenario.base import visit
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
@@ -128,42 +128,47 @@ def _program(spec: Scenario, namespace: Namespace) -> Program:
     tick = bare.timestep
     reset, walls = arrangement(spec, namespace, bare)
     limits, action, rewards = truncation(spec, namespace), actions.parts(), reward_terms(spec, namespace)
-    agent = Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
+    each, repeat = copies(spec, namespace), spec.agent.repeat
     routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
     robots = tuple(controller.finish(tick, action, routes) for controller in controllers)
     poses = {controller.scene.name: controller.poses for controller in controllers}
-    program = Program(
-        spec.name,
-        spec.summary,
-        spec.deepbots,
-        replace(bare, objects=(*bare.objects, *walls)),
-        robots,
-        spec.messages.format,
-        spec.messages.timing,
-        parameters.drawn(),
+    policy = Policy(
         action,
-        signals.ordered(),
         Observations(spec, namespace).entries(),
         rewards,
-        signals.endings(),
-        limits,
-        replace(
+        goals.goal(rewards),
+        spec.agent.stack,
+        each,
+        scripts(spec, namespace, action),
+        training(spec, namespace.values, action, each, limits.last_step(tick * repeat) if limits != Truncation() else None),
+    )
+    program = Program(
+        name=spec.name,
+        summary=spec.summary,
+        language=spec.deepbots,
+        world=replace(bare, objects=(*bare.objects, *walls)),
+        robots=robots,
+        format=spec.messages.format,
+        timing=spec.messages.timing,
+        parameters=parameters.drawn(),
+        signals=signals.ordered(),
+        policies={"policy": replace(policy, action=actions.with_conditions(action))},
+        endings=signals.endings(),
+        truncation=limits,
+        reset=replace(
             reset,
             joint_starts=joint_starts(spec, namespace, poses),
             settle=settling_time(spec, namespace, tick),
             variations=(*namespace.variations, *namespace.colours),
             groups=tuple(namespace.groups.values()),
         ),
-        solved(spec, namespace),
-        training(spec, namespace.values, action, agent, limits, tick),
-        Evaluation(spec.evaluation.episodes),
-        agent,
-        augmented=frozenset(spec.augment),
+        solved=solved(spec, namespace),
+        repeat=repeat,
+        evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(spec, namespace),
-        goal=goals.goal(rewards),
-        scripts=scripts(spec, namespace, action),
+        augmented=frozenset(spec.augment),
     )
-    return with_reading_ages(replace(program, action=actions.with_conditions(action)))
+    return with_reading_ages(program)
 
 
 def _joined(findings: Findings) -> Findings:

@@ -180,16 +180,16 @@ def with_reading_ages(program: Program) -> Program:
 
 def _judged(program: Program) -> Iterator[Expression]:
     """What the supervisor computes in a step."""
-    for part in program.action:
+    for part in program.policy.action:
         if isinstance(part, Choices):
             yield from (option.forbidden for option in part.options if option.forbidden is not None)
     yield from program.signals
-    yield from (entry.value for entry in program.observation)
-    yield from program.reward
+    yield from (entry.value for entry in program.policy.observation)
+    yield from program.policy.reward
     yield from (ending.value for ending in program.endings)
-    if program.goal is not None:
-        yield from (program.goal.achieved, program.goal.desired)
-    for script in program.scripts:
+    if program.policy.goal is not None:
+        yield from (program.policy.goal.achieved, program.policy.goal.desired)
+    for script in program.policy.scripts:
         for decided in script.parts:
             yield from decided.values
     for robot in program.robots:

@@ -21,15 +21,14 @@ from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
 from deepbots_cli.program.task import (
     ActionNoise,
     ActionRange,
-    Agent,
     Choices,
     Criterion,
     Hindsight,
     Hyperparameter,
-    Policy,
+    Network,
+    RobotCopies,
     Schedule,
     Training,
-    Truncation,
 )
 from deepbots_cli.scenario.fields import read_schedule, read_until
 from deepbots_cli.scenario.scenario import Scenario
@@ -48,8 +47,8 @@ _INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 Action = tuple[Choices | ActionRange, ...]
 
 
-def training(spec: Scenario, values: Values, action: Action, agent: Agent, limits: Truncation, tick: float) -> Training | None:
-    """The training section; `tick` is the timestep in s.
+def training(spec: Scenario, values: Values, action: Action, copies: RobotCopies | None, longest_episode: int | None) -> Training | None:
+    """The training section; no episode has more than `longest_episode` steps.
 
     An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
     """
@@ -64,9 +63,8 @@ def training(spec: Scenario, values: Values, action: Action, agent: Agent, limit
             figures.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
     replay = _hindsight(own.get("replay"), spec, values)
     starts = own.get("learning_starts")
-    if replay is not None and starts is not None and limits != Truncation():
-        rows = spec.train.environments * (agent.each.count if agent.each else 1)
-        longest = rows * limits.last_step(tick * agent.repeat)
+    if replay is not None and starts is not None and longest_episode is not None:
+        longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
@@ -75,7 +73,7 @@ def training(spec: Scenario, values: Values, action: Action, agent: Agent, limit
         spec.train.total_timesteps,
         spec.train.environments,
         tuple(figures),
-        Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
+        Network(tuple(spec.train.policy.hidden), spec.train.policy.activation),
         _action_noise(own.get("action_noise")),
         replay,
     )

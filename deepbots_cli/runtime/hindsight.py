@@ -23,7 +23,7 @@ def recomputed(scenario: Program, achieved: Goals, desired: Goals) -> NDArray[np
         UsageError: The scenario has no goal, or the arrays have another shape.
         EvaluationError: A reward is not finite; names the term.
     """
-    goal = scenario.goal
+    goal = scenario.policy.goal
     if goal is None:
         raise UsageError("this scenario has no `goal`, so its reward cannot be recomputed for another")
     size = len(goal.low)
@@ -32,7 +32,7 @@ def recomputed(scenario: Program, achieved: Goals, desired: Goals) -> NDArray[np
     values = {**_meant(goal, goal.names("achieved"), achieved), **_meant(goal, goal.names("desired"), desired)}
     values[Name("goal_reached")] = evaluate(goal.reached, values)
     total = np.zeros(len(achieved))
-    for term in scenario.reward:
+    for term in scenario.policy.reward:
         reward = np.broadcast_to(np.asarray(evaluate(term.scalar, values), float), total.shape)
         if not np.isfinite(reward).all():
             raise EvaluationError(f"the reward term '{term.name}' is not finite for every goal")

@@ -60,7 +60,7 @@ def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> N
 
 def robot_bodies(environment: Supervisor) -> list[str]:
     """The bodies of the robots in the engine; of a team, those of every copy."""
-    copies = environment.scenario.agent.each
+    copies = environment.scenario.policy.copies
     if copies is None:
         return [robot.name for robot in environment.scenario.world.robots]
     return [copy_name(copies, number + 1) for number in range(copies.count)]

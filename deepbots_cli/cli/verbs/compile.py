@@ -18,7 +18,7 @@ def command(
     scenario: Scenario,
     sets: Sets = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced.")] = None,
-    ir: Annotated[bool, typer.Option("--ir", help="Print the compiled scenario as canonical JSON instead.")] = False,
+    program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -30,19 +30,19 @@ def command(
     \b
       deepbots compile cartpole
       deepbots compile cartpole -o environment.py
-      deepbots compile cartpole --ir
+      deepbots compile cartpole --program
     """
-    if ir and as_json:
-        raise UsageError("--ir and --json exclude each other: the former is JSON already")
+    if program and as_json:
+        raise UsageError("--program and --json exclude each other: the former is JSON already")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} holds a file that the scenario is read from, which would be lost; name another")
     terminal.mention(compiled.findings, scenario)
     if as_json:
-        data = {"name": compiled.ir.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
+        data = {"name": compiled.program.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
         text = terminal.json_text(data)
     else:
-        text = f"{canonical.to_json(compiled.ir)}\n" if ir else compiled.code
+        text = f"{canonical.to_json(compiled.program)}\n" if program else compiled.code
     if output is None:
         print(text, end="")
     else:

@@ -97,7 +97,7 @@ def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Co
     """How the report names a scenario that replaces that of the run."""
     if compiled is None:
         return None
-    same = task_digest(compiled.ir) == task_digest(run.ir)
+    same = task_digest(compiled.program) == task_digest(run.program)
     changed = "".join(f" --set {quote(text)}" for text in sets)
     return f"{scenario or 'of the run'}{changed}, {'the same as in' if same else 'not the one of'} the training"
 

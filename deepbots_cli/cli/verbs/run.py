@@ -72,14 +72,14 @@ def command(
         raise UsageError(f"{' and '.join(given)} exclude each other")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
-    ir = chosen(compiled.ir, case, stage)
+    program = chosen(compiled.program, case, stage)
     if script is not None:
-        ir.script(script)
-    with closing(api.make(ir, engine=engine, allow_code=allow_code)) as environment:
+        program.script(script)
+    with closing(api.make(program, engine=engine, allow_code=allow_code)) as environment:
         if script is not None:
             acting: Acting = partial(environment.script, script)
         elif actions is not None:
-            acting = repeated(ir, actions)
+            acting = repeated(program, actions)
         else:
             acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # which the reset seeds
         running = play(environment, acting, count=episodes, seed=seed, most_steps=steps)
@@ -91,13 +91,13 @@ def command(
                     show(len(done), episodes)
     summary = Summary.of(done)
     if as_json:
-        figures = {"success_defined": ir.defines_success, **vars(summary)}
-        known = {"scenario": ir.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
+        figures = {"success_defined": program.defines_success, **vars(summary)}
+        known = {"scenario": program.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
         terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": figures})
         return
     _show(done)
     if len(done) > 1:
-        terminal.say("\n" + report.summary_text(summary, success_defined=ir.defines_success))
+        terminal.say("\n" + report.summary_text(summary, success_defined=program.defines_success))
 
 
 def _row(episode: Episode) -> Row:
@@ -171,7 +171,7 @@ def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, most
 def _action(scenario: Program, text: str) -> Any:
     import numpy as np
 
-    parts = [width for part in scenario.action for width in _slots(part)]
+    parts = [width for part in scenario.policy.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
         raise UsageError(f"the action '{text}' has {len(words)} parts, the scenario's has {len(parts)}; separate them by colons")
@@ -188,7 +188,7 @@ def _of_all(scenario: Program, action: Any) -> Any:
     """The action of one robot as that of all its copies, where there are any."""
     import numpy as np
 
-    copies = scenario.agent.each
+    copies = scenario.policy.copies
     if copies is None:
         return action
     if isinstance(action, dict):
