@@ -104,43 +104,44 @@ def _check(document: Document) -> Checked:
     if document.root is None or spec is None:
         return Checked(document, findings)
     invalid = lost_names(document.root, spec.pruned, (found.span for found in findings.errors))
-    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document)
-    program = _program(spec, namespace)
+    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document, spec)
+    program = _program(namespace)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}
     return Checked(document, _joined(findings), spec, None if findings.errors else program, robots, namespace)
 
 
-def _program(spec: Scenario, namespace: Namespace) -> Program:
+def _program(namespace: Namespace) -> Program:
     """Define all names, then ask for everything once: names are typed as they are needed, whatever their order in the file."""
-    parameters = Parameters(spec, namespace)
-    define_bodies(spec, namespace)
-    painted = lines(spec, namespace)
+    spec = namespace.scenario
+    parameters = Parameters(namespace)
+    define_bodies(namespace)
+    painted = lines(namespace)
     for name, robot in spec.robots.items():
         namespace.robots[name] = load_robot(name, robot, namespace)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
-    actions, goals = Actions(spec, namespace), Goals(spec, namespace)
+    actions, goals = Actions(namespace), Goals(namespace)
     controllers = [Controller(scene, namespace) for scene in scenes]
-    signals = Signals(spec, namespace)
+    signals = Signals(namespace)
 
     for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
         namespace.settle(name)
-    bare = world(spec, namespace, scenes, painted)
+    bare = world(namespace, scenes, painted)
     tick = bare.timestep
-    reset, walls = arrangement(spec, namespace, bare)
-    limits, action, rewards = truncation(spec, namespace), actions.parts(), reward_terms(spec, namespace)
-    each, repeat = copies(spec, namespace), spec.agent.repeat
-    routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
+    reset, walls = arrangement(namespace, bare)
+    limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
+    each, repeat = copies(namespace), spec.agent.repeat
+    routes = route("to_robot", namespace), route("from_robot", namespace)
     robots = tuple(controller.finish(tick, action, routes) for controller in controllers)
     poses = {controller.scene.name: controller.poses for controller in controllers}
     policy = Policy(
         action,
-        Observations(spec, namespace).entries(),
+        Observations(namespace).entries(),
         rewards,
         goals.goal(rewards),
         spec.agent.stack,
         each,
-        scripts(spec, namespace, action),
-        training(spec, namespace.values, action, each, limits.last_step(tick * repeat) if limits != Truncation() else None),
+        scripts(namespace, action),
+        training(namespace, action, each, limits.last_step(tick * repeat) if limits != Truncation() else None),
     )
     program = Program(
         name=spec.name,
@@ -157,15 +158,15 @@ def _program(spec: Scenario, namespace: Namespace) -> Program:
         truncation=limits,
         reset=replace(
             reset,
-            joint_starts=joint_starts(spec, namespace, poses),
-            settle=settling_time(spec, namespace, tick),
+            joint_starts=joint_starts(namespace, poses),
+            settle=settling_time(namespace, tick),
             variations=(*namespace.variations, *namespace.colours),
             groups=tuple(namespace.groups.values()),
         ),
-        solved=solved(spec, namespace),
+        solved=solved(namespace),
         repeat=repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
-        disturbances=disturbances(spec, namespace),
+        disturbances=disturbances(namespace),
         augmented=frozenset(spec.augment),
     )
     return with_reading_ages(program)

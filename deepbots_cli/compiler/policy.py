@@ -39,7 +39,6 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
 from deepbots_cli.scenario.task import Goal as GoalSpec
 
@@ -52,8 +51,9 @@ _TOGETHER: tuple[tuple[Path, str], ...] = (
 )
 
 
-def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
+def copies(namespace: Namespace) -> RobotCopies | None:
     """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
+    spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
         if "count" in given.model_fields_set and robot != name and not values.is_lost("each"):
@@ -65,7 +65,7 @@ def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
     if name not in spec.robots:
         values.unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
         return None
-    _refuse_others(spec, name, namespace)
+    _refuse_others(name, namespace)
     robot_spec = spec.robots[name]
     count = namespace.fixed(robot_spec, "count")
     if robot_spec.spacing is None and values.is_lost("spacing"):
@@ -83,11 +83,15 @@ def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
     return RobotCopies(name, int(count), spacing)
 
 
-def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
+def _refuse_others(name: str, namespace: Namespace) -> None:
     """DB108 for what would have to be agreed upon between the copies."""
     values, paths = namespace.values, list(_TOGETHER)
-    paths += [(("robots", other), f"the robot `{other}`") for other in spec.robots if other != name]
-    paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.model_fields_set]
+    paths += [(("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name]
+    paths += [
+        (("objects", thing), f"the group `{thing}`")
+        for thing, given in namespace.scenario.objects.items()
+        if "count" in given.model_fields_set
+    ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
         if values.stands(path):
@@ -97,12 +101,12 @@ def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
 class Actions:
     """The parts of the action, and the variables that they set."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
         self._parts: dict[str, Choices | ActionRange | None] = {}
-        for name, part in spec.action.items():
+        for name, part in namespace.scenario.action.items():
             if isinstance(part, DiscreteAction):
                 self._define_choices(name, part)
             else:
@@ -234,8 +238,8 @@ LEAST_SIDE = 36
 class Observations:
     """Reads the entries of the observation."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
 
@@ -343,15 +347,17 @@ _RECOMPUTED = ("achieved", "desired", "goal_reached")
 class Goals:
     """Reads `goal`, and gives the names in it their meaning."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
         self._valued: dict[str, Expression] = {}
-        if spec.goal is not None:
+        if namespace.scenario.goal is not None:
             namespace.built_in["goal_reached"] = self._reached
             for name in ("achieved", "desired"):
-                namespace.define(name, Origin.GOAL, (*spec.goal.path, name), partial(self._part, spec.goal, name))
+                namespace.define(
+                    name, Origin.GOAL, (*namespace.scenario.goal.path, name), partial(self._part, namespace.scenario.goal, name)
+                )
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
         """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
@@ -436,10 +442,10 @@ def _beyond(value: Typed) -> Iterator[Typed]:
 _WORD = re.compile(r"\w+", re.ASCII)
 
 
-def scripts(spec: Scenario, namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
+def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
     """The scripts without findings, which decide every part of the `action`."""
-    reader = _Reader(namespace, {part.name: part for part in action}, list(spec.action))
-    found = (reader.script(name, given) for name, given in spec.scripts.items())
+    reader = _Reader(namespace, {part.name: part for part in action}, list(namespace.scenario.action))
+    found = (reader.script(name, given) for name, given in namespace.scenario.scripts.items())
     return tuple(script for script in found if script is not None)
 
 
