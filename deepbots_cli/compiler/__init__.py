@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from deepbots_cli.compiler.channels import Parameters, disturbances, route
-from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.controllers import RobotBuilder
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
@@ -120,7 +120,7 @@ def _program(namespace: Namespace) -> Program:
         namespace.robots[name] = load_robot(name, robot, namespace)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
     actions, goals = Actions(namespace), Goals(namespace)
-    controllers = [Controller(scene, namespace) for scene in scenes]
+    builders = [RobotBuilder(scene, namespace) for scene in scenes]
     signals = Signals(namespace)
 
     for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
@@ -131,8 +131,8 @@ def _program(namespace: Namespace) -> Program:
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each, repeat = copies(namespace), spec.agent.repeat
     routes = route("to_robot", namespace), route("from_robot", namespace)
-    robots = tuple(controller.finish(tick, action, routes) for controller in controllers)
-    poses = {controller.scene.name: controller.poses for controller in controllers}
+    robots = tuple(builder.finish(tick, action, routes) for builder in builders)
+    poses = {builder.scene.name: builder.poses for builder in builders}
     policy = Policy(
         action,
         Observations(namespace).entries(),

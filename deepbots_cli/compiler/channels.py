@@ -81,10 +81,10 @@ def _setting(given: RouteSpec, name: str, namespace: Namespace) -> Expression | 
 
 def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> None:
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
-    most = loss.typed.type.interval.high
-    if burst / (burst + 1.0) < min(most, 1.0) < 1.0:
-        headline = f"runs of {burst:g} lost messages cannot make up a share of {most:g}"
-        values.findings.add("DB105", span, headline, help=f"give at least {most / (1.0 - most):.3g}")
+    highest = loss.typed.type.interval.high
+    if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
+        headline = f"runs of {burst:g} lost messages cannot make up a share of {highest:g}"
+        values.findings.add("DB105", span, headline, help=f"give at least {highest / (1.0 - highest):.3g}")
 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:

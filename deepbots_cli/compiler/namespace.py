@@ -260,7 +260,7 @@ class Namespace:
     def noise(self, section: Section, of: Typed) -> Noise | None:
         """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or relative to it with `%`.
 
-        None where none is given, for a deviation of 0, and after a finding.
+        None where none is given, for a standard deviation of 0, and after a finding.
         """
         if "noise" not in section.model_fields_set:
             return None

@@ -231,7 +231,7 @@ def _itself(symbol: Symbol) -> Symbol:
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
-LEAST_SIDE = 36
+MIN_SIDE = 36
 """Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
 
 
@@ -307,9 +307,9 @@ class Observations:
         stack = self._spec.agent.stack
         seen = stack * sum(len(entry.low) * entry.history for entry in entries)
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
-        for found, most, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
-            if found > most:
-                headline = f"an observation of {found} {what}, which is more than {most}"
+        for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
+            if found > limit:
+                headline = f"an observation of {found} {what}, which is more than {limit}"
                 help = "shorten its histories, or the stack of the agent"
                 self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
 
@@ -323,8 +323,8 @@ class Observations:
             if picture is None:
                 continue
             rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.stack
-            if min(rows, columns) < LEAST_SIDE:
-                headline = f"pictures of {columns} x {rows} pixels, where the network needs {LEAST_SIDE} x {LEAST_SIDE}"
+            if min(rows, columns) < MIN_SIDE:
+                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_SIDE} x {MIN_SIDE}"
                 self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
                 headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
@@ -367,15 +367,15 @@ class Goals:
         for name in self._namespace.named(Origin.GOAL):
             self._namespace.settle(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
-        least, ends = self._namespace.fixed(spec, "within", dimension=achieved.typed.type.dimension if achieved else None), None
+        within, ends = self._namespace.fixed(spec, "within", dimension=achieved.typed.type.dimension if achieved else None), None
         if achieved is not None:
             kind = achieved.typed.type
             ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
         self._check_repeat()
         _check_rewards(rewards, self._namespace)
-        if achieved is None or desired is None or ends is None or least is None:
+        if achieved is None or desired is None or ends is None or within is None:
             return None
-        return Goal(achieved, desired, ends.low, ends.high, least)
+        return Goal(achieved, desired, ends.low, ends.high, within)
 
     def _check_repeat(self) -> None:
         if self._spec.agent.repeat > 1:
@@ -535,27 +535,27 @@ class _Reader:
         if len(given) > MAX_CONDITIONS:
             self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
             return None
-        options, rules, broken = [option.name for option in part.options], [], False
+        options, branches, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
             if option not in options:
                 self._values.unknown(self._values.key_span((*place, option)), "choice", option, options)
-            rule = self._condition((*place, option), condition)
-            broken = broken or rule is None or option not in options
-            if rule is not None:
-                rules.append((option, rule))
+            holds = self._condition((*place, option), condition)
+            broken = broken or holds is None or option not in options
+            if holds is not None:
+                branches.append((option, holds))
         if broken:
             return None
-        always = next((index for index, (_, rule) in enumerate(rules) if constant(rule.typed) == (True,)), None)
+        always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
         if always is None:
             headline = f"`{part.name}` may be left undecided: none of the conditions always holds"
-            help = f"let the last one hold always: `{rules[-1][0]}: true`"
+            help = f"let the last one hold always: `{branches[-1][0]}: true`"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
             return None
-        otherwise = rules[always][0]
-        for option, _ in rules[always + 1 :]:
+        otherwise = branches[always][0]
+        for option, _ in branches[always + 1 :]:
             headline = f"`{option}` is never taken, as `{otherwise}` before it always is"
             self._values.findings.add("DB205", self._values.key_span((*place, option)), headline, help="take it out, or put it before")
-        return ScriptedChoice(tuple(rules[:always]), otherwise)
+        return ScriptedChoice(tuple(branches[:always]), otherwise)
 
     def _condition(self, place: Path, given: object) -> Expression | None:
         text = self._values.text(place, given)

@@ -172,7 +172,7 @@ def with_reading_ages(program: Program) -> Program:
 
     A sensor that is read when the message is written, as perfect ones are, is as old as the message.
     """
-    if all(sensor.is_fact for robot in program.robots for sensor in robot.sensors):
+    if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
     calls = (node for value in _judged(program) for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
@@ -202,7 +202,7 @@ def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:
     sensors = {f"{robot.name}.{sensor.name}": sensor for sensor in robot.sensors}
     ages = []
     for name in asked:
-        if name in sensors and not sensors[name].is_fact:
+        if name in sensors and not sensors[name].is_direct:
             field = f"{sensors[name].name}_age"
             while field in taken:
                 field += "_"

@@ -78,15 +78,15 @@ def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group |
     findings, count = namespace.values.findings, namespace.expression(thing, "count")
     if count is None:
         return None
-    most = count.typed.type.interval.high
-    if not math.isfinite(most):
+    highest = count.typed.type.interval.high
+    if not math.isfinite(highest):
         findings.add("DB105", count.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
         return None
-    if most > MAX_BODIES:
+    if highest > MAX_BODIES:
         help = "an engine would take minutes to build it"
-        findings.add("DB005", count.span, f"{most:_.0f} copies, more than {MAX_BODIES}", help=help)
+        findings.add("DB005", count.span, f"{highest:_.0f} copies, more than {MAX_BODIES}", help=help)
         return None
-    return Group(name, max(1, int(most)), count)
+    return Group(name, max(1, int(highest)), count)
 
 
 MAX_TRIANGLES = 200_000

@@ -42,10 +42,14 @@ from deepbots_cli.program.world import WorldModel
 class Program:
     """One checked scenario, ready to be printed as Python and run.
 
-    What one policy sees, does, is paid and learns by belongs to the policy. What all policies share belongs to the program: the world and
-    its robots, whose commands name the variables of the actions that they use; the names of the supervisor; and the episode, which
-    begins and ends for all at once, in steps of one length. There is one policy, `policy`, so far. `augmented` are the signals that
-    policies may see.
+    A field belongs to a policy if a second policy would need its own: action, observation, goal, reward, scripts, training, and the
+    copies of a robot. All other fields are shared by all policies:
+
+    - the world and the robots. The commands of a robot name the action variables that they use, so a policy needs no list of robots;
+    - parameters and signals, which form one namespace;
+    - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
+
+    There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Policies: action, observation, goal, reward, scripts and training; and the ends of episodes, and evaluation, which policies share."""
+"""Policies (action, observation, goal, reward, scripts, training), and what they share: endings, time limits and evaluation."""
 
 from __future__ import annotations
 
@@ -258,16 +258,16 @@ class Truncation:
 class ScriptedChoice:
     """How a script chooses: the first option whose condition holds, and `otherwise` if none does."""
 
-    rules: tuple[tuple[str, Expression], ...]
+    branches: tuple[tuple[str, Expression], ...]
     otherwise: str
 
     @property
     def options(self) -> tuple[str, ...]:
-        return (*(option for option, _ in self.rules), self.otherwise)
+        return (*(option for option, _ in self.branches), self.otherwise)
 
     @property
     def values(self) -> tuple[Expression, ...]:
-        return tuple(condition for _, condition in self.rules)
+        return tuple(condition for _, condition in self.branches)
 
     @property
     def scalars(self) -> tuple[Scalar, ...]:
@@ -364,10 +364,10 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """What one policy sees, does and is paid, and how it is trained.
+    """The action, observation, goal and reward of one policy, and its training.
 
-    It sees `stack` observations in a row, and the goal if there is one. `reward` holds the terms, which are summed. With `copies` it acts
-    for every copy of a robot. `scripts` are policies written by hand, which may act in its place.
+    The policy sees `stack` observations in a row, and the goal if there is one. `reward` holds the terms, whose sum is the reward. With
+    `copies`, the policy acts for each copy of a robot. `scripts` are hand-written policies for the same action.
     """
 
     action: tuple[ActionPart, ...]
