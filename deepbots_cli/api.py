@@ -3,7 +3,7 @@
     import deepbots_cli
 
     env = deepbots_cli.make("cartpole", render_mode="rgb_array")   # a Gymnasium environment
-    compiled = deepbots_cli.compile("my_scenario.yaml")            # .ir, .code, .digest, .findings
+    compiled = deepbots_cli.compile("my_scenario.yaml")            # .program, .code, .digest, .findings
     result = deepbots_cli.train(compiled, seed=0)
 
 A scenario is named by the path of a file or by the name of a shipped one (`cartpole`), or is a `Scenario` built in Python, whose
@@ -44,7 +44,7 @@ class Compiled:
     in Python may run; `fixed` are the parameters that no episode draws.
     """
 
-    ir: Program
+    program: Program
     code: str
     digest: str
     source: Path
@@ -147,13 +147,13 @@ def compile(
     findings = review(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
         raise ScenarioError(findings)
-    ir = checked.program
+    program = checked.program
     inputs = checked.inputs
-    drawn = {entry.name for entry in ir.parameters}
+    drawn = {entry.name for entry in program.parameters}
     return Compiled(
-        ir,
-        emit(ir),
-        digest(ir),
+        program,
+        emit(program),
+        digest(program),
         checked.document.path,
         inputs.contents(),
         inputs.resolved(),
@@ -188,7 +188,7 @@ def make(
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code
-        return build(source.ir, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
+        return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
     return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
 
 
@@ -199,22 +199,22 @@ class Builder:
     Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of characters.
     """
 
-    ir: Program
+    program: Program
     allow_code: bool
     fixed: tuple[str, ...]
 
     def __call__(self, **options: Any) -> Supervisor:
         """The environment; `options` are the engine and the render mode."""
-        return build(self.ir, allow_code=self.allow_code, fixed=self.fixed, **options)
+        return build(self.program, allow_code=self.allow_code, fixed=self.fixed, **options)
 
     def __repr__(self) -> str:
         from deepbots_cli.canonical import digest
 
-        return f"<deepbots scenario {self.ir.name} {digest(self.ir)[:12]}>"
+        return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
 
 
 def build(
-    ir: Program,
+    program: Program,
     *,
     engine: str = "pybullet",
     render_mode: str | None = None,
@@ -222,9 +222,9 @@ def build(
     fixed: tuple[str, ...] = (),
 ) -> Supervisor:
     """The environment of a compiled scenario; see `make`. `fixed` are the parameters that no episode draws."""
-    if ir.foreign and not allow_code:
-        names = ", ".join(map(str, ir.foreign))
-        raise UsageError(f"{ir.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
+    if program.foreign and not allow_code:
+        names = ", ".join(map(str, program.foreign))
+        raise UsageError(f"{program.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
     try:
         from gymnasium.envs.registration import EnvSpec
 
@@ -236,12 +236,12 @@ def build(
     from deepbots_cli.codegen import emit, load_module
     from deepbots_cli.codegen.names import class_name
 
-    code = emit(ir)
-    name = class_name(ir.name)
-    module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(ir)[:12]}>")
-    environment = assemble(vars(module)[f"{name}Supervisor"], ir, partial(engines.create, engine), render_mode)
+    code = emit(program)
+    name = class_name(program.name)
+    module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
+    environment = assemble(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
-    builder = Builder(ir, allow_code, fixed)
+    builder = Builder(program, allow_code, fixed)
     environment.rebuild = partial(builder, engine=engine, render_mode=render_mode)
     environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=builder, kwargs={"engine": engine, "render_mode": render_mode})
     return environment

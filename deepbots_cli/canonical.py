@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -35,8 +35,8 @@ def digest(program: Program) -> str:
 
 def task_digest(program: Program) -> str:
     """The digest of what makes an episode: the same for scenarios that differ in their names, training, evaluation or scripts alone."""
-    nameless = replace(program, name="", summary="", scripts=())
-    return digest(replace(nameless, training=None, curriculum=(), evaluation=Evaluation(), cases=(), solved=None))
+    nameless = replace(program.with_policies(scripts=(), training=None), name="", summary="")
+    return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=(), solved=None))
 
 
 File = Mesh | Picture
@@ -84,6 +84,8 @@ def _plain(value: object) -> object:
         return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, float) and not math.isfinite(value):
         return {"is": "float", "value": repr(value)}
     return value

@@ -13,21 +13,23 @@ from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber
 
 
-def interface(ir: Program) -> dict[str, str]:
+def interface(program: Program) -> dict[str, str]:
     """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
     items: dict[str, str] = {}
-    for observed in ir.numbers:
+    for observed in program.policy.numbers:
         items[f"observation.{observed.full_name}"] = _observed(observed)
-    for pictured in ir.images:
+    for pictured in program.policy.images:
         items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
-    if ir.goal is not None:
-        for component, low, high in zip(ir.goal.components or ("",), ir.goal.low, ir.goal.high, strict=True):
-            items[f"goal.{component}".rstrip(".")] = _range(low, high, ir.goal.unit)
-    if ir.agent.stack > 1:
-        items["agent.stack"] = f"{ir.agent.stack} observations in a row"
-    for part in ir.action:
+    if program.policy.goal is not None:
+        for component, low, high in zip(
+            program.policy.goal.components or ("",), program.policy.goal.low, program.policy.goal.high, strict=True
+        ):
+            items[f"goal.{component}".rstrip(".")] = _range(low, high, program.policy.goal.unit)
+    if program.policy.stack > 1:
+        items["agent.stack"] = f"{program.policy.stack} observations in a row"
+    for part in program.policy.action:
         items[f"action.{part.name}"] = _action(part)
-    for robot in ir.robots:
+    for robot in program.robots:
         for layout in (robot.to_robot, robot.from_robot):
             items |= _message(layout)
     return items
@@ -57,7 +59,7 @@ def other_conditions(run: Program, scenario: Program) -> list[str]:
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
-        ("repeat", str(run.agent.repeat), str(scenario.agent.repeat)),
+        ("repeat", str(run.repeat), str(scenario.repeat)),
     )
     return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
 

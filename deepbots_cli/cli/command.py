@@ -63,7 +63,7 @@ def _whole(text: str) -> int | None:
     return int(number) if number.is_integer() and number < 1e15 else None
 
 
-def chosen(ir: Program, case: str | None, stage: str | None) -> Program:
+def chosen(program: Program, case: str | None, stage: str | None) -> Program:
     """The scenario with the settings of an evaluation case or a curriculum stage; unchanged without either.
 
     Raises:
@@ -71,7 +71,7 @@ def chosen(ir: Program, case: str | None, stage: str | None) -> Program:
     """
     if case is not None and stage is not None:
         raise UsageError("--case and --stage exclude each other")
-    return ir.case(case).program if case is not None else ir.stage(stage).program if stage is not None else ir
+    return program.case(case).program if case is not None else program.stage(stage).program if stage is not None else program
 
 
 def fraction(text: str) -> float:

@@ -67,12 +67,12 @@ def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables
             "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
             "message_fields": [_field(layout, field) for layout in _layouts(scenario) for field in layout.fields],
             "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
-            "action": [_action(part) for part in scenario.action],
+            "action": [_action(part) for part in scenario.policy.action],
             "signals": _signals(scenario, root),
-            "goal": {key: text for key, text in goal.items() if text} if scenario.goal else {},
+            "goal": {key: text for key, text in goal.items() if text} if scenario.policy.goal else {},
             "observation": _observation(scenario),
             "timing": timing(scenario),
-            "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.reward],
+            "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.policy.reward],
             "endings": [
                 {"ending": ending.name, "outcome": ending.outcome, "when": wording(root, "termination", ending.outcome, ending.name)}
                 for ending in scenario.endings
@@ -85,8 +85,8 @@ def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables
             ],
             "scripts": [
                 {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
-                for script in scenario.scripts
-                for part in scenario.action
+                for script in scenario.policy.scripts
+                for part in scenario.policy.action
             ],
             **_training(scenario, root, run),
         }
@@ -207,10 +207,10 @@ def _run(run: Run) -> Row:
         "total_timesteps": record.total_timesteps,
         "episodes": number(result.get("episodes")),
         "mean_return": number(result.get("mean_return")),
-        "success_rate": number(result.get("success_rate")) if run.ir.defines_success else None,
+        "success_rate": number(result.get("success_rate")) if run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
         "best_return": number(result.get("best_return")),
-        "solved": solved(result.get("solved_at")) if run.ir.solved else "the scenario does not say what counts as solved",
+        "solved": solved(result.get("solved_at")) if run.program.solved else "the scenario does not say what counts as solved",
         "notes": run.notes(),
     }
 
@@ -231,28 +231,28 @@ def _scenario(scenario: Program) -> Row:
         "action_space": _space(scenario),
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
-        "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.agent.each) else None,
+        "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.policy.copies) else None,
         "solved": _solved(scenario),
     }
 
 
 def _view(scenario: Program) -> str:
-    numbers = len(viewed(scenario.numbers, scenario.agent.stack))
-    parts = [f"Box({numbers})"] if numbers or not scenario.images else []
-    parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.images]
-    if scenario.goal is not None:
-        parts.append(f"two goals of {len(scenario.goal.low)}")
+    numbers = len(viewed(scenario.policy.numbers, scenario.policy.stack))
+    parts = [f"Box({numbers})"] if numbers or not scenario.policy.images else []
+    parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.policy.images]
+    if scenario.policy.goal is not None:
+        parts.append(f"two goals of {len(scenario.policy.goal.low)}")
     return ", ".join(parts)
 
 
 def _sides(entry: ImageObservation, scenario: Program) -> str:
     rows, columns, channels = entry.shape
-    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.agent.stack))}"
+    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.policy.stack))}"
 
 
 def _space(scenario: Program) -> str:
-    sizes = [len(part.options) for part in scenario.action if isinstance(part, Choices)]
-    width = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, ActionRange))
+    sizes = [len(part.options) for part in scenario.policy.action if isinstance(part, Choices)]
+    width = sum(max(1, len(part.components)) for part in scenario.policy.action if isinstance(part, ActionRange))
     spaces = [f"Box({width})"] if width else []
     if sizes:
         spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
@@ -435,7 +435,7 @@ def _action(part: Choices | ActionRange) -> Row:
 
 
 def _signals(scenario: Program, root: Node) -> list[Row]:
-    observed = {entry.full_name.partition(".")[0] for entry in scenario.numbers}
+    observed = {entry.full_name.partition(".")[0] for entry in scenario.policy.numbers}
     has_noise = any(entry.noise for entry in scenario.signals)
     return [
         {
@@ -453,7 +453,7 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.numbers[index], ago) for index, ago in viewed(scenario.numbers, scenario.agent.stack)]
+    seen = [(scenario.policy.numbers[index], ago) for index, ago in viewed(scenario.policy.numbers, scenario.policy.stack)]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = [
         {
@@ -468,7 +468,7 @@ def _observation(scenario: Program) -> list[Row]:
         for index, (entry, ago) in enumerate(seen)
     ]
     pictures: list[Row] = [
-        {"index": None, "name": entry.key, "seen_as": f"{_sides(entry, scenario)} of 0 .. 255"} for entry in scenario.images
+        {"index": None, "name": entry.key, "seen_as": f"{_sides(entry, scenario)} of 0 .. 255"} for entry in scenario.policy.images
     ]
     return rows + pictures
 
@@ -486,14 +486,14 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
 
 def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
     """The training, and its hyperparameters with the source of each value."""
-    training = scenario.training
+    training = scenario.policy.training
     if training is None:
         return {}
     total = run.record.total_timesteps if run else training.total_timesteps
     common = {
         "environments": training.environments,
-        "policy.hidden": training.policy.hidden,
-        "policy.activation": training.policy.activation,
+        "policy.hidden": training.network.hidden,
+        "policy.activation": training.network.activation,
     }
     rows = [
         Effective(name, value, "scenario" if wording(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
@@ -536,9 +536,9 @@ def timing(scenario: Program) -> list[Row]:
     have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
     the supervisor.
     """
-    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.agent.repeat
+    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.repeat
     rows: list[Row] = []
-    for part in scenario.action:
+    for part in scenario.policy.action:
         named = set(part.variables) if isinstance(part, Choices) else {part.name}
         routes = [robot.to_route for robot in scenario.robots if named & {entry.name for entry in robot.received}]
         ticks = _whole(_slowest(scenario, routes))
@@ -552,8 +552,8 @@ def timing(scenario: Program) -> list[Row]:
     for signal in scenario.signals:  # in order of evaluation, so what a signal reads is known
         ages[signal.name] = _oldest(signal.scalars, ages)
         senders[signal.name] = _senders(signal.scalars, senders)
-    observed = [(entry.full_name, entry.scalar) for entry in scenario.numbers]
-    observed += [(entry.name, entry.value.scalar) for entry in scenario.images]
+    observed = [(entry.full_name, entry.scalar) for entry in scenario.policy.numbers]
+    observed += [(entry.name, entry.value.scalar) for entry in scenario.policy.images]
     for name, scalar in observed:
         ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)

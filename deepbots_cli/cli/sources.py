@@ -23,7 +23,7 @@ from deepbots_cli.robots.reader import RobotFile, read
 class Opened:
     """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any."""
 
-    ir: Program
+    program: Program
     root: Node | None
     run: Run | None = None
     findings: Sequence[Finding] = ()
@@ -32,7 +32,7 @@ class Opened:
         """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
         words = path.split(".")
         if words[0] == "curriculum" and len(words) > 1:
-            names = [stage.name for stage in self.ir.curriculum]
+            names = [stage.name for stage in self.program.curriculum]
             return wording(self.root, "curriculum", names.index(words[1])) if words[1] in names else ""
         # A name may hold dots: `observation.cart.pole_angle`, `reset.set.cart.pole_hinge`.
         splits = ((*words[: first - 1], ".".join(words[first - 1 :])) for first in range(len(words), 0, -1))
@@ -62,10 +62,10 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
         if sets:
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
         run, resolved = Run.open(path), path / RESOLVED
-        return Opened(run.ir, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
+        return Opened(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
     checked = api.load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     compiled = api.compile(checked)
-    return Opened(compiled.ir, checked.document.root, findings=compiled.findings)
+    return Opened(compiled.program, checked.document.root, findings=compiled.findings)
 
 
 def is_robot(reference: str) -> bool:

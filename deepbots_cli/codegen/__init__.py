@@ -88,9 +88,9 @@ def _names(scenario: Program) -> Iterator[str]:
     parts: list[tuple[Any, ...]] = [
         part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
     ]
-    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.reward, scenario.endings, scenario.action]
+    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.policy.reward, scenario.endings, scenario.policy.action]
     yield from (robot.name for robot in robots)
-    yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.scripts) for entry in entries)
+    yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.policy.scripts) for entry in entries)
 
 
 def _as_isort(name: str) -> tuple[int, str]:

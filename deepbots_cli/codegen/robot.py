@@ -151,10 +151,10 @@ class Controller:
         return self._read[sensor]
 
     def _resolved(self, tree: Scalar) -> Scalar:
-        """The tree with the name of each sensor that is a fact replaced by that fact."""
+        """The tree with the name of each direct sensor replaced by its world function."""
         match tree:
             case Name(name, component) if name not in self._received and name not in self._devices:
-                return self._sensors[name].fact_of(self._robot.name, component)
+                return self._sensors[name].world_value(self._robot.name, component)
             case Op(op, args):
                 return Op(op, tuple(map(self._resolved, args)))
             case State(function, args, slot):
@@ -170,13 +170,13 @@ def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     sent = [entry for other in scenario.robots for entry in other.receive]
     judged = [value for entry in (*scenario.signals, *sent) for value in entry.scalars]
-    judged += [*(ending.value.scalar for ending in scenario.endings), *(term.scalar for term in scenario.reward)]
-    judged += [value for script in scenario.scripts for value in script.scalars]
-    judged += [*scenario.goal.achieved.scalars, *scenario.goal.targets] if scenario.goal is not None else []
+    judged += [*(ending.value.scalar for ending in scenario.endings), *(term.scalar for term in scenario.policy.reward)]
+    judged += [value for script in scenario.policy.scripts for value in script.scalars]
+    judged += [*scenario.policy.goal.achieved.scalars, *scenario.policy.goal.targets] if scenario.policy.goal is not None else []
     read = {leaf.name for value in on_board for leaf in names_in(value)}
     asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
-    return {sensor.name: sensor for sensor in used if not sensor.is_fact}
+    return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 
 
 def observes(scenario: Program, robot: Robot) -> bool:

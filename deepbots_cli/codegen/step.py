@@ -42,7 +42,7 @@ def advance(space: Workspace) -> list[str]:
         _print_tick(space, printer)
         doc = '"""Act, let the world go on for a timestep, and observe."""'
         return block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc]))
-    repeat = space.scenario.agent.repeat
+    repeat = space.scenario.repeat
     if space.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
     printer.lines += _zeroed(["self.reward", *_terms(space)])
@@ -96,7 +96,7 @@ def _zeroed(targets: list[str]) -> list[str]:
 
 
 def _terms(space: Workspace) -> list[str]:
-    return [f"self.term_{term.name}" for term in space.scenario.reward]
+    return [f"self.term_{term.name}" for term in space.scenario.policy.reward]
 
 
 # Acting
@@ -168,7 +168,7 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
         given |= names
     if space.given:
-        parts = [given[part.name] for part in space.scenario.action]
+        parts = [given[part.name] for part in space.scenario.policy.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
         printer.line(f"{space.local('previous_action')} = {whole}")
     for interval in space.ranges:
@@ -242,7 +242,7 @@ def _first_telling(space: Workspace) -> list[str]:
 
 def _print_goal(space: Workspace, printer: Printer) -> None:
     """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
-    goal = space.scenario.goal
+    goal = space.scenario.policy.goal
     if goal is None:
         return
     achieved, desired = space.local("achieved"), space.local("desired")
@@ -306,7 +306,7 @@ def _print_endings(space: Workspace, printer: Printer) -> None:
     if limit is not None:
         printer.line(f"{'elif' if endings else 'if'} {space.tick} >= {limit[0]}:")
         printer.line(f"    self._truncate({quoted(limit[1])})")
-        if space.scenario.goal is not None and not successes:
+        if space.scenario.policy.goal is not None and not successes:
             printer.line(f"    self.is_success = {space.local('goal_reached')}")
 
 
@@ -315,7 +315,7 @@ def _tick_limit(space: Workspace) -> tuple[int, str] | None:
     limits = space.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
-        ticks.append((limits.max_steps * space.scenario.agent.repeat, "max_steps"))
+        ticks.append((limits.max_steps * space.scenario.repeat, "max_steps"))
     if limits.max_time is not None:
         # a limit of a whole number of ticks must not gain one by rounding
         ticks.append((max(1, math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9)), "max_time"))
@@ -341,7 +341,7 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
 
 def bind_foreign(space: Workspace) -> list[str]:
     """Statements that import the functions of Python which the scenario names."""
-    items = [("reward term", term.name, term.foreign, False) for term in space.scenario.reward]
+    items = [("reward term", term.name, term.foreign, False) for term in space.scenario.policy.reward]
     items += [("ending", ending.name, ending.foreign, True) for ending in space.scenario.endings]
     lines = []
     for what, name, function, truth in items:
@@ -361,7 +361,7 @@ def called(space: Workspace, what: str, name: str) -> str:
 
 def _print_rewards(space: Workspace, printer: Printer) -> None:
     """The terms and their sum, but right after a reset; what they remember begins there."""
-    terms = space.scenario.reward
+    terms = space.scenario.policy.reward
     for flag in ("terminated", "truncated"):
         if space.uses(flag):
             printer.line(f"{space.local(flag)} = self.{flag}")
@@ -393,13 +393,13 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
 
 def _print_observation(space: Workspace, printer: Printer) -> None:
     seen = []
-    for entry in space.scenario.observation:
-        if entry in space.scenario.images:
+    for entry in space.scenario.policy.observation:
+        if entry in space.scenario.policy.images:
             continue
         seen.append(_observed(space, printer, entry))
     if seen:
         printer.line(f"self.see({', '.join(seen)})")
-    for pictured in space.scenario.images:
+    for pictured in space.scenario.policy.images:
         printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
 
 
@@ -435,7 +435,7 @@ def _print_masks(space: Workspace, printer: Printer) -> None:
     """What the agent may choose next; where it has to choose, it must be something."""
     if not space.forbids:
         return
-    repeat = space.scenario.agent.repeat
+    repeat = space.scenario.repeat
     chooses = "not self.terminated and not self.truncated" + (f" and self.tick_count % {repeat} == 0" if space.repeats else "")
     for part in space.choices:
         if any(option.forbidden is not None for option in part.options):

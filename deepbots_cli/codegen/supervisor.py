@@ -49,10 +49,10 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
     space = Workspace(scenario, constants)
     # What the other methods read says what a reset has to begin anew.
     observing, acting, pushing = observe(space), advance(space), drawing(space)
-    asked = [*_allowed(space), *_compute_reward(space), *(line for script in scenario.scripts for line in _script(space, script))]
+    asked = [*_allowed(space), *_compute_reward(space), *(line for script in scenario.policy.scripts for line in _script(space, script))]
     methods = [*begin(space), *pushing, *start(space), *acting, *observing]
     tables = choice_tables(space)
-    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.reward)
+    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.policy.reward)
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return filled(
         _CLASS,
@@ -63,7 +63,7 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
         methods=methods,
         seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_seen(space)}."),
         observation=_observation(space),
-        summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.reward])}."),
+        summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.policy.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
         info=info + (', "action_mask": self.action_mask()' if space.forbids else "") + ', "reward_terms": terms',
@@ -90,19 +90,19 @@ def _bind(space: Workspace) -> list[str]:
 
 
 def _seen(space: Workspace) -> str:
-    histories = {entry.name: entry.history for entry in space.scenario.observation}
+    histories = {entry.name: entry.history for entry in space.scenario.policy.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
-    seen += f"; {space.scenario.agent.stack} times in a row" if space.scenario.agent.stack > 1 else ""
-    return seen + ("; and what is achieved and desired" if space.scenario.goal is not None else "")
+    seen += f"; {space.scenario.policy.stack} times in a row" if space.scenario.policy.stack > 1 else ""
+    return seen + ("; and what is achieved and desired" if space.scenario.policy.goal is not None else "")
 
 
 def _observation(space: Workspace) -> str:
     """The code of each part of an observation, under its key where there are several."""
     scenario = space.scenario
-    parts = {"observation": "self.seen()"} if scenario.numbers or not scenario.images else {}
-    parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.images}
-    if scenario.goal is not None:
-        size = len(scenario.goal.low)
+    parts = {"observation": "self.seen()"} if scenario.policy.numbers or not scenario.policy.images else {}
+    parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.policy.images}
+    if scenario.policy.goal is not None:
+        size = len(scenario.policy.goal.low)
         parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}
     if set(parts) == {"observation"}:
         return parts["observation"]
@@ -129,7 +129,7 @@ def _allowed(space: Workspace) -> list[str]:
 
 def _compute_reward(space: Workspace) -> list[str]:
     """The method that hindsight replay asks for; nothing without a goal."""
-    if space.scenario.goal is None:
+    if space.scenario.policy.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
     head = "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:"
@@ -148,7 +148,7 @@ def _script(space: Workspace, script: Script) -> list[str]:
     printer.lines += [f"{local} = self.told_{local}" for local in kept]
     printer.read_here()
     choices, ranges = [], []
-    for part, decided in zip(space.scenario.action, script.parts, strict=True):
+    for part, decided in zip(space.scenario.policy.action, script.parts, strict=True):
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
             choices.append(_print_pick(space, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):

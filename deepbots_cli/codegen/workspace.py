@@ -26,16 +26,16 @@ class Workspace:
         self.constants = constants
         self.memories: dict[str, str] = {}
         self.readers = Readers(self.names, constants, root_links(scenario))
-        self.choices = [part for part in scenario.action if isinstance(part, Choices)]
-        self.ranges = [part for part in scenario.action if isinstance(part, ActionRange)]
+        self.choices = [part for part in scenario.policy.action if isinstance(part, Choices)]
+        self.ranges = [part for part in scenario.policy.action if isinstance(part, ActionRange)]
         evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
         evaluated += [ending.value.scalar for ending in scenario.endings]
-        evaluated += [term.scalar for term in scenario.reward]
-        evaluated += [value for entry in scenario.observation for value in entry.value.scalars]
+        evaluated += [term.scalar for term in scenario.policy.reward]
+        evaluated += [value for entry in scenario.policy.observation for value in entry.value.scalars]
         conditions = [option.forbidden.scalar for part in self.choices for option in part.options if option.forbidden is not None]
-        goal = scenario.goal
+        goal = scenario.policy.goal
         evaluated += [*conditions, *((*goal.achieved.scalars, *goal.targets) if goal is not None else ())]
-        self.scripted = [value for script in scenario.scripts for value in script.scalars]
+        self.scripted = [value for script in scenario.policy.scripts for value in script.scalars]
         self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
         self.forbids = bool(conditions)
         """Whether an option of a choice may ever be forbidden."""
@@ -46,24 +46,24 @@ class Workspace:
         self._components = {entry.name: entry.components for entry in scenario.signals}
         self._components |= {f"{robot.name}.{entry.name}": entry.components for robot in scenario.robots for entry in robot.emitted}
         self._components |= {part.name: part.components for part in self.ranges}
-        self._components["previous_action"] = action_names(scenario.action)
+        self._components["previous_action"] = action_names(scenario.policy.action)
         if goal is not None:
             self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
 
     @property
     def repeats(self) -> bool:
         """Whether a step of the agent has several ticks, which are then a method of their own."""
-        return self.scenario.agent.repeat > 1
+        return self.scenario.repeat > 1
 
     @property
     def remembers(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
-        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
+        return self.scenario.policy.stack > 1 or any(entry.history > 1 for entry in self.scenario.policy.observation)
 
     @property
     def shares(self) -> bool:
         """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
-        return self.scenario.agent.each is not None
+        return self.scenario.policy.copies is not None
 
     @property
     def tick(self) -> str:
@@ -78,7 +78,7 @@ class Workspace:
     @property
     def variables(self) -> list[tuple[str, Sequence[str]]]:
         """The action variables, with their components."""
-        parts = self.scenario.action
+        parts = self.scenario.policy.action
         return [(name, ()) if isinstance(part, Choices) else (name, part.components) for part in parts for name in _variables(part)]
 
     @property

@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from deepbots_cli.compiler.channels import Parameters, disturbances, route
-from deepbots_cli.compiler.controllers import Controller
+from deepbots_cli.compiler.controllers import RobotBuilder
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
@@ -39,7 +39,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Agent, Evaluation
+from deepbots_cli.program.task import Evaluation, Policy, Truncation
 from deepbots_cli.scenario.base import visit
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
@@ -104,66 +104,72 @@ def _check(document: Document) -> Checked:
     if document.root is None or spec is None:
         return Checked(document, findings)
     invalid = lost_names(document.root, spec.pruned, (found.span for found in findings.errors))
-    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document)
-    program = _program(spec, namespace)
+    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document, spec)
+    program = _program(namespace)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}
     return Checked(document, _joined(findings), spec, None if findings.errors else program, robots, namespace)
 
 
-def _program(spec: Scenario, namespace: Namespace) -> Program:
+def _program(namespace: Namespace) -> Program:
     """Define all names, then ask for everything once: names are typed as they are needed, whatever their order in the file."""
-    parameters = Parameters(spec, namespace)
-    define_bodies(spec, namespace)
-    painted = lines(spec, namespace)
+    spec = namespace.scenario
+    parameters = Parameters(namespace)
+    define_bodies(namespace)
+    painted = lines(namespace)
     for name, robot in spec.robots.items():
         namespace.robots[name] = load_robot(name, robot, namespace)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
-    actions, goals = Actions(spec, namespace), Goals(spec, namespace)
-    controllers = [Controller(scene, namespace) for scene in scenes]
-    signals = Signals(spec, namespace)
+    actions, goals = Actions(namespace), Goals(namespace)
+    builders = [RobotBuilder(scene, namespace) for scene in scenes]
+    signals = Signals(namespace)
 
     for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
         namespace.settle(name)
-    bare = world(spec, namespace, scenes, painted)
+    bare = world(namespace, scenes, painted)
     tick = bare.timestep
-    reset, walls = arrangement(spec, namespace, bare)
-    limits, action, rewards = truncation(spec, namespace), actions.parts(), reward_terms(spec, namespace)
-    agent = Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
-    routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
-    robots = tuple(controller.finish(tick, action, routes) for controller in controllers)
-    poses = {controller.scene.name: controller.poses for controller in controllers}
-    program = Program(
-        spec.name,
-        spec.summary,
-        spec.deepbots,
-        replace(bare, objects=(*bare.objects, *walls)),
-        robots,
-        spec.messages.format,
-        spec.messages.timing,
-        parameters.drawn(),
+    reset, walls = arrangement(namespace, bare)
+    limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
+    each, repeat = copies(namespace), spec.agent.repeat
+    routes = route("to_robot", namespace), route("from_robot", namespace)
+    robots = tuple(builder.finish(tick, action, routes) for builder in builders)
+    poses = {builder.scene.name: builder.poses for builder in builders}
+    policy = Policy(
         action,
-        signals.ordered(),
-        Observations(spec, namespace).entries(),
+        Observations(namespace).entries(),
         rewards,
-        signals.endings(),
-        limits,
-        replace(
+        goals.goal(rewards),
+        spec.agent.stack,
+        each,
+        scripts(namespace, action),
+        training(namespace, action, each, limits.last_step(tick * repeat) if limits != Truncation() else None),
+    )
+    program = Program(
+        name=spec.name,
+        summary=spec.summary,
+        language=spec.deepbots,
+        world=replace(bare, objects=(*bare.objects, *walls)),
+        robots=robots,
+        format=spec.messages.format,
+        timing=spec.messages.timing,
+        parameters=parameters.drawn(),
+        signals=signals.ordered(),
+        policies={"policy": replace(policy, action=actions.with_conditions(action))},
+        endings=signals.endings(),
+        truncation=limits,
+        reset=replace(
             reset,
-            joint_starts=joint_starts(spec, namespace, poses),
-            settle=settling_time(spec, namespace, tick),
+            joint_starts=joint_starts(namespace, poses),
+            settle=settling_time(namespace, tick),
             variations=(*namespace.variations, *namespace.colours),
             groups=tuple(namespace.groups.values()),
         ),
-        solved(spec, namespace),
-        training(spec, namespace.values, action, agent, limits, tick),
-        Evaluation(spec.evaluation.episodes),
-        agent,
+        solved=solved(namespace),
+        repeat=repeat,
+        evaluation=Evaluation(spec.evaluation.episodes),
+        disturbances=disturbances(namespace),
         augmented=frozenset(spec.augment),
-        disturbances=disturbances(spec, namespace),
-        goal=goals.goal(rewards),
-        scripts=scripts(spec, namespace, action),
     )
-    return with_reading_ages(replace(program, action=actions.with_conditions(action)))
+    return with_reading_ages(program)
 
 
 def _joined(findings: Findings) -> Findings:

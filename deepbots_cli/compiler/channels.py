@@ -16,18 +16,17 @@ from deepbots_cli.program.robots import Direction, Route
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.fields import Quantity
 from deepbots_cli.scenario.robot import Route as RouteSpec
-from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
 
 
 class Parameters:
     """The parameters: those that are fixed are folded into expressions, the others are drawn."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._drawn: dict[str, Expression] = {}
-        for name in spec.parameters:
+        for name in namespace.scenario.parameters:
             namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name))
 
     def drawn(self) -> tuple[Expression, ...]:
@@ -48,11 +47,11 @@ class Parameters:
         return Symbol(name, typed.type)
 
 
-def route(spec: Scenario, direction: Direction, namespace: Namespace) -> Route:
+def route(direction: Direction, namespace: Namespace) -> Route:
     """What `messages.to_robot` or `messages.from_robot` says."""
-    given: RouteSpec = getattr(spec.messages, direction)
+    given: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
-    if spec.messages.format == "none" and given.model_fields_set:
+    if namespace.scenario.messages.format == "none" and given.model_fields_set:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot at once"
         values.findings.add("DB407", values.key_span(given.path), f"`{direction}` without messages", help=help)
         return Route()
@@ -82,10 +81,10 @@ def _setting(given: RouteSpec, name: str, namespace: Namespace) -> Expression | 
 
 def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> None:
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
-    most = loss.typed.type.interval.high
-    if burst / (burst + 1.0) < min(most, 1.0) < 1.0:
-        headline = f"runs of {burst:g} lost messages cannot make up a share of {most:g}"
-        values.findings.add("DB105", span, headline, help=f"give at least {most / (1.0 - most):.3g}")
+    highest = loss.typed.type.interval.high
+    if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
+        headline = f"runs of {burst:g} lost messages cannot make up a share of {highest:g}"
+        values.findings.add("DB105", span, headline, help=f"give at least {highest / (1.0 - highest):.3g}")
 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
@@ -118,14 +117,14 @@ def _draws(value: Typed) -> bool:
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 
-def disturbances(spec: Scenario, namespace: Namespace) -> tuple[Disturbance, ...]:
+def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
     """The entries of `disturbances`, in the order of the file."""
-    found = [_disturbance(name, given, spec, namespace) for name, given in spec.disturbances.items()]
+    found = [_disturbance(name, given, namespace) for name, given in namespace.scenario.disturbances.items()]
     return tuple(push for push in found if push is not None)
 
 
-def _disturbance(name: str, given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> Disturbance | None:
-    pushed = _pushed(given, spec, namespace)
+def _disturbance(name: str, given: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
+    pushed = _pushed(given, namespace)
     keys = ("force", "torque", "at", "every", "lasts")
     force, torque, first, every, lasts = found = [namespace.expression(given, key, stage=Stage.STEP) for key in keys]
     if every is not None and lasts is not None:
@@ -134,7 +133,7 @@ def _disturbance(name: str, given: DisturbanceSpec, spec: Scenario, namespace: N
     return None if pushed is None or lasts is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, lasts)
 
 
-def _pushed(given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> tuple[str, str | None] | None:
+def _pushed(given: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
     """Body and link that are pushed; None after a finding."""
     called, values, scenes = given.body, namespace.values, [scene for scene in namespace.robots.values() if scene is not None]
     span = values.field(given, "body").span
@@ -149,18 +148,18 @@ def _pushed(given: DisturbanceSpec, spec: Scenario, namespace: Namespace) -> tup
     if subject.kind not in _PUSHED:
         values.findings.add("DB203", span, f"`{called}` is {subject.kind.words}", help="a push acts on a robot, a link or an object")
         return None
-    if _is_fixed(body, link, spec, namespace):
+    if _is_fixed(body, link, namespace):
         values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
         return None
     return body, link or None
 
 
-def _is_fixed(body: str, link: str, spec: Scenario, namespace: Namespace) -> bool:
+def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
     """Whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
     scene = namespace.robots.get(body)
     if scene is not None:
         return scene.spec.base == "fixed" and link in ("", scene.model.root)
-    thing = spec.objects.get(body)
+    thing = namespace.scenario.objects.get(body)
     return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
 
 

@@ -231,7 +231,7 @@ class Actuators:
 
     def _compare(self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
         """DB304 for a limit that the robot file undercuts for every joint."""
-        known = [most for most in own if most is not None]
+        known = [each for each in own if each is not None]
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
             help = f"that of the robot file holds: lower this one, or raise `{key}` under `joints` if the motor can do more"
@@ -239,7 +239,7 @@ class Actuators:
 
 
 def _tighter(own: Limits, found: float) -> Limits:
-    return tuple(found if most is None else min(found, most) for most in own)
+    return tuple(found if limit is None else min(found, limit) for limit in own)
 
 
 def poses(scene: RobotScene, namespace: Namespace) -> dict[str, Symbol]:
@@ -270,8 +270,8 @@ def _pose(name: str, scene: RobotScene, namespace: Namespace) -> Symbol:
 
 
 @dataclass(eq=False)
-class Controller:
-    """The controller of one robot, while it is being compiled."""
+class RobotBuilder:
+    """Builds the `Robot` of a program: defines its names, types what it emits, receives and applies, and `finish` returns it."""
 
     scene: RobotScene
     namespace: Namespace

@@ -59,7 +59,7 @@ def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
     if kind in _OF_ROBOTS:
         return list(_of_robots(checked.namespace, kind, path))
     if kind in ("action", "choice", "option", "layout"):
-        return _keys(checked.namespace, checked.spec, kind, path)
+        return _keys(checked.namespace, kind, path)
     return [Named("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
 
 
@@ -74,14 +74,14 @@ def _of_robots(namespace: Namespace, kind: str, path: Path) -> Iterator[Named]:
     yield from _parts(namespace, robot, _OF_ROBOTS[kind])
 
 
-def _keys(namespace: Namespace, spec: Scenario, kind: str, path: Path) -> list[Named]:
+def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
     """Names that are keys of one section."""
     if kind == "action":
-        return [_keyed(namespace, ("action", name), "an action") for name in spec.action]
+        return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
     if kind == "layout":
-        return [_keyed(namespace, ("reset", "layouts", name), "a layout") for name in spec.reset.layouts]
+        return [_keyed(namespace, ("reset", "layouts", name), "a layout") for name in namespace.scenario.reset.layouts]
     name = str(path[2] if path[:1] == ("scripts",) and len(path) > 2 else path[1] if len(path) > 1 else "")
-    part = spec.action.get(name)
+    part = namespace.scenario.action.get(name)
     if isinstance(part, DiscreteAction):
         return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
     if kind == "option":
@@ -228,7 +228,7 @@ def known(checked: Checked) -> Known:
     is_whole = all(namespace.robots.values()) and not any(path[:1] == ("robots",) for path in spec.pruned)
     everywhere["choice"] = _offer(choices)
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
-    everywhere |= _expressions(namespace, spec)
+    everywhere |= _expressions(namespace)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
     return Known(everywhere, {scene.name: _names_on_board(checked, scene, spec) for scene in scenes[:_MAX_ROBOTS]})
 
@@ -237,17 +237,20 @@ def _offer(said: Mapping[str, str], *, only: bool = False) -> Offer:
     return Offer(said if len(said) <= _MAX_NAMES else {}, only)
 
 
-def _expressions(namespace: Namespace, spec: Scenario) -> Names:
+def _expressions(namespace: Namespace) -> Names:
     """Where an expression of the supervisor is due, the names that may stand in it."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
     parameters = dict.fromkeys(("require", "parameter"), namespace.named(Origin.PARAMETER))
-    return {f"{word} expression": _offer(_said(namespace, spec, found)) for word, found in (scopes | parameters).items()}
+    return {f"{word} expression": _offer(_said(namespace, found)) for word, found in (scopes | parameters).items()}
 
 
-def _said(namespace: Namespace, spec: Scenario, found: Iterable[str]) -> dict[str, str]:
+def _said(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
     """Each name with what it stands for, and a parameter with its value."""
     origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in found}
-    return {name: f"{what}: {spec.parameters[name]}" if name in spec.parameters else what for name, what in origins.items()}
+    return {
+        name: f"{what}: {namespace.scenario.parameters[name]}" if name in namespace.scenario.parameters else what
+        for name, what in origins.items()
+    }
 
 
 def _names_on_board(checked: Checked, scene: RobotScene, spec: Scenario) -> Names:

@@ -45,6 +45,7 @@ from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, si
+from deepbots_cli.scenario.scenario import Scenario
 
 _SHOWN = 12
 Default = TypeVar("Default")
@@ -94,9 +95,10 @@ class Definition:
 class Namespace:
     """All definitions of one scenario."""
 
-    def __init__(self, values: Values, document: Document) -> None:
+    def __init__(self, values: Values, document: Document, scenario: Scenario) -> None:
         self.values = values
         self.document = document
+        self.scenario = scenario
         self.files: dict[Path, FilePath] = {}
         """Files that the world is made from, by where the scenario names them."""
         self.definitions: dict[str, Definition] = {}
@@ -258,7 +260,7 @@ class Namespace:
     def noise(self, section: Section, of: Typed) -> Noise | None:
         """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or relative to it with `%`.
 
-        None where none is given, for a deviation of 0, and after a finding.
+        None where none is given, for a standard deviation of 0, and after a finding.
         """
         if "noise" not in section.model_fields_set:
             return None

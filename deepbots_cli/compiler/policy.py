@@ -39,7 +39,6 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
 from deepbots_cli.scenario.task import Goal as GoalSpec
 
@@ -52,8 +51,9 @@ _TOGETHER: tuple[tuple[Path, str], ...] = (
 )
 
 
-def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
+def copies(namespace: Namespace) -> RobotCopies | None:
     """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
+    spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
         if "count" in given.model_fields_set and robot != name and not values.is_lost("each"):
@@ -65,7 +65,7 @@ def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
     if name not in spec.robots:
         values.unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
         return None
-    _refuse_others(spec, name, namespace)
+    _refuse_others(name, namespace)
     robot_spec = spec.robots[name]
     count = namespace.fixed(robot_spec, "count")
     if robot_spec.spacing is None and values.is_lost("spacing"):
@@ -83,11 +83,15 @@ def copies(spec: Scenario, namespace: Namespace) -> RobotCopies | None:
     return RobotCopies(name, int(count), spacing)
 
 
-def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
+def _refuse_others(name: str, namespace: Namespace) -> None:
     """DB108 for what would have to be agreed upon between the copies."""
     values, paths = namespace.values, list(_TOGETHER)
-    paths += [(("robots", other), f"the robot `{other}`") for other in spec.robots if other != name]
-    paths += [(("objects", thing), f"the group `{thing}`") for thing, given in spec.objects.items() if "count" in given.model_fields_set]
+    paths += [(("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name]
+    paths += [
+        (("objects", thing), f"the group `{thing}`")
+        for thing, given in namespace.scenario.objects.items()
+        if "count" in given.model_fields_set
+    ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
         if values.stands(path):
@@ -97,12 +101,12 @@ def _refuse_others(spec: Scenario, name: str, namespace: Namespace) -> None:
 class Actions:
     """The parts of the action, and the variables that they set."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
         self._parts: dict[str, Choices | ActionRange | None] = {}
-        for name, part in spec.action.items():
+        for name, part in namespace.scenario.action.items():
             if isinstance(part, DiscreteAction):
                 self._define_choices(name, part)
             else:
@@ -227,15 +231,15 @@ def _itself(symbol: Symbol) -> Symbol:
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
-LEAST_SIDE = 36
+MIN_SIDE = 36
 """Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
 
 
 class Observations:
     """Reads the entries of the observation."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
 
@@ -303,9 +307,9 @@ class Observations:
         stack = self._spec.agent.stack
         seen = stack * sum(len(entry.low) * entry.history for entry in entries)
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
-        for found, most, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
-            if found > most:
-                headline = f"an observation of {found} {what}, which is more than {most}"
+        for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
+            if found > limit:
+                headline = f"an observation of {found} {what}, which is more than {limit}"
                 help = "shorten its histories, or the stack of the agent"
                 self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
 
@@ -319,8 +323,8 @@ class Observations:
             if picture is None:
                 continue
             rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.stack
-            if min(rows, columns) < LEAST_SIDE:
-                headline = f"pictures of {columns} x {rows} pixels, where the network needs {LEAST_SIDE} x {LEAST_SIDE}"
+            if min(rows, columns) < MIN_SIDE:
+                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_SIDE} x {MIN_SIDE}"
                 self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
                 headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
@@ -343,15 +347,17 @@ _RECOMPUTED = ("achieved", "desired", "goal_reached")
 class Goals:
     """Reads `goal`, and gives the names in it their meaning."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
-        self._spec = spec
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
         self._valued: dict[str, Expression] = {}
-        if spec.goal is not None:
+        if namespace.scenario.goal is not None:
             namespace.built_in["goal_reached"] = self._reached
             for name in ("achieved", "desired"):
-                namespace.define(name, Origin.GOAL, (*spec.goal.path, name), partial(self._part, spec.goal, name))
+                namespace.define(
+                    name, Origin.GOAL, (*namespace.scenario.goal.path, name), partial(self._part, namespace.scenario.goal, name)
+                )
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
         """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
@@ -361,15 +367,15 @@ class Goals:
         for name in self._namespace.named(Origin.GOAL):
             self._namespace.settle(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
-        least, ends = self._namespace.fixed(spec, "within", dimension=achieved.typed.type.dimension if achieved else None), None
+        within, ends = self._namespace.fixed(spec, "within", dimension=achieved.typed.type.dimension if achieved else None), None
         if achieved is not None:
             kind = achieved.typed.type
             ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
         self._check_repeat()
         _check_rewards(rewards, self._namespace)
-        if achieved is None or desired is None or ends is None or least is None:
+        if achieved is None or desired is None or ends is None or within is None:
             return None
-        return Goal(achieved, desired, ends.low, ends.high, least)
+        return Goal(achieved, desired, ends.low, ends.high, within)
 
     def _check_repeat(self) -> None:
         if self._spec.agent.repeat > 1:
@@ -436,10 +442,10 @@ def _beyond(value: Typed) -> Iterator[Typed]:
 _WORD = re.compile(r"\w+", re.ASCII)
 
 
-def scripts(spec: Scenario, namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
+def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
     """The scripts without findings, which decide every part of the `action`."""
-    reader = _Reader(namespace, {part.name: part for part in action}, list(spec.action))
-    found = (reader.script(name, given) for name, given in spec.scripts.items())
+    reader = _Reader(namespace, {part.name: part for part in action}, list(namespace.scenario.action))
+    found = (reader.script(name, given) for name, given in namespace.scenario.scripts.items())
     return tuple(script for script in found if script is not None)
 
 
@@ -529,27 +535,27 @@ class _Reader:
         if len(given) > MAX_CONDITIONS:
             self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
             return None
-        options, rules, broken = [option.name for option in part.options], [], False
+        options, branches, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
             if option not in options:
                 self._values.unknown(self._values.key_span((*place, option)), "choice", option, options)
-            rule = self._condition((*place, option), condition)
-            broken = broken or rule is None or option not in options
-            if rule is not None:
-                rules.append((option, rule))
+            holds = self._condition((*place, option), condition)
+            broken = broken or holds is None or option not in options
+            if holds is not None:
+                branches.append((option, holds))
         if broken:
             return None
-        always = next((index for index, (_, rule) in enumerate(rules) if constant(rule.typed) == (True,)), None)
+        always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
         if always is None:
             headline = f"`{part.name}` may be left undecided: none of the conditions always holds"
-            help = f"let the last one hold always: `{rules[-1][0]}: true`"
+            help = f"let the last one hold always: `{branches[-1][0]}: true`"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
             return None
-        otherwise = rules[always][0]
-        for option, _ in rules[always + 1 :]:
+        otherwise = branches[always][0]
+        for option, _ in branches[always + 1 :]:
             headline = f"`{option}` is never taken, as `{otherwise}` before it always is"
             self._values.findings.add("DB205", self._values.key_span((*place, option)), headline, help="take it out, or put it before")
-        return ScriptedChoice(tuple(rules[:always]), otherwise)
+        return ScriptedChoice(tuple(branches[:always]), otherwise)
 
     def _condition(self, place: Path, given: object) -> Expression | None:
         text = self._values.text(place, given)

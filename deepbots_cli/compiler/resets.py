@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
-from deepbots_cli.compiler.places import Layouts, Places, check_surroundings
+from deepbots_cli.compiler.places import Layouts, Places, Room
 from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_beyond
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.expressions.dimensions import TIME, Dimension
@@ -16,16 +16,15 @@ from deepbots_cli.program.resets import JointStart, Layout, Placement, Reset
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
 from deepbots_cli.scenario.fields import choose_from
-from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import JointState
 from deepbots_cli.scenario.task import Reset as ResetSpec
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
 
-def joint_starts(spec: Scenario, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
+def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
     """The entries of `reset.set`: joints and groups of joints of robots; `poses` are those of each robot."""
-    starts = [_joint_start(key, spec.reset, namespace, poses) for key in spec.reset.set]
+    starts = [_joint_start(key, namespace.scenario.reset, namespace, poses) for key in namespace.scenario.reset.set]
     return tuple(start for start in starts if start is not None)
 
 
@@ -81,22 +80,24 @@ _UNMOVED = {
 }
 
 
-def arrangement(spec: Scenario, namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
+def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
     """How bodies are arranged, and the walls that only maps put up.
 
     Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
     copy is there.
     """
-    places = Places(spec, namespace, world)
-    layouts = Layouts(spec, namespace, places, world)
+    spec = namespace.scenario
+    room = Room(namespace, world)
+    places = Places(namespace, world, room)
+    layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
     found = layouts.used()
     placed = {placement.body for layout in found for placement in layout.placements} | {placement.body for placement in common}
     common += [places.at_home(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
     completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
-    _require_places(spec, namespace)
-    check_surroundings(common, completed, world, namespace)
-    require = _requirement(spec, namespace)
+    _require_places(namespace)
+    room.check_surroundings(common, completed)
+    require = _requirement(namespace)
     return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(layouts.walls)
 
 
@@ -107,11 +108,11 @@ def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Names
     return [places.at_home(body) for body in namespace.definitions if body in placed - here and body in known]
 
 
-def _require_places(spec: Scenario, namespace: Namespace) -> None:
+def _require_places(namespace: Namespace) -> None:
     """DB102 for a group that no layout places: its copies would never be there."""
-    layouts = spec.reset.layouts.values()
+    layouts = namespace.scenario.reset.layouts.values()
     mentioned = {
-        *spec.reset.place,
+        *namespace.scenario.reset.place,
         *(name for layout in layouts for name in (layout if isinstance(layout, dict) else layout.legend.values())),
     }
     for name, group in namespace.groups.items():
@@ -120,12 +121,12 @@ def _require_places(spec: Scenario, namespace: Namespace) -> None:
             namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
 
 
-def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
+def _requirement(namespace: Namespace) -> Expression | None:
     """The condition that a start must meet, which may ask for whatever is so before the first step."""
-    if spec.reset.require is None:
+    if namespace.scenario.reset.require is None:
         return None
     values = namespace.values
-    text = values.field(spec.reset, "require")
+    text = values.field(namespace.scenario.reset, "require")
     typed = values.expression(text, namespace.scope(Context.REQUIRE), boolean=True)
     if typed is None:
         return None
@@ -139,14 +140,14 @@ def _requirement(spec: Scenario, namespace: Namespace) -> Expression | None:
     return text.expression(typed)
 
 
-def settling_time(spec: Scenario, namespace: Namespace, tick: float) -> float:
+def settling_time(namespace: Namespace, tick: float) -> float:
     """Seconds, in whole timesteps of `tick` s."""
-    values, settle = namespace.values, namespace.fixed(spec.reset, "settle") or 0.0
-    span = values.field(spec.reset, "settle").span
+    values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
+    span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_lost("world.timestep"):
         headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
         values.findings.add("DB308", span, headline, help="the world moves on in whole timesteps")
-    if settle / tick * spec.world.substeps > MAX_SETTLING_STEPS:
+    if settle / tick * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
         values.findings.add("DB105", span, headline, help="a few seconds are usual")
     return settle

@@ -18,7 +18,6 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.task import Choices, Ending, Outcome, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
-from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import Measured, PythonTerm
 
 
@@ -46,7 +45,8 @@ NO_SUCCESS = "a success rate, where nothing counts as success"
 class Signals:
     """Augmentation, signals and endings: named values of the supervisor, typed when first asked for."""
 
-    def __init__(self, spec: Scenario, namespace: Namespace) -> None:
+    def __init__(self, namespace: Namespace) -> None:
+        spec = namespace.scenario
         self._namespace = namespace
         self._values = namespace.values
         self.valued: dict[str, Expression] = {}
@@ -113,14 +113,14 @@ class Signals:
         return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
 
 
-def reward_terms(spec: Scenario, namespace: Namespace) -> tuple[Expression, ...]:
+def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     """The summands of the reward: single plain numbers."""
     terms = []
-    for name, given in spec.reward.items():
+    for name, given in namespace.scenario.reward.items():
         if isinstance(given, PythonTerm):
             terms.append(foreign(name, given, namespace, boolean=False))
             continue
-        text = namespace.values.field(spec, "reward", name)
+        text = namespace.values.field(namespace.scenario, "reward", name)
         typed = _amount(text, namespace)
         if typed is not None:
             terms.append(text.expression(typed))
@@ -139,12 +139,12 @@ def _amount(text: Text, namespace: Namespace) -> Typed | None:
     return typed and expect(typed, report, "a reward", dimension=NUMBER)
 
 
-def truncation(spec: Scenario, namespace: Namespace) -> Truncation:
+def truncation(namespace: Namespace) -> Truncation:
     """The limits; without any, nothing is sure to end an episode."""
-    values, limits = namespace.values, spec.truncation
+    values, limits = namespace.values, namespace.scenario.truncation
     if limits is None:
         if not values.is_lost("truncation"):
-            span = values.key_span(("termination",) if "termination" in spec.model_fields_set else ("reward",))
+            span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
             values.findings.add(
                 "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )
@@ -153,7 +153,8 @@ def truncation(spec: Scenario, namespace: Namespace) -> Truncation:
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
 
 
-def solved(spec: Scenario, namespace: Namespace) -> Solved | None:
+def solved(namespace: Namespace) -> Solved | None:
+    spec = namespace.scenario
     values = namespace.values
     if spec.solved is None:
         return None
@@ -171,7 +172,7 @@ def with_reading_ages(program: Program) -> Program:
 
     A sensor that is read when the message is written, as perfect ones are, is as old as the message.
     """
-    if all(sensor.is_fact for robot in program.robots for sensor in robot.sensors):
+    if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
     calls = (node for value in _judged(program) for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
@@ -180,16 +181,16 @@ def with_reading_ages(program: Program) -> Program:
 
 def _judged(program: Program) -> Iterator[Expression]:
     """What the supervisor computes in a step."""
-    for part in program.action:
+    for part in program.policy.action:
         if isinstance(part, Choices):
             yield from (option.forbidden for option in part.options if option.forbidden is not None)
     yield from program.signals
-    yield from (entry.value for entry in program.observation)
-    yield from program.reward
+    yield from (entry.value for entry in program.policy.observation)
+    yield from program.policy.reward
     yield from (ending.value for ending in program.endings)
-    if program.goal is not None:
-        yield from (program.goal.achieved, program.goal.desired)
-    for script in program.scripts:
+    if program.policy.goal is not None:
+        yield from (program.policy.goal.achieved, program.policy.goal.desired)
+    for script in program.policy.scripts:
         for decided in script.parts:
             yield from decided.values
     for robot in program.robots:
@@ -201,7 +202,7 @@ def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:
     sensors = {f"{robot.name}.{sensor.name}": sensor for sensor in robot.sensors}
     ages = []
     for name in asked:
-        if name in sensors and not sensors[name].is_fact:
+        if name in sensors and not sensors[name].is_direct:
             field = f"{sensors[name].name}_age"
             while field in taken:
                 field += "_"

@@ -53,10 +53,10 @@ class Sensing:
         """DB005 for more than a robot can send in every tick."""
         rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
         values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
-        for count, most, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
-            if count > most:
+        for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
+            if count > limit:
                 span = self._values.key_span((*self._scene.spec.path, "sensors"))
-                headline = f"`{self._scene.name}` senses {count:_} {what}, more than {most:_}"
+                headline = f"`{self._scene.name}` senses {count:_} {what}, more than {limit:_}"
                 self._values.findings.add("DB005", span, headline, help="every one is read in every timestep")
 
     def _add(self, name: str, spec: SensorSpec) -> None:
@@ -110,7 +110,7 @@ class Sensing:
                     more["optics"], picture = optics, optics.shape
         if not subjects:
             return None
-        sensor = Sensor(name, spec.type, subjects, components, "", reader=spec.reader, fact=spec.fact, **more)
+        sensor = Sensor(name, spec.type, subjects, components, "", reader=spec.reader, world_function=spec.world_function, **more)
         if picture:
             return sensor, Type(picture=picture, stage=Stage.STEP)
         return sensor, Type(dimension, components or None, boolean=spec.boolean, interval=interval, stage=Stage.STEP)

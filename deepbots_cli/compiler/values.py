@@ -295,11 +295,11 @@ class Values:
             return True
         known = constant(value)
         low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
-        least, most, unit = kind.minimum, kind.maximum, str(value.type.dimension)
-        if least is not None and math.isfinite(low) and (low < least or (kind.exclusive and low == least)):
-            odd, help = low, f"give {'more than' if kind.exclusive else 'at least'} {_with_unit(least, unit)}"
-        elif most is not None and math.isfinite(high) and high > most:
-            odd, help = high, f"give at most {_with_unit(most, unit)}"
+        minimum, maximum, unit = kind.minimum, kind.maximum, str(value.type.dimension)
+        if minimum is not None and math.isfinite(low) and (low < minimum or (kind.exclusive and low == minimum)):
+            odd, help = low, f"give {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
+        elif maximum is not None and math.isfinite(high) and high > maximum:
+            odd, help = high, f"give at most {_with_unit(maximum, unit)}"
         elif kind.whole and known and (broken := [number for number in known if not float(number).is_integer()]):
             odd, help = broken[0], "give a whole number"
         else:

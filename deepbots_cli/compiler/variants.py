@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import interface
+from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scoring import NO_SUCCESS
-from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.load import place
@@ -21,15 +21,14 @@ from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
 from deepbots_cli.program.task import (
     ActionNoise,
     ActionRange,
-    Agent,
     Choices,
     Criterion,
     Hindsight,
     Hyperparameter,
-    Policy,
+    Network,
+    RobotCopies,
     Schedule,
     Training,
-    Truncation,
 )
 from deepbots_cli.scenario.fields import read_schedule, read_until
 from deepbots_cli.scenario.scenario import Scenario
@@ -48,25 +47,25 @@ _INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 Action = tuple[Choices | ActionRange, ...]
 
 
-def training(spec: Scenario, values: Values, action: Action, agent: Agent, limits: Truncation, tick: float) -> Training | None:
-    """The training section; `tick` is the timestep in s.
+def training(namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None) -> Training | None:
+    """The training section; no episode has more than `longest_episode` steps.
 
     An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
     """
+    spec, values = namespace.scenario, namespace.values
     if spec.train is None:
         return None
-    _check_algorithm(spec, spec.train.algorithm, values, action)
+    _check_algorithm(spec.train.algorithm, action, namespace)
     own = spec.train.hyperparameters
-    figures = []
+    hyperparameters = []
     for name, given in own.items():
         if name != "replay" and (isinstance(given, (bool, int, float, str)) or given is None):
             ramp = read_schedule(given) if isinstance(given, str) else None
-            figures.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
-    replay = _hindsight(own.get("replay"), spec, values)
+            hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
+    replay = _hindsight(own.get("replay"), namespace)
     starts = own.get("learning_starts")
-    if replay is not None and starts is not None and limits != Truncation():
-        rows = spec.train.environments * (agent.each.count if agent.each else 1)
-        longest = rows * limits.last_step(tick * agent.repeat)
+    if replay is not None and starts is not None and longest_episode is not None:
+        longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
@@ -74,8 +73,8 @@ def training(spec: Scenario, values: Values, action: Action, agent: Agent, limit
         spec.train.algorithm,
         spec.train.total_timesteps,
         spec.train.environments,
-        tuple(figures),
-        Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
+        tuple(hyperparameters),
+        Network(tuple(spec.train.policy.hidden), spec.train.policy.activation),
         _action_noise(own.get("action_noise")),
         replay,
     )
@@ -88,16 +87,17 @@ def _action_noise(given: ActionNoiseSpec | None) -> ActionNoise | None:
     return ActionNoise(given.type, Schedule(start, end), given.theta)
 
 
-def _hindsight(given: HindsightSpec | str | None, spec: Scenario, values: Values) -> Hindsight | None:
+def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hindsight | None:
     if given is None or given == "uniform":
         return None
-    if spec.goal is None and not values.is_lost("goal"):
+    values = namespace.values
+    if namespace.scenario.goal is None and not values.is_lost("goal"):
         help = "add a `goal`, with what is achieved and what is desired, or take `replay` out"
         values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a goal to make up", help=help)
     return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
 
 
-def _check_algorithm(spec: Scenario, algorithm: str, values: Values, action: Action) -> None:
+def _check_algorithm(algorithm: str, action: Action, namespace: Namespace) -> None:
     intervals = [part for part in action if isinstance(part, ActionRange)]
     if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
         headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
@@ -107,11 +107,13 @@ def _check_algorithm(spec: Scenario, algorithm: str, values: Values, action: Act
         headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
     elif intervals and len(intervals) < len(action):
         headline, help = "no algorithm acts by both choices and ranges", "give the ranges as choices, or the choices as ranges"
-    elif algorithm != "MaskablePPO" and any(isinstance(part, DiscreteAction) and part.forbid for part in spec.action.values()):
+    elif algorithm != "MaskablePPO" and any(
+        isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
+    ):
         headline, help = f"{algorithm} does not heed what `forbid` forbids", "use MaskablePPO, or take `forbid` out"
     else:
         return
-    values.findings.add("DB612", values.span(("train", "algorithm")), headline, help=help)
+    namespace.values.findings.add("DB612", namespace.values.span(("train", "algorithm")), headline, help=help)
 
 
 MAX_VARIANTS = 64

@@ -49,11 +49,11 @@ from deepbots_cli.robots.meshes import measure
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.fields import COLOURS
-from deepbots_cli.scenario.scenario import Scenario
 
 
-def define_bodies(spec: Scenario, namespace: Namespace) -> None:
+def define_bodies(namespace: Namespace) -> None:
     """Give robots, objects, walls and lines their names, and groups their size."""
+    spec = namespace.scenario
     for name in spec.robots:
         namespace.define(name, Origin.ROBOT, ("robots", name))
     for name, thing in spec.objects.items():
@@ -81,15 +81,15 @@ def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group |
     findings, count = namespace.values.findings, namespace.expression(thing, "count")
     if count is None:
         return None
-    most = count.typed.type.interval.high
-    if not math.isfinite(most):
+    highest = count.typed.type.interval.high
+    if not math.isfinite(highest):
         findings.add("DB105", count.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
         return None
-    if most > MAX_BODIES:
+    if highest > MAX_BODIES:
         help = "an engine would take minutes to build it"
-        findings.add("DB005", count.span, f"{most:_.0f} copies, more than {MAX_BODIES}", help=help)
+        findings.add("DB005", count.span, f"{highest:_.0f} copies, more than {MAX_BODIES}", help=help)
         return None
-    return Group(name, max(1, int(most)), count)
+    return Group(name, max(1, int(highest)), count)
 
 
 MAX_TRIANGLES = 200_000
@@ -151,9 +151,9 @@ def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str]
     return str(found), hashlib.sha256(data).hexdigest()
 
 
-def lines(spec: Scenario, namespace: Namespace) -> tuple[Line, ...]:
+def lines(namespace: Namespace) -> tuple[Line, ...]:
     """The painted lines; their lengths are noted in the namespace."""
-    found = [_line(name, line, namespace) for name, line in spec.world.lines.items()]
+    found = [_line(name, line, namespace) for name, line in namespace.scenario.world.lines.items()]
     known = tuple(line for line in found if line is not None)
     if sum(len(line.points) for line in known) > MAX_POINTS:
         headline = f"the lines have more than {MAX_POINTS:_} points together"
@@ -188,9 +188,9 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
     return tuple(points)
 
 
-def walls(spec: Scenario, namespace: Namespace) -> tuple[ObjectBody, ...]:
+def walls(namespace: Namespace) -> tuple[ObjectBody, ...]:
     """The walls, a fixed box for each straight piece; those around an arena are the engine's."""
-    return tuple(box for name, wall in spec.world.walls.items() for box in _wall(name, wall, namespace))
+    return tuple(box for name, wall in namespace.scenario.world.walls.items() for box in _wall(name, wall, namespace))
 
 
 def pieces(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
@@ -387,9 +387,9 @@ def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *
 _SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
 
 
-def world(spec: Scenario, namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, ...]) -> WorldModel:
+def world(namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, ...]) -> WorldModel:
     """The world with `robots` and `painted` lines in it."""
-    values, given = namespace.values, spec.world
+    values, given = namespace.values, namespace.scenario.world
     timestep = namespace.fixed(given, "timestep")
     if timestep is None:
         values.lose("timestep")  # the stand-in below is nothing to measure periods by
@@ -401,8 +401,8 @@ def world(spec: Scenario, namespace: Namespace, robots: list[RobotScene], painte
         span, downwards = values.field(given, "gravity").span, f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
         values.findings.add("DB505", span, "gravity that pulls upwards", help=f"z points up: write `{downwards}`", fix=fix)
-    objects = [body for name, thing in spec.objects.items() for body in bodies(name, thing, namespace)]
-    pieces = walls(spec, namespace)
+    objects = [body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)]
+    pieces = walls(namespace)
     _check_bodies(len(robots), sum(thing.bodies for thing in objects), len(pieces), namespace)
     return WorldModel(
         timestep or 0.032,

@@ -23,7 +23,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.plugins import attribute
-from deepbots_cli.program.task import Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.program.task import Hindsight, Hyperparameter, Network, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
 
@@ -75,7 +75,7 @@ def create(
             settings.pop(name, None)
     else:
         check_replay(settings, copies.observation_space)
-    networks = _networks(training.policy, algorithm)
+    networks = _networks(training.network, algorithm)
     memory = settings.pop("lstm", None)
     if memory is not None:
         networks["lstm_hidden_size"] = memory
@@ -120,7 +120,7 @@ def check(training: Training) -> None:
     _entry(training.algorithm)
     if not 1 <= training.environments <= _MOST_COPIES:
         raise UsageError(f"'train' asks for {training.environments} environments; from 1 to {_MOST_COPIES} are possible")
-    hidden = training.policy.hidden
+    hidden = training.network.hidden
     if len(hidden) > _MOST_LAYERS or not all(1 <= width <= _WIDEST_LAYER for width in hidden):
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers of 1 to {_WIDEST_LAYER} units")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
@@ -128,8 +128,8 @@ def check(training: Training) -> None:
     memory = [h.value for h in training.hyperparameters if h.name == "lstm"]
     if not all(type(units) is int and 1 <= units <= _WIDEST_MEMORY for units in memory):
         raise UsageError(f"a policy has a memory of 1 to {_WIDEST_MEMORY} units")
-    if training.policy.activation not in _ACTIVATIONS:
-        raise UsageError(_unknown("activation", training.policy.activation, _ACTIVATIONS))
+    if training.network.activation not in _ACTIVATIONS:
+        raise UsageError(_unknown("activation", training.network.activation, _ACTIVATIONS))
 
 
 def check_memory(copies: int, memory: int | None = None) -> None:
@@ -177,10 +177,10 @@ def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
     return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near}?)" if near else "")
 
 
-def _networks(policy: Policy, algorithm: type[Model]) -> Settings:
-    layers = list(policy.hidden)
+def _networks(network: Network, algorithm: type[Model]) -> Settings:
+    layers = list(network.hidden)
     shape: object = {"pi": layers, "vf": layers} if algorithm.on_policy else layers
-    return {"net_arch": shape, "activation_fn": _ACTIVATIONS[policy.activation]}
+    return {"net_arch": shape, "activation_fn": _ACTIVATIONS[network.activation]}
 
 
 def _value(given: Hyperparameter) -> object:

@@ -119,7 +119,7 @@ class Watch(BaseCallback):
         self.told = told
         self.interruption = interruption
         self.total = total
-        self._has_success = run.ir.defines_success
+        self._has_success = run.program.defines_success
         self._tried_solved = False
         # A task that an earlier part of this run has solved is trained on for its own sake.
         self._until_solved = run.record.stop_when_solved and self.statistics.solved_at is None

@@ -35,15 +35,15 @@ class Curriculum:
     episode of an earlier stage comes to does not count for a later one.
     """
 
-    def __init__(self, ir: Program, first: str | None = None) -> None:
+    def __init__(self, program: Program, first: str | None = None) -> None:
         """`first` names the stage to begin in, if not the first one.
 
         Raises:
             UsageError: The scenario has no such stage.
         """
-        self._ir = ir
-        self.stages: Sequence[CurriculumStage] = ir.curriculum
-        self._skipped = 0 if first is None else self.stages.index(ir.stage(first))
+        self._program = program
+        self.stages: Sequence[CurriculumStage] = program.curriculum
+        self._skipped = 0 if first is None else self.stages.index(program.stage(first))
         self.ends: list[StageEnd] = []
         self._begin(0)
 
@@ -72,7 +72,7 @@ class Curriculum:
     @property
     def scenario(self) -> Program:
         """What is trained in now."""
-        return self.stages[self.index].program if self.stages else self._ir
+        return self.stages[self.index].program if self.stages else self._program
 
     def value(self, steps: int) -> float | None:
         """What the criterion compares with its threshold, after `steps` steps in all; None without one, and before enough episodes."""

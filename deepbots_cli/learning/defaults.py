@@ -54,7 +54,7 @@ _PPO = {
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
     "learning_rate": Default(
-        lambda training, *_: 3e-3 if max(training.policy.hidden, default=0) <= 32 else 1e-3,
+        lambda training, *_: 3e-3 if max(training.network.hidden, default=0) <= 32 else 1e-3,
         "0.003 for layers of up to 32 units, else 0.001",
     ),
 }
@@ -112,12 +112,12 @@ def longest_episode(scenario: Program) -> int:
 
 def effective(scenario: Program, total_timesteps: int) -> list[Effective]:
     """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
-    training = scenario.training
+    training = scenario.policy.training
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
     given: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
     given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
-    rows = training.environments * (scenario.agent.each.count if scenario.agent.each else 1)
+    rows = training.environments * (scenario.policy.copies.count if scenario.policy.copies else 1)
     own = ours(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
     library = library_defaults(_base(training.algorithm))
     title = "library default" if library is None else library_of(_base(training.algorithm))

@@ -25,7 +25,7 @@ World = gym.Env[Any, Any]
 class BuildWorld(Protocol):
     """Makes one copy of the world of a compiled scenario; `render_mode` as in Gymnasium."""
 
-    def __call__(self, ir: Program, *, render_mode: str | None = None) -> World: ...
+    def __call__(self, program: Program, *, render_mode: str | None = None) -> World: ...
 
 
 class Copies(VecEnv):

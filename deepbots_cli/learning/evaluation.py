@@ -103,11 +103,11 @@ def evaluate(
     """
     torch.set_num_threads(1)
     known = run if isinstance(run, Run) else Run.open(run)
-    ir = known.ir if scenario is None else _fitting(known, compiled_of(scenario).ir)
-    count = ir.evaluation.episodes if episodes is None else episodes
+    program = known.program if scenario is None else _fitting(known, compiled_of(scenario).program)
+    count = program.evaluation.episodes if episodes is None else episodes
     if case is not None:
-        chosen = ir.case(case)
-        ir, count = chosen.program, chosen.episodes if episodes is None else episodes
+        chosen = program.case(case)
+        program, count = chosen.program, chosen.episodes if episodes is None else episodes
     root = known.record.seed if seed is None else seed
     if count < 1 or root < 0:
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
@@ -119,15 +119,15 @@ def evaluate(
     with ExitStack() as stack:
         worlds = []
         for _ in range(min(count, max(1, min(copies, ROWS)) if deterministic else 1)):
-            worlds.append(make(ir))
+            worlds.append(make(program))
             stack.callback(worlds[-1].close)
         policy = load(known, model, worlds[0])
         told = {} if on_episode is None else {"on_episode": on_episode}
         done = rollout(policy, worlds, seeds, deterministic=deterministic, **told)
     if video_to is not None:
-        with closing(make(ir, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / ir.period) as filmed:
+        with closing(make(program, render_mode="rgb_array")) as world, video.filmed(world, video_to, 1 / program.period) as filmed:
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
-    return _summary(known, ir, case, model, root, done, deterministic=deterministic, video_to=video_to)
+    return _summary(known, program, case, model, root, done, deterministic=deterministic, video_to=video_to)
 
 
 def evaluate_cases(
@@ -156,7 +156,7 @@ def evaluate_cases(
             build=build,
             on_episode=on_episode,
         )
-        for case in (known.ir if scenario is None else scenario.ir).cases
+        for case in (known.program if scenario is None else scenario.program).cases
     )
 
 
@@ -166,7 +166,7 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     Raises:
         RunError: The file is missing, damaged, or fits another policy.
     """
-    training = run.ir.training
+    training = run.program.policy.training
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
     algorithms.check(training)
@@ -177,17 +177,17 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     return model
 
 
-def _fitting(run: Run, ir: Program) -> Program:
-    differences = interface.differences(run.ir, ir)
+def _fitting(run: Run, program: Program) -> Program:
+    differences = interface.differences(run.program, program)
     if differences:
         lines = "\n  ".join(differences)
-        raise RunError(f"{run.path} was trained for another observation, action or messages than {ir.name} has:\n  {lines}")
-    return ir
+        raise RunError(f"{run.path} was trained for another observation, action or messages than {program.name} has:\n  {lines}")
+    return program
 
 
 def _summary(
     run: Run,
-    ir: Program,
+    program: Program,
     case: str | None,
     model: ModelName,
     seed: int,
@@ -197,19 +197,19 @@ def _summary(
     video_to: Path | None,
 ) -> EvaluationResult:
     figures = Summary.of(done)
-    solved, verdict = judge(ir.solved, figures.episodes, figures.mean_return, figures.success_rate)
+    solved, verdict = judge(program.solved, figures.episodes, figures.mean_return, figures.success_rate)
     return EvaluationResult(
         run=run.path,
-        scenario=ir.name,
+        scenario=program.name,
         case=case,
         model=model,
         seed=seed,
         deterministic=deterministic,
-        success_defined=ir.defines_success,
+        success_defined=program.defines_success,
         solved=solved,
         verdict=verdict,
         video=video_to,
-        notes=(*run.notes(), *interface.other_conditions(run.ir, ir)),
+        notes=(*run.notes(), *interface.other_conditions(run.program, program)),
         **vars(figures),
     )
 

@@ -42,7 +42,7 @@ class Run:
 
     path: Path
     record: Record
-    ir: Program
+    program: Program
     digest: str
 
     @property
@@ -73,7 +73,7 @@ class Run:
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
-        here, there, stages = deepbots_cli.__version__, self.record.deepbots, [stage.name for stage in self.ir.curriculum]
+        here, there, stages = deepbots_cli.__version__, self.record.deepbots, [stage.name for stage in self.program.curriculum]
         found = [] if there == here else [f"{self.path} was trained by deepbots {there}, this is {here}"]
         if self.digest != self.record.digest:
             cause = "to this deepbots" if found else "since it was changed after the training"
@@ -117,11 +117,11 @@ class Run:
             compiled = api.compile(api.load(path / RESOLVED, allow_code=True, project=path))
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
-        differences = interface.compare(record.interface, interface.interface(compiled.ir), words=("trained", "now"))
+        differences = interface.compare(record.interface, interface.interface(compiled.program), words=("trained", "now"))
         if differences:
             lines = "\n  ".join(differences)
             raise RunError(f"{path} was trained for another observation, action or messages than its scenario has now:\n  {lines}")
-        return Run(path, record, compiled.ir, compiled.digest)
+        return Run(path, record, compiled.program, compiled.digest)
 
 
 def read_record(path: Path) -> Record:

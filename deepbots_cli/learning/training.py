@@ -118,22 +118,22 @@ def train(
         DeepbotsError: The world failed; names step and cause.
     """
     compiled = compiled_of(scenario)
-    training = _training_of(compiled.ir, total_timesteps)
+    training = _training_of(compiled.program, total_timesteps)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     build = build or default_build(engine, allow_code=compiled.allow_code)
-    curriculum = Curriculum(compiled.ir, stage)
-    _rehearse(compiled.ir, training, build)
-    path = new_directory(run, runs, compiled.ir.name, seed)
+    curriculum = Curriculum(compiled.program, stage)
+    _rehearse(compiled.program, training, build)
+    path = new_directory(run, runs, compiled.program.name, seed)
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
     record = Record(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,
         status="running",
-        scenario=compiled.ir.name,
+        scenario=compiled.program.name,
         source=str(compiled.source),
         digest=compiled.digest,
-        interface=interface.interface(compiled.ir),
+        interface=interface.interface(compiled.program),
         inputs=input_digests(compiled.inputs),
         engine=engine,
         seed=seed,
@@ -152,7 +152,7 @@ def train(
     )
     with sole_trainer(path):
         new = Run.create(path, record, compiled)
-        statistics = Statistics(compiled.ir.period, compiled.ir.solved)
+        statistics = Statistics(compiled.program.period, compiled.program.solved)
         return _learn(new, training, Keeper(new, statistics, curriculum, Trials(build, seed)), build, reporter(progress))
 
 
@@ -194,9 +194,9 @@ def resume(
 
 def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | None, told: Reporter, build: BuildWorld) -> TrainingResult:
     record = known.record
-    training = _training_of(known.ir, record.total_timesteps if total_timesteps is None else total_timesteps)
-    statistics = Statistics(known.ir.period, known.ir.solved)
-    curriculum, best, tried = Curriculum(known.ir, record.first_stage), None, 0
+    training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
+    statistics = Statistics(known.program.period, known.program.solved)
+    curriculum, best, tried = Curriculum(known.program, record.first_stage), None, 0
     if not known.stillborn:
         state = weights.read_state(known.checkpoint)
         statistics.restore(state)
@@ -229,12 +229,12 @@ def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
     return partial(api.build, engine=engine, allow_code=allow_code)
 
 
-def _training_of(ir: Program, total_timesteps: int | None) -> Training:
+def _training_of(program: Program, total_timesteps: int | None) -> Training:
     if find_spec("tensorboard") is None:  # Stable-Baselines3 would only notice with the run half made
         raise MissingExtraError("train", "training")
-    if ir.training is None:
-        raise UsageError(f"{ir.name} has no 'train' section, so there is nothing to train with")
-    training = ir.training if total_timesteps is None else replace(ir.training, total_timesteps=total_timesteps)
+    if program.policy.training is None:
+        raise UsageError(f"{program.name} has no 'train' section, so there is nothing to train with")
+    training = program.policy.training if total_timesteps is None else replace(program.policy.training, total_timesteps=total_timesteps)
     if training.total_timesteps < 1:
         raise UsageError(f"a training of {training.total_timesteps} steps teaches nothing; ask for at least 1")
     if training.total_timesteps > MOST_STEPS:
@@ -244,13 +244,13 @@ def _training_of(ir: Program, total_timesteps: int | None) -> Training:
     return training
 
 
-def _rehearse(ir: Program, training: Training, build: BuildWorld) -> None:
+def _rehearse(program: Program, training: Training, build: BuildWorld) -> None:
     """Fail before there is a run directory, if a world cannot be built or the algorithm refuses its settings."""
-    for stage in ir.curriculum:
+    for stage in program.curriculum:
         build(stage.program).close()
-    with closing(build(ir)) as world:
+    with closing(build(program)) as world:
         copies = copies_over([world] * training.environments, [0] * training.environments)
-        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(ir))
+        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(program))
 
 
 def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld, told: Reporter) -> TrainingResult:
@@ -303,7 +303,7 @@ def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld, told
 def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, keeper: Keeper) -> Copies:
     """The copies of the world, which report to the statistics and the episode file; all closed with `stack`."""
     statistics, curriculum = keeper.statistics, keeper.curriculum
-    file = EpisodeFile(run.monitor, run.ir.name)
+    file = EpisodeFile(run.monitor, run.program.name)
     stack.callback(file.close)
     stages = [curriculum.index] * training.environments
     branch: tuple[str | int, ...] = ("resumed", statistics.steps) if statistics.steps else ()
@@ -346,7 +346,7 @@ def _model(run: Run, training: Training, copies: Copies, statistics: Statistics)
         copies,
         seed=derive(seed, "policy"),
         total_timesteps=training.total_timesteps,
-        longest_episode=longest_episode(run.ir),
+        longest_episode=longest_episode(run.program),
     )
     if statistics.steps:
         weights.put(model, weights.read(run.checkpoint, model))

@@ -83,9 +83,9 @@ class Analysis:
         self._defined: dict[str, tuple[Expression, str]] = {value.name: (value, "") for value in (*program.parameters, *program.signals)}
         self._defined |= {ending.value.name: (ending.value, "") for ending in program.endings}
         self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in program.robots for value in robot.emit}
-        if program.goal is not None:
-            self._defined |= {"achieved": (program.goal.achieved, ""), "desired": (program.goal.desired, "")}
-            self._defined["goal_reached"] = (_goal_reached(program.goal), "")
+        if program.policy.goal is not None:
+            self._defined |= {"achieved": (program.policy.goal.achieved, ""), "desired": (program.policy.goal.desired, "")}
+            self._defined["goal_reached"] = (_goal_reached(program.policy.goal), "")
         self._components: dict[str, dict[str | None, Scalar]] = {}
         self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
         self._names_behind: dict[int, tuple[Scalar, frozenset[str]]] = {}
@@ -93,7 +93,7 @@ class Analysis:
         self._identities: dict[int, tuple[Scalar, int]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._ranges: dict[tuple[float, float], Ranges] = {}
-        self.period = program.world.timestep * program.agent.repeat
+        self.period = program.world.timestep * program.repeat
         """Seconds between two actions."""
         self.last = program.truncation.last_step(self.period)
         """The step at which an episode is truncated at the latest."""
@@ -193,8 +193,10 @@ class Analysis:
         match node:
             case Name(name, component):
                 sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
-                if sensor is not None and ((self._is_ideal and sensor.fact is not None and sensor.mount == Pose()) or sensor.is_fact):
-                    return sensor.fact_of(robot, component)
+                if sensor is not None and (
+                    (self._is_ideal and sensor.world_function is not None and sensor.mount == Pose()) or sensor.is_direct
+                ):
+                    return sensor.world_value(robot, component)
                 return node if name in self._defined else Name(f"{robot}:{name}", component)
             case Op(op, args):
                 return Op(op, tuple(self._on_board(arg, robot) for arg in args))
@@ -367,8 +369,8 @@ class RewardTerms:
     def __init__(self, analysis: Analysis) -> None:
         self.analysis = analysis
         self.program = analysis.program
-        self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.reward if term.foreign is None]
-        self.is_complete = len(self.terms) == len(self.program.reward)
+        self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.policy.reward if term.foreign is None]
+        self.is_complete = len(self.terms) == len(self.program.policy.reward)
         self._steps = (1.0, float(analysis.last))
         self._running: dict[tuple[float, float], Ranges] = {}
         self._at: dict[Ending | None, Ranges] = {}

@@ -143,7 +143,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
     step = total(reward.terms, reward.running())
-    ticks = float((last - bool(first)) * analysis.program.agent.repeat)
+    ticks = float((last - bool(first)) * analysis.program.repeat)
     known = Interval()
     if reward.is_complete and not first:
         known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
@@ -166,7 +166,7 @@ def _later(program: Program) -> str:
     limits, timestep = program.truncation, program.world.timestep
     if limits.max_steps is None or limits.max_time is None:
         return ""
-    steps, time = limits.max_steps * program.agent.repeat, ceil(limits.max_time / timestep - 1e-9)
+    steps, time = limits.max_steps * program.repeat, ceil(limits.max_time / timestep - 1e-9)
     return "max_time" if time > steps else "max_steps" if steps > time else ""
 
 
@@ -205,7 +205,9 @@ def timeout_as_termination(context: Context) -> Iterator[Finding]:
         truncation: {max_steps: 156}
     """
     analysis = context.analysis
-    shown = {name for entry in context.program.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)}
+    shown = {
+        name for entry in context.program.policy.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)
+    }
     for ending in context.program.endings if not shown & _CLOCK else ():
         names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
         if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).single:

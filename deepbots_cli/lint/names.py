@@ -95,11 +95,11 @@ def _unused_parts(context: Context) -> Iterator[Finding]:
 def _computed(program: Program) -> Iterator[Expression]:
     """What the supervisor computes."""
     yield from program.signals
-    yield from program.reward
-    if program.goal is not None:
-        yield from (program.goal.achieved, program.goal.desired)
+    yield from program.policy.reward
+    if program.policy.goal is not None:
+        yield from (program.policy.goal.achieved, program.policy.goal.desired)
     yield from (ending.value for ending in program.endings)
-    for script in program.scripts:
+    for script in program.policy.scripts:
         for part in script.parts:
             yield from part.values
     for robot in program.robots:
@@ -146,7 +146,7 @@ def equality_of_measures(context: Context) -> Iterator[Finding]:
 
 def _written(program: Program) -> Iterator[Expression]:
     """The signals, reward terms and endings that are not functions of Python."""
-    values = (*program.signals, *program.reward, *(ending.value for ending in program.endings))
+    values = (*program.signals, *program.policy.reward, *(ending.value for ending in program.endings))
     return (value for value in values if value.foreign is None)
 
 

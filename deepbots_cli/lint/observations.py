@@ -63,7 +63,7 @@ class RangedNumber(NamedTuple):
 
 def ranged_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
     """All numbers of the observation, without pictures and truth values."""
-    for entry in analysis.program.observation:
+    for entry in analysis.program.policy.observation:
         known = entry.value.typed.type
         if not known.picture and not known.boolean:
             for node, low, high in zip(analysis.scalars(entry.value), entry.low, entry.high, strict=True):
@@ -103,7 +103,7 @@ def privileged_observation(context: Context) -> Iterator[Finding]:
         observation: {height: 0 .. 2 m}
     """
     privileged = _privileged(context.program)
-    for observed in context.program.observation:
+    for observed in context.program.policy.observation:
         head = observed.value.name.partition(".")[0]
         if head in privileged:
             origin = context.namespace.origin(head)
@@ -151,7 +151,7 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
     """
     program = context.program
-    if program.goal is None or program.training is None or program.training.replay is None:
+    if program.policy.goal is None or program.policy.training is None or program.policy.training.replay is None:
         return
     analysis = context.analysis.ideal
 
@@ -159,14 +159,14 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
         return {name for node in analysis.scalars(value) for name in analysis.sources(node)}
 
     bodies = {thing.name for thing in program.world.objects} | {robot.name for robot in program.world.robots}
-    goal_sources = sources(program.goal.desired) - sources(program.goal.achieved)
+    goal_sources = sources(program.policy.goal.desired) - sources(program.policy.goal.achieved)
     goal_sources &= bodies | {value.name for value in program.parameters}
-    for entry in program.observation:
+    for entry in program.policy.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
             headline = f"`{entry.value.name}` tells of the goal, which hindsight replaces in `desired` alone"
             help = "take it out: the policy sees `achieved` and `desired` beside the observation"
-            also = (Label(program.goal.desired.span, f"made of `{min(shared)}` too"),)
+            also = (Label(program.policy.goal.desired.span, f"made of `{min(shared)}` too"),)
             yield Finding("DB614", entry.value.span, headline, help=help, also=also)
 
 
@@ -209,7 +209,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
         reward: {alive: 1 when goal_reached}
     """
     program, analysis = context.program, context.analysis
-    if not any((*(entry.noise for entry in program.observation), *(value.noise for value in may_be_noisy(program)))):
+    if not any((*(entry.noise for entry in program.policy.observation), *(value.noise for value in may_be_noisy(program)))):
         return
     seen = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
     known: dict[int, Linear] = {}
@@ -228,7 +228,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
     """The values that may have noise of their own, whether the policy sees them or not."""
-    return (*program.signals, *([program.goal.achieved] if program.goal else []))
+    return (*program.signals, *([program.policy.goal.achieved] if program.policy.goal else []))
 
 
 def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
@@ -239,9 +239,9 @@ def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
         SeenNumber(number.name, number.entry.value.span, number.node, Interval(number.low, number.high), number.entry.noise)
         for number in ranged_numbers(analysis)
     ]
-    if program.goal is not None:
-        for value in (program.goal.achieved, program.goal.desired):
-            for node, low, high in zip(analysis.scalars(value), program.goal.low, program.goal.high, strict=False):
+    if program.policy.goal is not None:
+        for value in (program.policy.goal.achieved, program.policy.goal.desired):
+            for node, low, high in zip(analysis.scalars(value), program.policy.goal.low, program.policy.goal.high, strict=False):
                 found.append(SeenNumber(value.name, value.span, node, Interval(low, high), value.noise))
     return (number for number in found if not (is_late and any("." in name for name in analysis.names_behind(number.node))))
 
@@ -357,7 +357,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
     """DB607: a number of the observation is NaN, or outside of the observation space."""
     stop = simulation.report.stop or {}
     if stop.get("kind") == "space":
-        for entry in simulation.program.observation:
+        for entry in simulation.program.policy.observation:
             names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
@@ -385,7 +385,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = ("take it out" if is_whole else "show the other components alone") + ", or add a script that changes it under `scripts`"
         yield Finding("DB608", entry.value.span, headline, help=help, notes=(simulation.summary,))
-    pictures = [entry for entry in simulation.program.observation if entry.value.typed.type.picture]
+    pictures = [entry for entry in simulation.program.policy.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.numbers)):
         if place in simulation.report.still:
             help = "look at where its camera stands and what it sees, or add a script that changes it under `scripts`"

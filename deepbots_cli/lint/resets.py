@@ -45,7 +45,13 @@ def identical_episodes(context: Context) -> Iterator[Finding]:
         reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
     program = context.program
-    if program.training is None or program.evaluation.episodes < 2 or program.cases or program.curriculum or _varies(context.analysis):
+    if (
+        program.policy.training is None
+        or program.evaluation.episodes < 2
+        or program.cases
+        or program.curriculum
+        or _varies(context.analysis)
+    ):
         return
     if any(_is_drawn(tree) for reading in context.values.readings for tree in reading.trees):
         return
@@ -64,7 +70,7 @@ def identical_episodes(context: Context) -> Iterator[Finding]:
 def _varies(analysis: Analysis) -> bool:
     """Whether anything is random that no function of the language draws."""
     program = analysis.program
-    values = [*program.signals, *program.reward, *(ending.value for ending in program.endings)]
+    values = [*program.signals, *program.policy.reward, *(ending.value for ending in program.endings)]
     return bool(
         program.reset.variations
         or program.disturbances
@@ -72,7 +78,7 @@ def _varies(analysis: Analysis) -> bool:
         or len(program.reset.layouts) > 1
         or any(place.spot is not None or _draws_coordinates(place) for place in analysis.placements)
         or any(_is_random(route) for robot in program.robots for route in (robot.to_route, robot.from_route))
-        or any(entry.noise for entry in program.observation)
+        or any(entry.noise for entry in program.policy.observation)
         or any(value.noise for value in may_be_noisy(program))
         or any(_has_noise(sensor) for robot in program.robots for sensor in robot.sensors)
         or any(value.foreign for value in values)

@@ -56,7 +56,7 @@ def reward_unbounded(context: Context) -> Iterator[Finding]:
     """
     analysis = context.analysis
     search = _PoleSearch(analysis)
-    for term in context.program.reward:
+    for term in context.program.policy.reward:
         if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).finite:
             found = search.pole(term, term.typed)
             search.met.clear()
@@ -147,7 +147,7 @@ def term_dominates(context: Context) -> Iterator[Finding]:
         return
     for term, node in ordinary:
         known = reward.running().of(node)
-        high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.agent.repeat
+        high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.repeat
         if known.single or high <= _DOMINATES * prize:
             continue
         low = _smallest_sum(reward, node)
@@ -167,7 +167,7 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
         if side == 0.0 or side == -sign:
             return 0.0
         sign = side
-        found += min(abs(known.low), abs(known.high)) * (end - first + 1) * reward.program.agent.repeat
+        found += min(abs(known.low), abs(known.high)) * (end - first + 1) * reward.program.repeat
         first = end + 1
     return found
 
@@ -207,7 +207,7 @@ def inactive_term(context: Context) -> Iterator[Finding]:
         reward: {alive: 1, upright: 1 when abs(cart.pole_angle) < 5 deg}
     """
     inactive = [_always_zero(analysis) for analysis in context.versions]
-    for term in context.program.reward:
+    for term in context.program.policy.reward:
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
             headline = f"`{term.name}` is zero in every step"
             yield Finding("DB704", term.span, headline, help="take it out, or mend its condition")
@@ -248,7 +248,7 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
         return
     analysis = simulation.analysis
     final = {term.name for term, _ in analysis.reward.split()[1]}
-    for place, term in enumerate(simulation.program.reward):
+    for place, term in enumerate(simulation.program.policy.reward):
         if place not in simulation.report.silent or term.name in final or term.foreign is not None:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
@@ -303,11 +303,11 @@ def rewards_early_death(context: Context) -> Iterator[Finding]:
         return
     if any(total(final, reward.at(ending)).high > 0.0 for ending in program.endings if ending.outcome == "success"):
         return
-    if program.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
+    if program.policy.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
         if total(ordinary, reward.running()).high > 0.0:
             return
         final = [*ordinary, *final]
-    ahead = step.high * program.agent.repeat * (reward.analysis.last - 1)
+    ahead = step.high * program.repeat * (reward.analysis.last - 1)
     failures = [(ending, total(final, reward.at(ending)).low) for ending in program.endings if ending.outcome == "failure"]
     ending, cost = next(((ending, cost) for ending, cost in failures if cost > ahead), (None, 0.0))
     if ending is None:
@@ -315,7 +315,7 @@ def rewards_early_death(context: Context) -> Iterator[Finding]:
     price = "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
     headline = f"an episode that goes on costs {-ahead:.3g} or more, and `{ending.value.name}` {price}"
     help = "let a good step pay instead, such as `alive: 1`, or let failing cost more than all steps together"
-    if program.goal is not None:
+    if program.policy.goal is not None:
         headline = f"an episode short of the goal costs {-ahead:.3g} or more, and one that ends by `{ending.value.name}` {price} or less"
         help = f"pay for the goal instead, as `1 when goal_reached` does, or take `{ending.value.name}` out"
     dearest = min(ordinary, key=lambda term: running.of(term[1]).high)[0]
@@ -324,7 +324,7 @@ def rewards_early_death(context: Context) -> Iterator[Finding]:
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
-    goal, running = reward.program.goal, reward.running()
+    goal, running = reward.program.policy.goal, reward.running()
     reached = reward.analysis.meaning(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
@@ -397,11 +397,11 @@ def _staying_outside(ranges: Ranges, asked: Threshold) -> Ranges:
 
 def discounted_ticks(reward: RewardTerms) -> float:
     """The timesteps that count: half an episode, or as far as the discount of the training reaches."""
-    training = reward.program.training
+    training = reward.program.policy.training
     found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
     gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
     seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
-    return min(reward.analysis.last / 2, seen) * reward.program.agent.repeat
+    return min(reward.analysis.last / 2, seen) * reward.program.repeat
 
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
@@ -480,16 +480,16 @@ def nothing_to_learn(context: Context) -> Iterator[Finding]:
         reward: {alive: 1}
         termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
     """
-    if context.program.training is None or not all(_worth(analysis).single for analysis in context.versions):
+    if context.program.policy.training is None or not all(_worth(analysis).single for analysis in context.versions):
         return
     worth = _worth(context.analysis).low
     headline = f"every episode is worth {worth:.4g}, whatever the policy does"
-    help = "pay for the goal, as `1 when goal_reached` does" if context.program.goal else "pay for what the policy shall do"
+    help = "pay for the goal, as `1 when goal_reached` does" if context.program.policy.goal else "pay for what the policy shall do"
     if worth > 0.0:
         help += ", or let a failure end a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
         help += ", or let a success end a good episode early"
-    yield Finding("DB711", context.program.reward[0].span, headline, help=help)
+    yield Finding("DB711", context.program.policy.reward[0].span, headline, help=help)
 
 
 def return_out_of_reach(context: Context) -> Iterator[Finding]:
@@ -534,7 +534,7 @@ def _worth(analysis: Analysis) -> Interval:
         return Interval(-INF, INF)
     step = total(reward.terms, reward.running())
     end = total(reward.terms, analysis.ranges_in(1.0, float(analysis.last)))  # whichever endings hold, also several at once
-    ticks = analysis.last * analysis.program.agent.repeat - 1
+    ticks = analysis.last * analysis.program.repeat - 1
     fewest = 0 if analysis.program.endings else ticks
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
     low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF

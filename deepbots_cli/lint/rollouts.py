@@ -65,7 +65,7 @@ class StoppedError(Exception):
 
 def compiled(folder: Path, *, allow_code: bool) -> Program:
     """Compile the scenario whose files were copied into a folder."""
-    return api.compile(api.load(folder / RESOLVED, allow_code=allow_code, project=folder)).ir
+    return api.compile(api.load(folder / RESOLVED, allow_code=allow_code, project=folder)).program
 
 
 class Simulator:
@@ -138,7 +138,7 @@ class Simulator:
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
         by = IDLE if idle(self._program) is not None else RANDOM
-        if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.action):
+        if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.policy.action):
             return
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
@@ -217,11 +217,15 @@ class Simulator:
     def _still(self) -> list[int]:
         """The places of the numbers of the observation that were the same in every step of every episode; pictures after them."""
         whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
-        return [place for place in range(len(self._program.numbers) + len(self._program.images)) if not whole.varies(place)]
+        return [place for place in range(len(self._program.policy.numbers) + len(self._program.policy.images)) if not whole.varies(place)]
 
     def _silent(self) -> list[int]:
         """The places of the terms of the reward that were always 0."""
-        return [place for place in range(len(self._program.reward)) if not any(counter.fired[place] for counter in self._counters.values())]
+        return [
+            place
+            for place in range(len(self._program.policy.reward))
+            if not any(counter.fired[place] for counter in self._counters.values())
+        ]
 
     def _run_variants(self) -> None:
         """Run cases and stages, which may vary what is constant in the scenario itself."""
@@ -229,7 +233,7 @@ class Simulator:
         for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
             if not self._still() and not self._silent():
                 return
-            sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own, program)]
+            sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own.policy, program.policy)]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:
                     self._run_episodes(environment, planned_for_variant(program), counted_as=_VARIANTS)
@@ -253,12 +257,12 @@ class Counter:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        ages = viewed(program.numbers, program.agent.stack)
-        self._columns = [ages.index((place, 0)) for place in range(len(program.numbers))]
-        self._pictures = [entry.key for entry in program.images]
+        ages = viewed(program.policy.numbers, program.policy.stack)
+        self._columns = [ages.index((place, 0)) for place in range(len(program.policy.numbers))]
+        self._pictures = [entry.key for entry in program.policy.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
         self._changed: set[str] = set()
-        numbers, terms = len(program.numbers), len(program.reward)
+        numbers, terms = len(program.policy.numbers), len(program.policy.reward)
         self.steps = 0
         self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
@@ -324,7 +328,9 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
 
 def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
     scenario = environment.scenario
-    masked = scenario.agent.each is None and any(option.forbidden for part in scenario.action for option in getattr(part, "options", ()))
+    masked = scenario.policy.copies is None and any(
+        option.forbidden for part in scenario.policy.action for option in getattr(part, "options", ())
+    )
     for number in count():
         if number % hold == 0 or masked:
             action = environment.action_space.sample(environment.action_mask()) if masked else environment.action_space.sample()
@@ -340,14 +346,17 @@ def _idle(environment: Supervisor) -> Iterator[Any]:
 
 
 def _discount(program: Program) -> float:
-    found = [entry.value for entry in program.training.hyperparameters if entry.name == "gamma"] if program.training else []
+    found = [entry.value for entry in program.policy.training.hyperparameters if entry.name == "gamma"] if program.policy.training else []
     return found[0] if found and isinstance(found[0], float) else _DEFAULT_DISCOUNT
 
 
 def _outside(environment: Supervisor, observation: Any) -> list[str]:
     """The numbers of an observation that are outside of its space, by name."""
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
-    entries = [environment.scenario.numbers[place] for place, _ in viewed(environment.scenario.numbers, environment.scenario.agent.stack)]
+    entries = [
+        environment.scenario.policy.numbers[place]
+        for place, _ in viewed(environment.scenario.policy.numbers, environment.scenario.policy.stack)
+    ]
     return [
         entry.full_name
         for entry, column in zip(entries, numbers.T, strict=True)
@@ -534,7 +543,7 @@ class RayWatch:
 
     def __init__(self, scenario: Program) -> None:
         self._world = scenario.world
-        is_asked = scenario.world.terrain is None and scenario.agent.each is None
+        is_asked = scenario.world.terrain is None and scenario.policy.copies is None
         found = [(robot.name, sensor) for robot in scenario.robots for sensor in robot.sensors if is_asked and casts_rays(sensor)]
         self._sensors = {(robot, sensor.name): sensor for robot, sensor in found}
         self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(self._sensors, Clearance(inf, -inf, ""))

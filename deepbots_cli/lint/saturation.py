@@ -193,7 +193,7 @@ def _saturated_at_start(context: Context) -> Iterator[Finding]:
 
 def _goal_out_of_range(context: Context) -> Iterator[Finding]:
     """A goal that is drawn from more than its range: policy, reward and endings know only the clipped value."""
-    analysis, goal = context.analysis, context.program.goal
+    analysis, goal = context.analysis, context.program.policy.goal
     if goal is None:
         return
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):

@@ -195,11 +195,11 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
         reward: {near: -abs(left) / m}
     """
     analysis, program = context.analysis.ideal, context.program
-    shown = [entry.value for entry in program.observation]
-    shown += [program.goal.achieved, program.goal.desired] if program.goal is not None else []
+    shown = [entry.value for entry in program.policy.observation]
+    shown += [program.policy.goal.achieved, program.policy.goal.desired] if program.policy.goal is not None else []
     seen = {found for value in shown for node in analysis.scalars(value) for found in analysis.sources(node)}
     perceives = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors)
-    perceives = perceives or any(entry.value.typed.type.picture for entry in program.observation)
+    perceives = perceives or any(entry.value.typed.type.picture for entry in program.policy.observation)
     drawn = {value.name for value in program.parameters}
     walls = set(context.namespace.walls)  # their pieces, such as `bay 1`, never move
     things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
@@ -231,7 +231,7 @@ def pays_towards_failure(context: Context) -> Iterator[Finding]:
         termination: {failure: {off_track: abs(x) > 39 cm}}
     """
     analysis, reward = context.analysis, context.analysis.reward
-    if context.program.goal is not None or not reward.is_complete:
+    if context.program.policy.goal is not None or not reward.is_complete:
         return
     ordinary, _ = reward.split()
     for ending in context.program.endings:

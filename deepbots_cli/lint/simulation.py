@@ -92,15 +92,15 @@ def planned_for_variant(program: Program) -> tuple[Rollout, ...]:
 def _others(program: Program) -> Iterator[tuple[str, str | None]]:
     if idle(program) is not None:
         yield IDLE, None
-    for script in program.scripts:
+    for script in program.policy.scripts:
         yield f"the script `{script.name}`", script.name
 
 
 def _work(program: Program) -> float:
     """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are overhead."""
-    copies = program.agent.each.count if program.agent.each else 1
-    pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.images)
-    return (len(program.robots) * (program.world.substeps * program.agent.repeat + 10) + pixels / _PIXELS) * copies
+    copies = program.policy.copies.count if program.policy.copies else 1
+    pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.policy.images)
+    return (len(program.robots) * (program.world.substeps * program.repeat + 10) + pixels / _PIXELS) * copies
 
 
 def idle(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] | None:
@@ -110,7 +110,7 @@ def idle(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] | None:
     """
     choices: list[int] = []
     values: list[float] = []
-    for part in program.action:
+    for part in program.policy.action:
         if isinstance(part, Choices):
             still = next((number for number, option in enumerate(part.options) if not any(option.values)), None)
             if still is None:
@@ -443,13 +443,13 @@ class Simulation(Context):
     @cached_property
     def numbers(self) -> tuple[MeasuredNumber, ...]:
         """In the order of the report."""
-        entries = [entry for entry in self.program.observation if not entry.value.typed.type.picture]
+        entries = [entry for entry in self.program.policy.observation if not entry.value.typed.type.picture]
         parts = [(entry, part) for entry in entries for part in range(len(entry.value.components) or 1)]
         return tuple(MeasuredNumber(entry, part, place) for place, (entry, part) in enumerate(parts))
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
         """Every term of the reward, with its statistics by policy."""
-        for place, term in enumerate(self.program.reward):
+        for place, term in enumerate(self.program.policy.reward):
             yield term, {by: found.terms[place] for by, found in self.measured.items()}
 
     # Places in the scenario
@@ -506,7 +506,7 @@ class Simulation(Context):
             return None
         text = str(stop.get("text", ""))
         notes = (self.when(), text) if text else (self.when(),)
-        terms = {term.name: term for term in self.program.reward}
+        terms = {term.name: term for term in self.program.policy.reward}
         for name in map(str, stop.get("terms", ())):
             if name in terms:
                 return FailedExpression(name, terms[name].span, "reward", notes)
@@ -521,13 +521,16 @@ class Simulation(Context):
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
         """The identifiers of values in generated code, in the order of `codegen.names`, which appends a number to a taken one."""
         program = self.program
-        for entry in program.observation:
+        for entry in program.policy.observation:
             for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
                 yield name, (entry.value, "observation")
-        for term in program.reward:
+        for term in program.policy.reward:
             yield _identifier("term", term.name), (term, "reward")
             yield _identifier(term.name, "term"), (term, "reward")
-        seen, paid = _signals_in(program, (entry.value for entry in program.observation)), _signals_in(program, program.reward)
+        seen, paid = (
+            _signals_in(program, (entry.value for entry in program.policy.observation)),
+            _signals_in(program, program.policy.reward),
+        )
         for value in program.signals:
             section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
             yield _identifier(value.name), (value, section)

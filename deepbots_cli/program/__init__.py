@@ -4,16 +4,16 @@
     ├── world                 what an engine builds: timestep, ground, arena, robots as data, objects
     ├── robots                controllers: sensors, what they emit, what they apply, message layouts, routes
     ├── parameters            values drawn per episode or more often (fixed ones are folded into the expressions)
-    ├── action, agent         what the agent chooses, and for how many ticks
     ├── signals               augmentation and signals, in order of evaluation
-    ├── goal                  what is achieved and what is desired
-    ├── observation, reward, endings, truncation
+    ├── policies              by name: action, observation, goal, reward, scripts, training, copies of a robot
+    ├── repeat                control ticks in one step, for which each action is held
+    ├── endings, truncation   when an episode ends
     ├── reset, disturbances   how an episode begins, what it varies, what disturbs it
-    ├── training, evaluation, solved, scripts
+    ├── evaluation, solved
     └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the curriculum
 
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
-robots.py   sensors, actuators, messages, controllers task.py     action to endings, scripts, training, evaluation
+robots.py   sensors, actuators, messages, controllers task.py     policies, endings, training, evaluation
 resets.py   placements, randomized parameters
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place of an expression
@@ -23,31 +23,17 @@ writes a program as canonical JSON, whose digest identifies the scenario.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import (
-    ActionPart,
-    Agent,
-    Criterion,
-    Ending,
-    Evaluation,
-    Goal,
-    ImageObservation,
-    Observation,
-    ObservedNumber,
-    Script,
-    Solved,
-    Training,
-    Truncation,
-)
+from deepbots_cli.program.task import Criterion, Ending, Evaluation, Policy, Script, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 
@@ -56,8 +42,14 @@ from deepbots_cli.program.world import WorldModel
 class Program:
     """One checked scenario, ready to be printed as Python and run.
 
-    It has one policy: `action`, `agent`, `observation`, `goal`, `reward`, `scripts` and `training` belong to it.
-    `augmented` are the signals that the policy may see.
+    A field belongs to a policy if a second policy would need its own: action, observation, goal, reward, scripts, training, and the
+    copies of a robot. All other fields are shared by all policies:
+
+    - the world and the robots. The commands of a robot name the action variables that they use, so a policy needs no list of robots;
+    - parameters and signals, which form one namespace;
+    - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
+
+    There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see.
     """
 
     name: str
@@ -68,31 +60,36 @@ class Program:
     format: str
     timing: Timing
     parameters: tuple[Expression, ...]
-    action: tuple[ActionPart, ...]
     signals: tuple[Expression, ...]
-    observation: tuple[Observation, ...]
-    reward: tuple[Expression, ...]
+    policies: Mapping[str, Policy]
     endings: tuple[Ending, ...]
     truncation: Truncation
     reset: Reset
     solved: Solved | None
-    training: Training | None
+    repeat: int = 1
     evaluation: Evaluation = Evaluation()
-    agent: Agent = Agent()
     cases: tuple[EvaluationCase, ...] = ()
     curriculum: tuple[CurriculumStage, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
-    goal: Goal | None = None
-    scripts: tuple[Script, ...] = ()
     augmented: frozenset[str] = frozenset()
 
     def projection(self) -> dict[str, object]:
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name != "augmented"}
 
+    @cached_property
+    def policy(self) -> Policy:
+        """The only policy."""
+        (policy,) = self.policies.values()
+        return policy
+
+    def with_policies(self, **changes: Any) -> Program:
+        """The program with the same fields of every policy changed."""
+        return replace(self, policies={name: replace(policy, **changes) for name, policy in self.policies.items()})
+
     @property
     def foreign(self) -> tuple[Foreign, ...]:
-        """The functions of installed packages that its reward and its endings call."""
-        named = (*self.reward, *(ending.value for ending in self.endings))
+        """The functions of installed packages that rewards and endings call."""
+        named = (*self.policy.reward, *(ending.value for ending in self.endings))
         return tuple(value.foreign for value in named if value.foreign is not None)
 
     @property
@@ -103,24 +100,15 @@ class Program:
         )
         return (*drawn, *self.reset.drawn)
 
-    @cached_property
-    def numbers(self) -> tuple[ObservedNumber, ...]:
-        """The numbers of one frame of the observation, apart from images."""
-        return tuple(number for entry in self.observation for number in entry.numbers)
-
-    @property
-    def images(self) -> tuple[ImageObservation, ...]:
-        return tuple(entry for entry in self.observation if isinstance(entry, ImageObservation))
-
     @property
     def period(self) -> float:
-        """Simulated time of a whole step of the agent, in s."""
-        return self.world.timestep * self.agent.repeat
+        """Simulated time of one step, in s."""
+        return self.world.timestep * self.repeat
 
     @property
     def defines_success(self) -> bool:
         """Whether an episode can be a success at all."""
-        return self.goal is not None or any(ending.outcome == "success" for ending in self.endings)
+        return self.policy.goal is not None or any(ending.outcome == "success" for ending in self.endings)
 
     def case(self, name: str) -> EvaluationCase:
         """The case of the evaluation of that name.
@@ -136,7 +124,7 @@ class Program:
 
     def script(self, name: str) -> Script:
         """The same for a script."""
-        return self._named("script", name, self.scripts)
+        return self._named("script", name, self.policy.scripts)
 
     def _named(self, what: str, name: str, known: Sequence[Entry]) -> Entry:
         found = next((entry for entry in known if entry.name == name), None)

@@ -20,7 +20,7 @@ MAX_SENSED_RAYS = 4 * MAX_RAYS  # of all sensors of a robot
 MAX_PIXELS = 1024
 """Per side of a picture."""
 MIN_RESOLUTION = 1e-12
-"""The least step between two readings, in the sensor's unit."""
+"""Smallest step between two readings, in the sensor's unit."""
 
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
@@ -97,7 +97,7 @@ class Sensor:
 
     `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
     `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind has of its own, in SI
-    units. `reader` and `fact` are those of the kind (`scenario.sensors.Sensor`).
+    units. `reader` and `world_function` are those of the kind (`scenario.sensors.Sensor`).
     """
 
     name: str
@@ -112,21 +112,21 @@ class Sensor:
     against: tuple[str, ...] | None = None
     parameters: tuple[tuple[str, Parameter], ...] = ()
     reader: str = ""
-    fact: str | None = None
+    world_function: str | None = None
 
     @property
-    def is_fact(self) -> bool:
-        """Whether reading the sensor is reading the engine."""
-        return self.fact is not None and self.faults is None and self.mount == Pose()
+    def is_direct(self) -> bool:
+        """Whether a reading is the value of a world function, which is read from the engine without a device."""
+        return self.world_function is not None and self.faults is None and self.mount == Pose()
 
-    def fact_of(self, robot: str, component: str | None) -> World:
-        """The fact that one component of such a sensor measures."""
+    def world_value(self, robot: str, component: str | None) -> World:
+        """The call of the world function that gives one component of such a sensor."""
         if self.components == self.subjects:  # joints under their names
-            return World(self.fact or "", (f"{robot}.{component or self.subjects[0]}",))
-        return World(self.fact or "", (f"{robot}.{self.subjects[0]}",), component)
+            return World(self.world_function or "", (f"{robot}.{component or self.subjects[0]}",))
+        return World(self.world_function or "", (f"{robot}.{self.subjects[0]}",), component)
 
     def projection(self) -> dict[str, object]:
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("reader", "fact")}
+        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("reader", "world_function")}
 
 
 # Actuators
@@ -149,8 +149,9 @@ class Response:
 
 @dataclass(frozen=True)
 class Motor:
-    """Joints that are driven. Limits in N m or N, rad/s or m/s, one per joint; None is unlimited.
+    """An actuator with a motor in each of its joints, all of one kind: velocity, position or torque.
 
+    Limits are in N m or N, rad/s or m/s, one per joint; None is unlimited.
     `max_velocity` bounds the targets of a velocity motor, and how fast those of a position motor move;
     `max_acceleration` (rad/s^2 or m/s^2) how fast those of a velocity motor change.
     """
@@ -173,9 +174,9 @@ class Motor:
 
 @dataclass(frozen=True)
 class Thrust:
-    """Links that are pushed along their z axis with `low` to `high` N, as by a rotor.
+    """An actuator that pushes links along their z axis with `low` to `high` N, as rotors do.
 
-    Each is turned about that axis with `drag` (m) times thrust times its `spin`.
+    It also turns each link about this axis with `drag` (m) times thrust times its `spin`.
     """
 
     name: str
@@ -193,9 +194,10 @@ class Thrust:
 
 @dataclass(frozen=True)
 class Cartesian:
-    """Joints that bring the origin of a link to a commanded position (m, world frame), in the attitude `rpy` (rad) or any.
+    """An actuator for Cartesian control: it moves the origin of a link to a commanded position (m, world frame).
 
-    They are driven by the servo of the engine, within the ranges that the robot file gives them.
+    The link takes the attitude `rpy` (rad), or any. The engine solves the inverse kinematics and drives the joints, within their
+    ranges in the robot file.
     """
 
     name: str
@@ -213,7 +215,7 @@ class Cartesian:
 
 @dataclass(frozen=True)
 class CustomActuator:
-    """Joints that the control law of a plug-in drives: `drive` is its `module:attribute`.
+    """An actuator of a kind of another package, whose control law drives the joints: `drive` is its `module:attribute`.
 
     `parameters` are those that the kind has of its own, in SI units. Commands are clamped to `low` to `high` where they are given.
     Limits are as those of `Motor`.

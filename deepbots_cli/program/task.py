@@ -1,4 +1,4 @@
-"""The task of the agent: action, observation, goal, endings, scripts; how the policy is trained and evaluated."""
+"""Policies (action, observation, goal, reward, scripts, training), and what they share: endings, time limits and evaluation."""
 
 from __future__ import annotations
 
@@ -81,19 +81,6 @@ class RobotCopies:
     robot: str
     count: int
     spacing: Vector
-
-
-@dataclass(frozen=True)
-class Agent:
-    """How the policy is joined to the scenario.
-
-    One action of the agent is held for `repeat` control ticks, which make one step; the policy sees `stack`
-    observations in a row. `each` lets it act for every copy of a robot.
-    """
-
-    repeat: int = 1
-    stack: int = 1
-    each: RobotCopies | None = None
 
 
 # Observation
@@ -271,16 +258,16 @@ class Truncation:
 class ScriptedChoice:
     """How a script chooses: the first option whose condition holds, and `otherwise` if none does."""
 
-    rules: tuple[tuple[str, Expression], ...]
+    branches: tuple[tuple[str, Expression], ...]
     otherwise: str
 
     @property
     def options(self) -> tuple[str, ...]:
-        return (*(option for option, _ in self.rules), self.otherwise)
+        return (*(option for option, _ in self.branches), self.otherwise)
 
     @property
     def values(self) -> tuple[Expression, ...]:
-        return tuple(condition for _, condition in self.rules)
+        return tuple(condition for _, condition in self.branches)
 
     @property
     def scalars(self) -> tuple[Scalar, ...]:
@@ -317,20 +304,11 @@ class Script:
         return tuple(scalar for part in self.parts for scalar in part.scalars)
 
 
-# Training and evaluation
+# Training
 
 
 @dataclass(frozen=True)
-class Solved:
-    """What counts as solved, over `episodes` consecutive episodes."""
-
-    episodes: int
-    mean_return: float | None = None
-    success_rate: float | None = None
-
-
-@dataclass(frozen=True)
-class Policy:
+class Network:
     """Hidden layers of actor and critic, and their activation."""
 
     hidden: tuple[int, ...] = (64, 64)
@@ -376,9 +354,51 @@ class Training:
     total_timesteps: int
     environments: int = 1
     hyperparameters: tuple[Hyperparameter, ...] = ()
-    policy: Policy = Policy()
+    network: Network = Network()
     action_noise: ActionNoise | None = None
     replay: Hindsight | None = None
+
+
+# Policy
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """The action, observation, goal and reward of one policy, and its training.
+
+    The policy sees `stack` observations in a row, and the goal if there is one. `reward` holds the terms, whose sum is the reward. With
+    `copies`, the policy acts for each copy of a robot. `scripts` are hand-written policies for the same action.
+    """
+
+    action: tuple[ActionPart, ...]
+    observation: tuple[Observation, ...]
+    reward: tuple[Expression, ...]
+    goal: Goal | None = None
+    stack: int = 1
+    copies: RobotCopies | None = None
+    scripts: tuple[Script, ...] = ()
+    training: Training | None = None
+
+    @cached_property
+    def numbers(self) -> tuple[ObservedNumber, ...]:
+        """The numbers of one frame of the observation, apart from images."""
+        return tuple(number for entry in self.observation for number in entry.numbers)
+
+    @property
+    def images(self) -> tuple[ImageObservation, ...]:
+        return tuple(entry for entry in self.observation if isinstance(entry, ImageObservation))
+
+
+# Evaluation
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What counts as solved, over `episodes` consecutive episodes."""
+
+    episodes: int
+    mean_return: float | None = None
+    success_rate: float | None = None
 
 
 @dataclass(frozen=True)

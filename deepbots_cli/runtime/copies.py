@@ -50,7 +50,7 @@ def assemble(
     kind: type[Supervisor], scenario: Program, create: Callable[[WorldModel], Engine], render_mode: str | None = None
 ) -> Supervisor:
     """The environment of a scenario whose generated supervisor is `kind`."""
-    copies = scenario.agent.each
+    copies = scenario.policy.copies
     if copies is None:
         return kind(scenario, create(scenario.world), render_mode)
     return CopiesSupervisor(kind, scenario, copies, create(populated(scenario.world, copies)), render_mode)

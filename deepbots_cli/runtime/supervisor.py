@@ -84,13 +84,15 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.streams = Streams(None)
         self.views = views(scenario)
         self.depth = len(self.views)
-        self.frame_stacks = {entry.key: FrameStack(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.images}
-        self.frames = np.zeros(self.depth * len(scenario.numbers), np.float32)
+        self.frame_stacks = {
+            entry.key: FrameStack(entry.shape, entry.ages(scenario.policy.stack), self.depth) for entry in scenario.policy.images
+        }
+        self.frames = np.zeros(self.depth * len(scenario.policy.numbers), np.float32)
         self._buffer = self.frames.data
-        self._width = 4 * len(scenario.numbers)
-        self._pack = Struct(f"{len(scenario.numbers)}f").pack_into
-        self._ranges = sum(max(1, len(part.components)) for part in scenario.action if isinstance(part, ActionRange))
-        self.goal = np.zeros(2 * len(scenario.goal.low) if scenario.goal else 0, np.float32)
+        self._width = 4 * len(scenario.policy.numbers)
+        self._pack = Struct(f"{len(scenario.policy.numbers)}f").pack_into
+        self._ranges = sum(max(1, len(part.components)) for part in scenario.policy.action if isinstance(part, ActionRange))
+        self.goal = np.zeros(2 * len(scenario.policy.goal.low) if scenario.policy.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self.fixed: tuple[str, ...] = ()  # parameters that no episode draws
@@ -296,7 +298,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         """Which options of each choice may be chosen next; all of them unless the scenario forbids some."""
-        return tuple((True,) * len(part.options) for part in self.scenario.action if isinstance(part, Choices))
+        return tuple((True,) * len(part.options) for part in self.scenario.policy.action if isinstance(part, Choices))
 
     @abstractmethod
     def get_observations(self) -> Observation:
@@ -364,7 +366,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         Raises:
             FloatingPointError: A number is not a number.
         """
-        goal = self.scenario.goal
+        goal = self.scenario.policy.goal
         assert goal is not None
         halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
         middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
@@ -411,14 +413,14 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
     def _fill_frames(self) -> None:
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
-        width = len(self.scenario.numbers)
+        width = len(self.scenario.policy.numbers)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
         for stack in self.frame_stacks.values():
             stack.frames[1:] = stack.frames[0]
 
     def _nothing_allowed(self, choice: str) -> None:
         """Called when every option of a choice is forbidden while the episode goes on."""
-        options = next(part.options for part in self.scenario.action if part.name == choice and isinstance(part, Choices))
+        options = next(part.options for part in self.scenario.policy.action if part.name == choice and isinstance(part, Choices))
         names = ", ".join(option.name for option in options)
         raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 

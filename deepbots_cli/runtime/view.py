@@ -73,7 +73,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
 
 def _robots(scenario: Program, places: dict[str, Placement]) -> Iterator[Bounds]:
     """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
-    copies = scenario.agent.each
+    copies = scenario.policy.copies
     shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
     for robot in scenario.world.robots:
         low, high = _placed(_all_round(bounds(robot.model)), robot.pose.xyz, places.get(robot.name), scenario.world, places)

@@ -185,6 +185,6 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
     yield name, kind
 
 
-_OURS = (VelocityMotor, PositionMotor, TorqueMotor, Thrust, Cartesian, Gripper)
-ACTUATORS: Table[type[Actuator]] = Table("deepbots.actuators", {kind_of(model): model for model in _OURS}, _read)
+_KINDS = (VelocityMotor, PositionMotor, TorqueMotor, Thrust, Cartesian, Gripper)
+ACTUATORS: Table[type[Actuator]] = Table("deepbots.actuators", {kind_of(model): model for model in _KINDS}, _read)
 AnyActuator = Annotated[Actuator, Kinds("type", ACTUATORS)]

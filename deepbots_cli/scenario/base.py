@@ -86,7 +86,7 @@ class Section(BaseModel):
 
 @dataclass(frozen=True)
 class Size:
-    """The least number of entries of a list or mapping, and what one is called."""
+    """The minimum number of entries of a list or mapping, and what one is called."""
 
     min: int = 1
     noun: str = "entry"

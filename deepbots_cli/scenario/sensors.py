@@ -63,9 +63,12 @@ class Sensor(Section):
     boolean: ClassVar[bool] = False
     """Whether a reading is true or false."""
     reader: ClassVar[str] = ""
-    """`module:attribute` of a function that takes a `runtime.sensing.Site` and returns an `Instrument`."""
-    fact: ClassVar[str | None] = None
-    """The world function that says the same; a sensor without faults, in the origin of its link, is read as that."""
+    """`module:attribute` of a function that takes a `runtime.sensing.Site`, a sensor in a world, and returns an `Instrument`."""
+    world_function: ClassVar[str | None] = None
+    """The function of the language, such as `joint_position`, with the same value as a sensor without faults in the origin of its link.
+
+    Such a sensor is compiled to this function, and needs no `reader` in a running world.
+    """
     perceives: ClassVar[bool] = False
     """Whether a reading depends on what is around the robot."""
 
@@ -116,7 +119,7 @@ class JointPosition(JointSensor):
     dimension = ANGLE
     sliding = LENGTH
     reader = f"{_READERS}:positions"
-    fact = "joint_position"
+    world_function = "joint_position"
 
     type: Literal["joint_position"]
 
@@ -131,7 +134,7 @@ class JointVelocity(JointSensor):
     dimension = ANGULAR_VELOCITY
     sliding = SPEED
     reader = f"{_READERS}:velocities"
-    fact = "joint_velocity"
+    world_function = "joint_velocity"
 
     type: Literal["joint_velocity"]
 
@@ -142,7 +145,7 @@ class JointTorque(JointSensor):
     dimension = TORQUE
     sliding = FORCE
     reader = f"{_READERS}:torques"
-    fact = "joint_torque"
+    world_function = "joint_torque"
 
     type: Literal["joint_torque"]
 
@@ -202,7 +205,7 @@ class Position(LinkSensor):
     dimension = LENGTH
     components = SPACE
     reader = f"{_READERS}:position"
-    fact = "position"
+    world_function = "position"
 
     type: Literal["position"]
 
@@ -213,7 +216,7 @@ class Velocity(LinkSensor):
     dimension = SPEED
     components = SPACE
     reader = f"{_READERS}:velocity"
-    fact = "velocity"
+    world_function = "velocity"
 
     type: Literal["velocity"]
 
@@ -224,7 +227,7 @@ class Orientation(LinkSensor):
     components = QUATERNION
     interval = iv.SIGNED_UNIT
     reader = f"{_READERS}:orientation"
-    fact = "orientation"
+    world_function = "orientation"
 
     type: Literal["orientation"]
 
@@ -235,7 +238,7 @@ class AngularVelocity(LinkSensor):
     dimension = ANGULAR_VELOCITY
     components = SPACE
     reader = f"{_READERS}:angular_velocity"
-    fact = "angular_velocity"
+    world_function = "angular_velocity"
 
     type: Literal["angular_velocity"]
 
@@ -376,10 +379,10 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
     yield name, kind
 
 
-_OURS = (
+_KINDS = (
     *(JointPosition, JointVelocity, JointTorque),
     *(Gyro, Accelerometer, Inclinometer, Compass, Position, Velocity, Orientation, AngularVelocity),
     *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
 )
-SENSORS: Table[type[Sensor]] = Table("deepbots.sensors", {kind_of(model): model for model in _OURS}, _read)
+SENSORS: Table[type[Sensor]] = Table("deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read)
 AnySensor = Annotated[Sensor, Kinds("type", SENSORS)]

@@ -75,8 +75,8 @@ class Training(Section):
 
     @classmethod
     def base(cls) -> str:
-        """The algorithm of ours that it is, or is derived from."""
-        return next(model.__name__ for model in cls.__mro__ if model in _OURS)
+        """The built-in algorithm that it is, or is derived from."""
+        return next(model.__name__ for model in cls.__mro__ if model in _BUILT_IN)
 
     @property
     def hyperparameters(self) -> Mapping[str, Any]:
@@ -275,16 +275,16 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """The model that an entry point names.
 
     Raises:
-        ValueError: It is derived from none of ours, or lacks something.
+        ValueError: It is derived from no built-in algorithm, or lacks something.
     """
-    if not (isinstance(model, type) and issubclass(model, _OURS)):
-        raise ValueError(f"{model!r} is derived from none of {', '.join(known.__name__ for known in _OURS)}")
+    if not (isinstance(model, type) and issubclass(model, _BUILT_IN)):
+        raise ValueError(f"{model!r} is derived from none of {', '.join(known.__name__ for known in _BUILT_IN)}")
     require_kind(name, model, model.place, "algorithm")
     yield name, model
 
 
-_OURS = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
-ALGORITHMS: Table[type[Training]] = Table("deepbots.algorithms", {model.__name__: model for model in _OURS}, _read)
+_BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
+ALGORITHMS: Table[type[Training]] = Table("deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read)
 AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
 
 ELSEWHERE: Mapping[str, str] = {

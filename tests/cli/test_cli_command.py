@@ -150,7 +150,7 @@ def test_a_file_that_cannot_be_written_is_one_line(deepbots, tmp_path):
 
 def test_a_reader_that_leaves_early_is_no_error():
     process = subprocess.Popen(
-        [sys.executable, "-m", "deepbots_cli", "compile", "cartpole", "--ir"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-m", "deepbots_cli", "compile", "cartpole", "--program"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     process.stdout.close()
     assert process.stderr.read() == b""
@@ -253,7 +253,7 @@ def _in_shell(line: str) -> str:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
-@pytest.mark.parametrize("verb", ["inspect cartpole", "compile cartpole --ir", "lint cartpole", "list", "--help"])
+@pytest.mark.parametrize("verb", ["inspect cartpole", "compile cartpole --program", "lint cartpole", "list", "--help"])
 def test_the_exit_code_is_the_same_when_nobody_reads_the_output(verb):
     told = _in_shell(f"deepbots {verb} 2>&1 | true; echo ${{PIPESTATUS[0]}}")
     assert told == "0\n"

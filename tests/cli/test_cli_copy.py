@@ -98,7 +98,7 @@ def test_an_ejected_project_runs_on_its_own(deepbots, tmp_path):
     assert ran.code == 0
     assert "python run.py" in ran.err
     assert (project / "environment.py").read_text() == deepbots("compile", "cartpole", "--set", "truncation.max_steps=7").out
-    assert api.compile(project / "resolved.yaml").ir.truncation.max_steps == 7
+    assert api.compile(project / "resolved.yaml").program.truncation.max_steps == 7
     done = subprocess.run([sys.executable, "run.py"], cwd=project, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("return") == 3

@@ -22,11 +22,11 @@ def test_what_a_template_makes_is_clean_runs_and_says_what_to_do_next(deepbots, 
     assert all(f"deepbots {verb} my_first.yaml" in made.err for verb in ("run", "lint", "inspect", "train"))
     assert api.lint(tmp_path / "my_first.yaml", preview=True) == []
     compiled = api.compile(tmp_path / "my_first.yaml")
-    assert compiled.ir.name == "MyFirst"
-    assert compiled.ir.training is not None
+    assert compiled.program.name == "MyFirst"
+    assert compiled.program.policy.training is not None
     ran = deepbots("run", "my_first.yaml", "--episodes", "2")
     assert ran.code == 0, ran.err
-    for script in compiled.ir.scripts:
+    for script in compiled.program.policy.scripts:
         assert deepbots("run", "my_first.yaml", "--script", script.name, "--episodes", "1").code == 0
 
 
@@ -120,7 +120,7 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
     made = deepbots("new", "first", "--urdf", robot)
     assert made.code == 0, made.err
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
-    scenario = api.compile(tmp_path / "first.yaml").ir
+    scenario = api.compile(tmp_path / "first.yaml").program
     assert ROBOTS[robot] in scenario.summary
     assert scenario.world.robots[0].fixed_base is (ROBOTS[robot] in ("arm", "posture") or robot.endswith(("rail", "data/cartpole.urdf")))
     ran = deepbots("run", "first.yaml", "--episodes", "2", "--steps", "100")
@@ -149,7 +149,7 @@ def test_wheels_of_a_robot_file_turn_the_way_that_the_scenario_says(deepbots, ro
 def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_path):
     deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf")
     deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf")
-    car, droid = (api.compile(tmp_path / f"{name}.yaml").ir.robots[0] for name in ("car", "droid"))
+    car, droid = (api.compile(tmp_path / f"{name}.yaml").program.robots[0] for name in ("car", "droid"))
     assert [len(motor.joints) for motor in car.actuators] == [4, 2]
     assert [motor.kind for motor in car.actuators] == ["velocity_motor", "position_motor"]
     assert [motor.joints for motor in droid.actuators if motor.name.startswith("hold")] == [
@@ -181,7 +181,7 @@ def test_joints_with_odd_names_and_a_file_of_an_odd_name_make_a_scenario_all_the
     (tmp_path / "a\nname: B.urdf").write_text(text, encoding="utf-8")
     made = deepbots("new", "odd", "--urdf", "a\nname: B.urdf")
     assert made.code == 0, made.err
-    assert api.compile(tmp_path / "odd.yaml").ir.name == "Odd"
+    assert api.compile(tmp_path / "odd.yaml").program.name == "Odd"
 
 
 @pytest.mark.parametrize("names", [("#hip", "hip#1"), ("arm.1", "arm.2"), ("joint[1]", "joint[2]"), ("a*b", "a*bb")], ids=str)
@@ -193,7 +193,7 @@ def test_joints_called_like_copies_components_or_patterns_are_taken_for_joints(d
     made = deepbots("new", "odd", "--urdf", "odd.urdf")
     assert made.code == 0, made.err
     assert api.lint(tmp_path / "odd.yaml", preview=True) == []
-    assert api.compile(tmp_path / "odd.yaml").ir.robots[0].actuators[0].joints == ("turn", *names)
+    assert api.compile(tmp_path / "odd.yaml").program.robots[0].actuators[0].joints == ("turn", *names)
 
 
 def test_a_robot_file_outside_the_project_is_refused_with_what_to_do(deepbots, tmp_path):

@@ -136,7 +136,7 @@ def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_l
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     low, high = ([float(word) for word in end.split()] for end in re.findall(r"target: uniform\((.*) \.\. (.*) m\)", text)[0])
     lift = float(re.findall(r"robot: \{z: (\S+) m", text)[0])
-    limb = Build(api.compile("first.yaml").ir.world.robots[0].model).limbs[0]
+    limb = Build(api.compile("first.yaml").program.world.robots[0].model).limbs[0]
     assert lift > 0.1
     for x, y, z in product(*zip(low, high, strict=True)):
         assert limb.positions_for((x, y, z - lift))[1] < 0.03 * limb.reach
@@ -155,7 +155,7 @@ def test_no_position_is_rounded_beyond_a_limit(deepbots, tmp_path, lower, upper)
 @pytest.mark.parametrize("robot", ["locked"], indirect=True)
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
     assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
-    assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").ir.robots[0].actuators] == [("free",)]
+    assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators] == [("free",)]
 
 
 @pytest.mark.parametrize("robot", ["gripper"], indirect=True)

@@ -67,8 +67,8 @@ def test_the_size_of_a_message_is_what_its_codec_makes(format):
     from deepbots_cli.cli.inspection import message_size
     from deepbots_cli.runtime.messages import codec
 
-    ir = api.compile("cartpole", sets=[f"messages.format={format}"]).ir
-    for layout in (ir.robots[0].to_robot, ir.robots[0].from_robot):
+    program = api.compile("cartpole", sets=[f"messages.format={format}"]).program
+    for layout in (program.robots[0].to_robot, program.robots[0].from_robot):
         assert message_size(layout, format) == len(codec(layout, format).encode(*[0.5] * len(layout.fields)))
 
 
@@ -135,9 +135,9 @@ def test_compile_prints_what_runs(deepbots, tmp_path):
     assert deepbots("compile", "cartpole").out == compiled.code
     assert deepbots("compile", "cartpole", "-o", "e.py").out == ""
     assert (tmp_path / "e.py").read_text() == compiled.code
-    assert json.loads(deepbots("compile", "cartpole", "--ir").out)["name"] == "CartPole"
+    assert json.loads(deepbots("compile", "cartpole", "--program").out)["name"] == "CartPole"
     assert json.loads(deepbots("compile", "cartpole", "--json").out)["digest"] == compiled.digest
-    assert deepbots("compile", "cartpole", "--json", "--ir").code == 2
+    assert deepbots("compile", "cartpole", "--json", "--program").code == 2
 
 
 def test_run_shows_returns_endings_and_terms(deepbots):

@@ -140,7 +140,7 @@ def test_odd_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: t
     for path in some(data, 2):
         made = compiled(replaced(data, path, rng.choice(OTHERS)), folder)
         if made is not None:
-            with suppress(DeepbotsError), closing(api.build(made.ir)) as world:
+            with suppress(DeepbotsError), closing(api.build(made.program)) as world:
                 world.reset(seed=0)
                 world.step(world.action_space.sample())
 
@@ -148,6 +148,6 @@ def test_odd_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: t
 @pytest.mark.parametrize("name", ['x"', "a\nimport os", '"""', "os.system", "A", "", "naïve", "a b", "1a", "a;b"])
 def test_a_name_that_is_no_identifier_is_never_printed(name: str) -> None:
     """The compiler lets none through; should it do so by mistake, nothing is printed."""
-    ir = api.compile("cartpole").ir
+    program = api.compile("cartpole").program
     with pytest.raises(ValueError, match="name"):
-        emit(replace(ir, reward=(replace(ir.reward[0], name=name),)))
+        emit(program.with_policies(reward=(replace(program.policy.reward[0], name=name),)))

@@ -14,19 +14,19 @@ from tests.named import constant
 
 
 def test_minus_zero_and_infinity_are_told_apart() -> None:
-    cartpole = api.compile("cartpole").ir
-    one, *others = (digest(replace(cartpole, reward=(constant(value),))) for value in (0.0, -0.0, float("inf"), float("-inf")))
+    cartpole = api.compile("cartpole").program
+    one, *others = (digest(cartpole.with_policies(reward=(constant(value),))) for value in (0.0, -0.0, float("inf"), float("-inf")))
     assert len({one, *others}) == 4
 
 
 def test_the_text_is_json_with_sorted_keys() -> None:
-    text = to_json(api.compile("cartpole").ir)
+    text = to_json(api.compile("cartpole").program)
     assert json.dumps(json.loads(text), sort_keys=True, separators=(",", ":")) == text
 
 
 @pytest.mark.parametrize("text", ['"""\nimport os\n"""', "'''", "\\", "\\u0022", "a\r\nb", "{x}", "\x00", 'Ends with a quote"'])
 def test_the_summary_stays_text_in_the_code(text: str) -> None:
-    cartpole = api.compile("cartpole").ir
+    cartpole = api.compile("cartpole").program
     code = emit(replace(cartpole, summary=text))
     plain = emit(cartpole)
     assert len(code.splitlines()) == len(plain.splitlines())

@@ -18,21 +18,21 @@ def with_cases(cases: str) -> tuple[str, str]:
 
 def test_a_case_is_what_the_same_assignments_on_the_command_line_compile_to(workshop, cartpole) -> None:
     compiled = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg, messages.timing: paper}, episodes: 7}")))
-    (case,) = compiled.ir.cases
-    plain = workshop.compile(cartpole(("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: paper"))).ir
+    (case,) = compiled.program.cases
+    plain = workshop.compile(cartpole(("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: paper"))).program
     assert (case.name, case.episodes) == ("steep", 7)
     assert to_json(case.program) == to_json(replace(plain, evaluation=case.program.evaluation))
 
 
 def test_a_case_has_as_many_episodes_as_the_evaluation_unless_it_says_otherwise(workshop, cartpole) -> None:
-    (case,) = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).ir.cases
+    (case,) = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program.cases
     assert case.episodes == 30
 
 
 def test_the_scenario_itself_does_not_change_by_its_cases(workshop, cartpole) -> None:
     plain = workshop.compile(cartpole((SOLVED, f"evaluation: {{episodes: 30}}\n{SOLVED}")))
     cased = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}")))
-    assert to_json(replace(cased.ir, cases=())) == to_json(plain.ir)
+    assert to_json(replace(cased.program, cases=())) == to_json(plain.program)
     assert cased.digest != plain.digest
 
 
@@ -69,10 +69,10 @@ def test_there_may_be_many_cases_but_not_any_number(workshop, cartpole) -> None:
 
 
 def test_a_case_that_is_not_there_is_told_with_those_that_are(workshop, cartpole) -> None:
-    ir = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).ir
-    assert ir.case("steep") is ir.cases[0]
+    program = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program
+    assert program.case("steep") is program.cases[0]
     with pytest.raises(UsageError, match="no case 'flat'; there are: steep"):
-        ir.case("flat")
+        program.case("flat")
 
 
 CRATES = (
@@ -86,8 +86,8 @@ SCATTERED = ("place: {", "place: {crate: {region: {x: -0.4 .. 0.4 m, y: 0.2 .. 0
 
 def test_a_case_may_exchange_the_kinds_of_a_group(workshop, cartpole) -> None:
     others = "round: {set: {objects.crate.one_of: {can: {shape: cylinder, radius: 3 cm, height: 8 cm}}}}"
-    ir = workshop.compile(cartpole(CRATES, SCATTERED, with_cases(others))).ir
-    kinds = [[variant.name for variant in world.objects[0].variants] for world in (ir.world, ir.case("round").program.world)]
+    program = workshop.compile(cartpole(CRATES, SCATTERED, with_cases(others))).program
+    kinds = [[variant.name for variant in world.objects[0].variants] for world in (program.world, program.case("round").program.world)]
     assert kinds == [["cube", "plank"], ["can"]]
 
 

@@ -60,7 +60,7 @@ def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):
     shutil.rmtree(meshed.parents[1])
     again = api.compile(resolved)
     assert again.digest == compiled.digest
-    assert canonical.to_json(again.ir) != canonical.to_json(compiled.ir)  # the mesh lies elsewhere, which does not count
+    assert canonical.to_json(again.program) != canonical.to_json(compiled.program)  # the mesh lies elsewhere, which does not count
 
 
 def test_another_mesh_is_another_scenario(meshed):

@@ -12,8 +12,8 @@ from deepbots_cli.expressions.scalar import Draw, Name, walk
 
 def draws(compiled) -> list[str]:
     """The streams of all draws of a scenario."""
-    reset = compiled.ir.reset
-    values = [value for parameter in compiled.ir.parameters for value in parameter.scalars]
+    reset = compiled.program.reset
+    values = [value for parameter in compiled.program.parameters for value in parameter.scalars]
     values += [value for place in reset.placements for value in (*place.xyz, *place.rpy)]
     values += [value for start in reset.joint_starts for _, *state in start.states for value in state]
     return [node.stream for value in values for node in walk(value) if isinstance(node, Draw)]
@@ -34,12 +34,12 @@ def test_parameters_are_drawn_after_those_that_they_are_made_of(workshop, rail) 
         ("parameters: {cart_speed: 1 m/s}", "parameters:\n  near: 2 * far\n  far: uniform(1 .. 2)\n  cart_speed: 1 m/s"),
         ("reward: {alive: 1}", "reward: {alive: near}"),
     )
-    assert [parameter.name for parameter in workshop.compile(text).ir.parameters] == ["far", "near"]
+    assert [parameter.name for parameter in workshop.compile(text).program.parameters] == ["far", "near"]
 
 
 def test_what_is_fixed_is_folded_and_has_no_slot(workshop, rail) -> None:
     compiled = workshop.compile(rail(("{cart_speed: 1 m/s}", "{cart_speed: base * 2, base: 50 cm/s}")))
-    assert compiled.ir.parameters == ()
+    assert compiled.program.parameters == ()
     assert "cart_speed" not in compiled.code
 
 
@@ -86,7 +86,7 @@ def test_a_draw_is_shared_through_a_parameter(workshop, cartpole) -> None:
     )
     compiled = workshop.compile(text)
     assert draws(compiled) == ["parameters.turn#0"]
-    assert {position for start in compiled.ir.reset.joint_starts for _, position, _ in start.states} == {Name("turn")}
+    assert {position for start in compiled.program.reset.joint_starts for _, position, _ in start.states} == {Name("turn")}
 
 
 def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
@@ -110,7 +110,7 @@ def test_the_same_seed_draws_the_same_and_another_seed_does_not(workshop, rail) 
 
 def test_any_yaw_is_drawn_from_the_whole_circle(workshop, cartpole) -> None:
     compiled = workshop.compile(cartpole(("{z: 0.04 m}", "{z: 0.04 m, yaw: any}")))
-    (yaw,) = (place.rpy[2] for place in compiled.ir.reset.placements)
+    (yaw,) = (place.rpy[2] for place in compiled.program.reset.placements)
     assert isinstance(yaw, Draw)
     assert [argument.value for argument in yaw.args] == [-math.pi, math.pi]
 
@@ -200,14 +200,14 @@ def test_a_robot_is_sent_the_action_variables_that_it_uses_and_what_it_asks_for(
         ("drive * cart_speed", "drive * top"),
         ("1 m/s}", "uniform(0.5 .. 1 m/s)}"),
     )
-    (robot,) = workshop.compile(text).ir.robots
+    (robot,) = workshop.compile(text).program.robots
     assert [field.name for field in robot.to_robot.fields] == ["drive", "top"]
     assert [field.unit for field in robot.to_robot.fields] == ["1", "m/s"]
 
 
 def test_what_is_asked_for_may_stand_in_for_an_action_variable(workshop, rail) -> None:
     text = rail(("    emit:", "    receive: {drive: drive / 2}\n    emit:"))
-    (robot,) = workshop.compile(text).ir.robots
+    (robot,) = workshop.compile(text).program.robots
     assert [field.name for field in robot.to_robot.fields] == ["drive"]
     assert robot.received[0].scalars != (Name("drive"),)
 
@@ -215,6 +215,6 @@ def test_what_is_asked_for_may_stand_in_for_an_action_variable(workshop, rail) -
 @pytest.mark.parametrize("emit", ["rate, place, lean, turn", "place, rate, lean, turn, joints"])
 def test_the_stamp_of_a_message_changes_with_its_fields(workshop, rail, emit: str) -> None:
     sensors = ("    actuators:", "      joints: {type: joint_position, joints: [slider]}\n    actuators:")
-    plain = workshop.compile(rail(sensors)).ir.robots[0].from_robot
-    other = workshop.compile(rail(sensors, ("emit: [place, rate, lean, turn]", f"emit: [{emit}]"))).ir.robots[0].from_robot
+    plain = workshop.compile(rail(sensors)).program.robots[0].from_robot
+    other = workshop.compile(rail(sensors, ("emit: [place, rate, lean, turn]", f"emit: [{emit}]"))).program.robots[0].from_robot
     assert plain.layout_hash != other.layout_hash

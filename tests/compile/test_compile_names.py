@@ -12,7 +12,7 @@ REWARD = "  alive: 1"
 
 
 def facts(compiled, name: str) -> set[World]:
-    signal = next(signal for signal in compiled.ir.signals if signal.name == name)
+    signal = next(signal for signal in compiled.program.signals if signal.name == name)
     return {node for value in signal.scalars for node in walk(value) if isinstance(node, World)}
 
 
@@ -35,7 +35,7 @@ def test_such_a_name_is_offered_once_among_the_known_ones(workshop, cartpole) ->
 def test_names_may_be_used_before_they_are_defined(workshop, cartpole) -> None:
     text = cartpole(("  x:         position(cart).x", "  half: x / 2\n  x:         position(cart).x"), (REWARD, "  alive: half / m"))
     assert workshop.codes(text) == []
-    assert [signal.name for signal in workshop.compile(text).ir.signals].index("half") == 1
+    assert [signal.name for signal in workshop.compile(text).program.signals].index("half") == 1
 
 
 def test_a_circle_is_told_once_and_in_full(workshop, cartpole) -> None:
@@ -114,7 +114,7 @@ def test_groups_of_links_are_no_joints(workshop, cartpole) -> None:
 def test_a_group_is_made_of_groups_in_the_order_written(workshop, cartpole) -> None:
     groups = "    groups: {front: [wheel_front_*], rear: [wheel_rear_*], all: [rear, front]}\n    sensors:"
     compiled = workshop.compile(cartpole(("    sensors:", groups), ("[wheel_*]", "all")))
-    (wheels,) = compiled.ir.robots[0].actuators
+    (wheels,) = compiled.program.robots[0].actuators
     assert wheels.joints == ("wheel_rear_left", "wheel_rear_right", "wheel_front_left", "wheel_front_right")
 
 

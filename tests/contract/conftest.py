@@ -51,11 +51,11 @@ class Case:
         return "-".join([Path(self.source).stem, *(text.split("=")[1] for text in self.sets)])
 
     @cached_property
-    def ir(self) -> Program:
-        return api.compile(self.source, sets=self.sets).ir
+    def program(self) -> Program:
+        return api.compile(self.source, sets=self.sets).program
 
     def make(self, render_mode: str | None = None) -> Supervisor:
-        return api.build(self.ir, render_mode=render_mode)
+        return api.build(self.program, render_mode=render_mode)
 
 
 CASES = [

@@ -57,8 +57,8 @@ def test_the_examples_have_no_findings(checked: Checked):
 
 def test_the_examples_give_finite_values_in_every_step(checked: Checked):
     compiled = api.compile(checked)
-    fields = [entry.name for entry in compiled.ir.numbers]
-    env = api.build(compiled.ir)
+    fields = [entry.name for entry in compiled.program.policy.numbers]
+    env = api.build(compiled.program)
     seen = [env.reset(seed=1)[0]]
     env.action_space.seed(1)
     seen += [env.step(env.action_space.sample())[0] for _ in range(20)]

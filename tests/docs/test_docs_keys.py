@@ -166,7 +166,7 @@ def test_a_scenario_with_the_example_runs(key: Key):
     checked, _ = tried(key)
     if checked is None:
         pytest.skip("what is wrong with it is said elsewhere")
-    with closing(api.build(api.compile(checked).ir)) as environment:
+    with closing(api.build(api.compile(checked).program)) as environment:
         environment.action_space.seed(1)
         environment.reset(seed=1)
         for _ in range(20):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -93,7 +94,7 @@ def _train(training: Training) -> str:
     """The section in YAML."""
     section: dict[str, Any] = {name: getattr(training, name) for name in ("algorithm", "total_timesteps", "environments")}
     section |= {entry.name: _figure(entry.value) for entry in training.hyperparameters}
-    section["policy"] = {"hidden": list(training.policy.hidden), "activation": training.policy.activation}
+    section["policy"] = {"hidden": list(training.network.hidden), "activation": training.network.activation}
     if training.action_noise is not None:
         noise = training.action_noise
         section["action_noise"] = {"type": noise.type, "sigma": _figure(noise.sigma)}
@@ -108,17 +109,17 @@ def _figure(value: object) -> object:
 
 def scenario(**settings: Any) -> Program:
     """The same, as what it is compiled to."""
-    return compiled(**settings).ir
+    return compiled(**settings).program
 
 
 class CartPole(gym.Env[Any, Any]):
     """The cart follows its speed command within a tick; the pole is a uniform rod of 1 m on a moving hinge."""
 
-    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
-        self.ir = ir
+    def __init__(self, program: Program, render_mode: str | None = None) -> None:
+        self.program = program
         self.render_mode = render_mode
         self.observation_space = gym.spaces.Box(-1, 1, (4,), np.float32)
-        self.discrete = isinstance(ir.action[0], Choices)
+        self.discrete = isinstance(program.policy.action[0], Choices)
         self.action_space = gym.spaces.Discrete(2) if self.discrete else gym.spaces.Box(-1, 1, (1,), np.float32)
         self.closed = 0
 
@@ -139,12 +140,12 @@ class CartPole(gym.Env[Any, Any]):
             self.angle += self.w * 0.008
         self.steps += 1
         ended_by = "fallen" if abs(self.angle) > FALL else "off_track" if abs(self.x) > TRACK else None
-        truncated = self.steps >= (self.ir.truncation.max_steps or 200)
+        truncated = self.steps >= (self.program.truncation.max_steps or 200)
         return self._observation(), 1.0, ended_by is not None, truncated, self._info(ended_by or ("max_steps" if truncated else None))
 
     def _observation(self) -> Any:
         tip = self.v + self.w
-        raw = (self.x / 0.4, self.v / self.ir.numbers[1].high, self.angle / 0.35, tip / 2.0)
+        raw = (self.x / 0.4, self.v / self.program.policy.numbers[1].high, self.angle / 0.35, tip / 2.0)
         return np.clip(np.array(raw, np.float32), -1, 1)
 
     def _info(self, ended_by: str | None) -> dict[str, Any]:
@@ -159,8 +160,8 @@ class CartPole(gym.Env[Any, Any]):
         self.closed += 1
 
 
-def build(ir: Program, *, render_mode: str | None = None) -> CartPole:
-    return CartPole(ir, render_mode)
+def build(program: Program, *, render_mode: str | None = None) -> CartPole:
+    return CartPole(program, render_mode)
 
 
 class Failing(CartPole):
@@ -173,9 +174,9 @@ class Failing(CartPole):
         return observation, math.nan, terminated, truncated, {**info, "reward_terms": {"alive": 1.0, "centre": math.nan}}
 
 
-def altered(base: api.Compiled, **changes: Any) -> api.Compiled:
-    """The task with changes that no file says; a run of it would be loaded without them."""
-    return replace(base, ir=replace(base.ir, **changes))
+def altered(base: api.Compiled, policy: Mapping[str, Any] | None = None, **changes: Any) -> api.Compiled:
+    """The task with changes, also of its `policy`, that no file says; a run of it would be loaded without them."""
+    return replace(base, program=replace(base.program.with_policies(**policy or {}), **changes))
 
 
 def tree_digest(folder: Path) -> str:

@@ -19,10 +19,10 @@ from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate
 from deepbots_cli.learning.noise import noise
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Training
 from tests.few import few
 
-SMALL = Policy((8,))
+SMALL = Network((8,))
 
 
 def learned(world: Any, tmp_path: Path, training: Training, **settings: Any) -> TrainingResult:
@@ -80,8 +80,8 @@ def test_noise_fades_while_the_training_goes_on(tmp_path: Path, algorithm: str, 
 class Reach(stand_in.CartPole):
     """A point on a line that has to get to another; its reward follows from the two."""
 
-    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
-        super().__init__(ir, render_mode)
+    def __init__(self, program: Program, render_mode: str | None = None) -> None:
+        super().__init__(program, render_mode)
         one = gym.spaces.Box(-1, 1, (1,), np.float32)
         self.observation_space = gym.spaces.Dict({"observation": one, "achieved_goal": one, "desired_goal": one})
         self.action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
@@ -113,7 +113,7 @@ GOAL: dict[str, Any] = {
     "more": "goal: {achieved: x, desired: 0.1 m, within: 2 cm, range: -0.4 .. 0.4 m}\n",
 }
 REACH = Training(
-    "SAC", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Policy((32,)), None, Hindsight()
+    "SAC", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Network((32,)), None, Hindsight()
 )
 
 
@@ -127,8 +127,8 @@ def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) 
 
 
 def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(reached: TrainingResult) -> None:
-    ir = stand_in.scenario(training=REACH, **GOAL)
-    worlds = copies_of(ir)
+    program = stand_in.scenario(training=REACH, **GOAL)
+    worlds = copies_of(program)
     model = algorithms.create(REACH, worlds, seed=0, total_timesteps=1_500)
     weights.put(model, weights.read(reached.run / "checkpoint.npz", model))
     replay = model.replay_buffer
@@ -140,16 +140,16 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
     assert result.steps >= 1_600
 
 
-def copies_of(ir: Program, world: Any = Reach) -> Any:
+def copies_of(program: Program, world: Any = Reach) -> Any:
     from deepbots_cli.learning.environments import Copies
 
-    return Copies([world(ir), world(ir)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
+    return Copies([world(program), world(program)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
 
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
     training = replace(REACH, total_timesteps=100, hyperparameters=())
     base = stand_in.compiled(training=training, **{**GOAL, "max_steps": 700})
-    model = algorithms.create(training, copies_of(base.ir), seed=0, total_timesteps=100, longest_episode=700)
+    model = algorithms.create(training, copies_of(base.program), seed=0, total_timesteps=100, longest_episode=700)
     assert model.learning_starts == 1_400
     assert train(base, run=tmp_path / "run", build=Reach).steps == 100
 
@@ -208,7 +208,7 @@ class Remember(stand_in.CartPole):
 @pytest.fixture(scope="module")
 def remembered(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     figures = hyper(lstm=16, n_steps=32, batch_size=64, n_epochs=5, learning_rate=1e-2)
-    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 5_000, 8, figures, Policy((16,))))
+    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 5_000, 8, figures, Network((16,))))
 
 
 def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingResult) -> None:
@@ -225,7 +225,7 @@ def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: 
 
 
 def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: TrainingResult) -> None:
-    training = Run.open(remembered.run).ir.training
+    training = Run.open(remembered.run).program.policy.training
     assert training is not None
     model = algorithms.create(training, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
     weights.put(model, weights.read(remembered.run / "checkpoint.npz", model))
@@ -247,8 +247,8 @@ class Seeing(stand_in.CartPole):
 
     SIZE = 36
 
-    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
-        super().__init__(ir, render_mode)
+    def __init__(self, program: Program, render_mode: str | None = None) -> None:
+        super().__init__(program, render_mode)
         picture = gym.spaces.Box(0, 255, (self.SIZE, self.SIZE, 3), np.uint8)
         self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "cart_camera": picture})
 

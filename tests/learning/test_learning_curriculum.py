@@ -63,8 +63,8 @@ def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(tmp_path
 
 
 def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
-    ir = staged(Criterion("success_rate", 0.5, 4), None, success=True).ir
-    curriculum = Curriculum(ir)
+    program = staged(Criterion("success_rate", 0.5, 4), None, success=True).program
+    curriculum = Curriculum(program)
     outcomes = [True, True, False, False, True]  # two of four at the fourth
     begun = [curriculum.add(Episode(0.0, 10, good, None), 10 * n, n) for n, good in enumerate(outcomes[:4], 1)]
     assert begun == [False, False, False, True]
@@ -130,10 +130,10 @@ def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp
 
 
 def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: Path) -> None:
-    def build(ir: Program, *, render_mode: str | None = None) -> Any:
-        if ir.truncation.max_steps == 11:
+    def build(program: Program, *, render_mode: str | None = None) -> Any:
+        if program.truncation.max_steps == 11:
             raise EngineError("no such world")
-        return stand_in.build(ir)
+        return stand_in.build(program)
 
     with pytest.raises(EngineError):
         learned(tmp_path, staged(SHORT, LONG, None), build)
@@ -153,7 +153,7 @@ def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: P
 )
 def test_a_checkpoint_that_does_not_fit_is_refused(state: dict[str, Any]) -> None:
     with pytest.raises(RunError):
-        Curriculum(staged(SHORT, None).ir).restore(Entries(state, "state"))
+        Curriculum(staged(SHORT, None).program).restore(Entries(state, "state"))
 
 
 def test_a_forged_run_whose_stages_never_end_is_refused(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_a_scenario_that_no_longer_fits_is_refused_field_by_field(trained: Train
 
 def test_reordered_observations_and_other_actions_are_refused(trained: TrainingResult) -> None:
     compiled = stand_in.compiled()
-    turned = stand_in.altered(compiled, observation=compiled.ir.observation[::-1])
+    turned = stand_in.altered(compiled, policy={"observation": compiled.program.policy.observation[::-1]})
     with pytest.raises(RunError, match=r"order: run observation\.x"):
         evaluate(trained.run, scenario=turned, build=stand_in.build)
     with pytest.raises(RunError, match=r"action\.drive: run forward \(1\) \| backward \(-1\) sets drive, scenario -1 .. 1"):
@@ -104,7 +104,7 @@ def test_reordered_observations_and_other_actions_are_refused(trained: TrainingR
 
 def test_changed_messages_are_refused(trained: TrainingResult) -> None:
     compiled = stand_in.compiled()
-    robot = compiled.ir.robots[0]
+    robot = compiled.program.robots[0]
     typed = robot.emit[0].typed
     length = typed._replace(type=typed.type._replace(dimension=LENGTH))
     renamed = replace(robot, emit=(replace(robot.emit[0], typed=length),))

@@ -211,9 +211,9 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     run = Run.open(tmp_path / "moved")
     assert (run.digest, run.notes()) == (run.record.digest, [])
     meshes: list[str] = []
-    canonical.with_files(run.ir, lambda mesh: meshes.append(mesh.path) or mesh)
+    canonical.with_files(run.program, lambda mesh: meshes.append(mesh.path) or mesh)
     assert meshes == [str(tmp_path / "moved" / "inputs" / "part.obj")]
-    with closing(api.build(run.ir)) as environment:
+    with closing(api.build(run.program)) as environment:
         environment.reset(seed=0)
     (tmp_path / "moved" / "inputs" / "part.obj").write_bytes(b"v 0 0 0\nf 1 1 999\n")
     assert "does not compile" in refusal(tmp_path / "moved")

@@ -15,7 +15,7 @@ from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.environments import copies_over
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Policy, Training
+from deepbots_cli.program.task import Hyperparameter, Network, Training
 from tests.few import few
 
 SIZE = 3
@@ -49,8 +49,8 @@ class Member(stand_in.CartPole):
 class Team(gym.Env[Any, Any]):
     """Three of them; the episode ends for all when it ends for one."""
 
-    def __init__(self, ir: Program, render_mode: str | None = None) -> None:
-        self.agents = {f"cart#{number}": Member(ir) for number in range(1, SIZE + 1)}
+    def __init__(self, program: Program, render_mode: str | None = None) -> None:
+        self.agents = {f"cart#{number}": Member(program) for number in range(1, SIZE + 1)}
         self.observation_space = gym.spaces.Box(-1, 1, (SIZE, 4), np.float32)
         self.action_space = gym.spaces.MultiDiscrete([2] * SIZE)
 
@@ -72,10 +72,10 @@ class Team(gym.Env[Any, Any]):
 
 
 def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
-    ir = stand_in.scenario()
+    program = stand_in.scenario()
     episodes: list[tuple[int, Episode]] = []
-    copies = copies_over([Team(ir), Team(ir)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
-    alone = [Team(ir), Team(ir)]
+    copies = copies_over([Team(program), Team(program)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
+    alone = [Team(program), Team(program)]
     first = np.concatenate([team.reset(seed=seed)[0] for team, seed in zip(alone, (1, 2), strict=True)])
     assert copies.num_envs == 6
     assert copies.observation_space.shape == (4,)
@@ -101,7 +101,7 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
 
 @pytest.mark.parametrize("algorithm", few(["PPO", "RecurrentPPO"], ["PPO"]))
 def test_a_team_is_trained_evaluated_and_gone_on_with(tmp_path: Path, algorithm: str) -> None:
-    training = Training(algorithm, 600, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")), Policy((8,)))
+    training = Training(algorithm, 600, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")), Network((8,)))
     result = train(stand_in.compiled(training=training), run=tmp_path / "run", build=Team)
     assert result.steps == 768  # updates of 32 steps of six rows
     log = list(csv.DictReader((result.run / "monitor.csv").read_text().splitlines()[1:]))

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from deepbots_cli.learning.exclusive import sole_trainer
 from deepbots_cli.learning.progress import Display, Standing
 from deepbots_cli.learning.report import to_json, training_text
 from deepbots_cli.learning.training import _training_of
-from deepbots_cli.program.task import Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
 from tests.few import few
 
 
@@ -141,7 +140,7 @@ def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
 
 
 def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: TrainingResult) -> None:
-    def stop(ir: Any, *, render_mode: str | None = None) -> Any:
+    def stop(program: Any, *, render_mode: str | None = None) -> Any:
         raise DeepbotsError("no world today")
 
     with pytest.raises(DeepbotsError, match="no world"):
@@ -208,7 +207,7 @@ def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path
 
 def test_a_reward_that_is_no_number_ends_the_training_with_its_term(tmp_path: Path) -> None:
     with pytest.raises(DeepbotsError, match="centre"):
-        short(tmp_path, build=lambda ir, render_mode=None: stand_in.Failing(ir, render_mode))
+        short(tmp_path, build=lambda program, render_mode=None: stand_in.Failing(program, render_mode))
     run = next(tmp_path.iterdir())
     assert json.loads((run / "run.json").read_text())["status"] == "failed"
 
@@ -226,7 +225,7 @@ def test_a_reward_that_is_no_number_ends_the_training_with_its_term(tmp_path: Pa
     ],
 )
 def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, algorithm: str, continuous: bool, figures: dict[str, Any]) -> None:
-    training = Training(algorithm, 100, environments=2, hyperparameters=hyper(**figures), policy=Policy((8,), "relu"))
+    training = Training(algorithm, 100, environments=2, hyperparameters=hyper(**figures), network=Network((8,), "relu"))
     compiled = stand_in.compiled(training=training, continuous=continuous)
     result = train(compiled, runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=result.steps + 60, build=stand_in.build)
@@ -235,7 +234,7 @@ def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, algorit
 
 
 def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
-    training = Training("DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), policy=Policy((8,), "relu"))
+    training = Training("DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu"))
     result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=150, build=stand_in.build)
     with np.load(result.run / "checkpoint.npz") as checkpoint:
@@ -248,8 +247,8 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
         (Training("PPO", 0), "at least 1"),
         (Training("PPOO", 100), "did you mean PPO"),
         (Training("PPO", 100, environments=0), "environments"),
-        (Training("PPO", 100, policy=Policy((10**9,))), "hidden layers"),
-        (Training("PPO", 100, policy=Policy(activation="relou")), "did you mean relu"),
+        (Training("PPO", 100, network=Network((10**9,))), "hidden layers"),
+        (Training("PPO", 100, network=Network(activation="relou")), "did you mean relu"),
         (Training("SAC", 100), "SAC refuses"),
         (Training("PPO", 100, hyperparameters=hyper(tau=1.0)), "PPO refuses .*tau"),
         (Training("PPO", 100, hyperparameters=hyper(batch_size=1)), "PPO refuses"),
@@ -257,7 +256,7 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
 )
 def test_settings_that_cannot_be_trained_with_are_refused(tmp_path: Path, training: Training, reason: str) -> None:
     with pytest.raises(UsageError, match=reason) as caught:
-        train(stand_in.altered(stand_in.compiled(), training=training), runs=tmp_path, build=stand_in.build)
+        train(stand_in.altered(stand_in.compiled(), policy={"training": training}), runs=tmp_path, build=stand_in.build)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -271,14 +270,14 @@ def test_a_world_that_cannot_be_built_leaves_no_run_behind(tmp_path: Path) -> No
 def test_a_scenario_without_a_train_section_is_refused() -> None:
 
     with pytest.raises(UsageError, match="no 'train' section"):
-        _training_of(replace(stand_in.scenario(), training=None), None)
+        _training_of(stand_in.scenario().with_policies(training=None), None)
 
 
 def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
     made: list[stand_in.CartPole] = []
 
-    def build(ir: Any, *, render_mode: str | None = None) -> stand_in.CartPole:
-        made.append((stand_in.CartPole if len(made) < 3 else stand_in.Failing)(ir))
+    def build(program: Any, *, render_mode: str | None = None) -> stand_in.CartPole:
+        made.append((stand_in.CartPole if len(made) < 3 else stand_in.Failing)(program))
         return made[-1]
 
     short(tmp_path, build=build)
@@ -332,7 +331,7 @@ def test_results_are_json_and_text(trained: TrainingResult) -> None:
 
 
 def test_networks_that_no_memory_holds_are_refused_before_they_are_built() -> None:
-    training = Training("PPO", 100, policy=Policy((8192,) * 16))
+    training = Training("PPO", 100, network=Network((8192,) * 16))
     with pytest.raises(UsageError, match="weights"):
         algorithms.check(training)
 

@@ -24,8 +24,10 @@ EASY = Solved(2, mean_return=5.0)
 class Paying(stand_in.CartPole):
     """Pays 1 per step and calls every episode a success; in trials, `wage` and `success` say so for the trial's number."""
 
-    def __init__(self, ir: Program, wage: Callable[[int], float], success: Callable[[int], bool], render_mode: str | None = None) -> None:
-        super().__init__(ir, render_mode)
+    def __init__(
+        self, program: Program, wage: Callable[[int], float], success: Callable[[int], bool], render_mode: str | None = None
+    ) -> None:
+        super().__init__(program, render_mode)
         self.wage = wage
         self.success = success
         self.seeds: list[int] = []
@@ -52,8 +54,8 @@ class Builder:
         self.success = success
         self.worlds: list[Paying] = []
 
-    def __call__(self, ir: Program, *, render_mode: str | None = None) -> Paying:
-        self.worlds.append(Paying(ir, self.wage, self.success, render_mode))
+    def __call__(self, program: Program, *, render_mode: str | None = None) -> Paying:
+        self.worlds.append(Paying(program, self.wage, self.success, render_mode))
         return self.worlds[-1]
 
     @property
@@ -129,8 +131,8 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
 
     worlds = []
 
-    def build(ir: Program, *, render_mode: str | None = None) -> Late:
-        worlds.append(Late(ir, lambda trial: 9.0 if trial == 0 else 1.0, lambda trial: True, render_mode))
+    def build(program: Program, *, render_mode: str | None = None) -> Late:
+        worlds.append(Late(program, lambda trial: 9.0 if trial == 0 else 1.0, lambda trial: True, render_mode))
         return worlds[-1]
 
     result = learned(tmp_path, build, 50_000, Solved(30, success_rate=1.0))

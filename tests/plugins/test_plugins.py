@@ -201,8 +201,8 @@ def test_the_algorithm_of_a_plugin_trains_with_its_default(site):
     script = """
 from deepbots_cli import api
 from deepbots_cli.learning import algorithms, defaults
-program = api.compile("acme_spin").ir
-print({entry.name: entry.value for entry in program.training.hyperparameters}, algorithms.check(program.training))
+program = api.compile("acme_spin").program
+print({entry.name: entry.value for entry in program.policy.training.hyperparameters}, algorithms.check(program.policy.training))
 print([entry.value for entry in defaults.effective(program, 1000) if entry.name == "n_epochs"])
 """
     assert python(site, "-c", script).stdout == "{'n_epochs': 3} None\n[3]\n"

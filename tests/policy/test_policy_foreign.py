@@ -82,11 +82,11 @@ def test_terms_in_python_are_called_with_the_supervisor(written: Callable[[str],
 
 
 def test_a_compiled_scenario_runs_no_code_unless_allowed(written: Callable[[str], Path]) -> None:
-    ir = api.compile(written(TERMS), allow_code=True).ir
+    program = api.compile(written(TERMS), allow_code=True).program
     with pytest.raises(UsageError, match="--allow-code"):
-        api.build(ir, engine="exact")
+        api.build(program, engine="exact")
     assert not [name for name in sys.modules if name.startswith("students")]
-    api.build(ir, engine="exact", allow_code=True).close()
+    api.build(program, engine="exact", allow_code=True).close()
 
 
 @pytest.mark.parametrize("place", ["students.none:height", "students.terms:none", "students.terms:thing", "students.bad:x"])

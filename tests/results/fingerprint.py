@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import MISSING, fields, replace
 from functools import cache
 from pathlib import PurePath
@@ -28,38 +29,38 @@ from tests.results.places import ROOT
 def compiled(scenario: str, sets: tuple[str, ...] = ()) -> Program:
     """A shipped scenario by name, or one by its path from the root of the repository."""
     file = ROOT / scenario
-    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, sets=sets).ir
+    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, sets=sets).program
 
 
 def of_training(scenario: str, training: Training) -> str:
-    ir = _with(compiled(scenario, training.sets), scripts=())
+    program = _with(compiled(scenario, training.sets), {"scripts": ()})
     # To evaluate in cases that came after a training is to name the scenario, which takes no settings.
-    return digest(ir if training.sets else _with(ir, cases=(), evaluation=Evaluation()))
+    return digest(program if training.sets else _with(program, {}, cases=(), evaluation=Evaluation()))
 
 
 def of_evaluation(scenario: str, training: Training, evaluation: HeldOut) -> str:
-    ir = compiled(evaluation.scenario) if evaluation.scenario else compiled(scenario, training.sets)
-    chosen = ir if evaluation.case is None else ir.case(evaluation.case).program
-    return digest(_with(chosen, scripts=(), training=None, curriculum=()))
+    program = compiled(evaluation.scenario) if evaluation.scenario else compiled(scenario, training.sets)
+    chosen = program if evaluation.case is None else program.case(evaluation.case).program
+    return digest(_with(chosen, {"scripts": (), "training": None}, curriculum=()))
 
 
 def of_baseline(scenario: str, baseline: Baseline) -> str:
-    ir = compiled(scenario)
-    chosen = ir if baseline.case is None else ir.case(baseline.case).program
-    scripts = ir.scripts if "--script" in baseline.options else ()
-    return digest(_with(chosen, scripts=scripts, training=None, curriculum=(), cases=(), evaluation=Evaluation()))
+    program = compiled(scenario)
+    chosen = program if baseline.case is None else program.case(baseline.case).program
+    scripts = program.policy.scripts if "--script" in baseline.options else ()
+    return digest(_with(chosen, {"scripts": scripts, "training": None}, curriculum=(), cases=(), evaluation=Evaluation()))
 
 
-def _with(ir: Program, **changes: Any) -> Program:
-    """The scenario with other fields, in its cases and stages too."""
-    cases = tuple(replace(case, program=_with(case.program, **changes)) for case in ir.cases)
-    curriculum = tuple(replace(stage, program=_with(stage.program, **changes)) for stage in ir.curriculum)
-    return replace(ir, **{"cases": cases, "curriculum": curriculum, **changes})
+def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Program:
+    """The scenario with other fields, also of its policies, in its cases and stages too."""
+    cases = tuple(replace(case, program=_with(case.program, policy, **changes)) for case in program.cases)
+    curriculum = tuple(replace(stage, program=_with(stage.program, policy, **changes)) for stage in program.curriculum)
+    return replace(program.with_policies(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
 
 
-def digest(ir: Program) -> str:
+def digest(program: Program) -> str:
     """SHA-256, in hexadecimal, of all that differs from a default."""
-    placeless = canonical.with_files(_with(ir, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
+    placeless = canonical.with_files(_with(program, {}, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
     return hashlib.sha256(json.dumps(_told(placeless), sort_keys=True).encode()).hexdigest()
 
 
@@ -68,6 +69,8 @@ def _told(value: object) -> Any:
     if inside is not None:
         defaults = _defaults(type(value))
         return {"is": type(value).__name__} | {name: _told(given) for name, given in inside.items() if given != defaults.get(name, MISSING)}
+    if isinstance(value, Mapping):
+        return {name: _told(item) for name, item in value.items()}
     return [_told(item) for item in value] if isinstance(value, tuple) else value
 
 

@@ -196,15 +196,15 @@ class SeedChain:
         """The entry of a training that is done, from its run directory."""
         run = Run.open(self.folder)
         state = weights.read_state(run.checkpoint)
-        statistics, curriculum = Statistics(run.ir.period, run.ir.solved), Curriculum(run.ir)
+        statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program)
         statistics.restore(state)
         stages = state.optional_object("curriculum")
         if stages is not None:
             curriculum.restore(stages)
         curve = curves.points(curves.episodes(run.monitor))
-        last = run.ir.curriculum[-1].name if run.ir.curriculum else ""
+        last = run.program.curriculum[-1].name if run.program.curriculum else ""
         processes = [float(line) for line in self._ledger.read_text(encoding="utf-8").split()]
-        ends = [asdict(end) | {"simulated_hours": round(end.steps * run.ir.period / 3600, 4)} for end in curriculum.ends]
+        ends = [asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)} for end in curriculum.ends]
         return {
             **vars(self.asked),
             **records.circumstances(),

@@ -163,8 +163,8 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_
 
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
-    ir = fingerprint.compiled("find_ball_random")
-    fewer = replace(ir, cases=ir.cases[:-1])
+    program = fingerprint.compiled("find_ball_random")
+    fewer = replace(program, cases=program.cases[:-1])
     training = Training(evaluations=(Evaluation(),))
     before = fingerprint.of_training("find_ball_random", training), fingerprint.of_evaluation("find_ball_random", training, Evaluation())
     monkeypatch.setattr(fingerprint, "compiled", lambda scenario, sets=(): fewer)

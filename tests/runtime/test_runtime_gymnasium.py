@@ -71,7 +71,7 @@ def test_the_spec_of_an_environment_is_short_and_makes_it_again(mine: Path, way:
         "registered": lambda: gymnasium.make(ANY, scenario=str(mine)),
         "path": lambda: api.make(mine),
         "compiled": lambda: api.make(compiled),
-        "intermediate": lambda: api.make(compiled.ir),
+        "intermediate": lambda: api.make(compiled.program),
     }[way]()
     assert len(repr(env.spec)) < 600
     again = gymnasium.make(env.spec)

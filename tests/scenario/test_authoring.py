@@ -43,7 +43,7 @@ def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> Non
     scenario = cartpole()
     assert isinstance(scenario.robots["cart"].actuators["wheels"], VelocityMotor)
     assert [found.headline for found in api.lint(scenario) if found.severity == "error"] == []
-    assert deepbots_cli.compile(scenario).ir.name == "Built"
+    assert deepbots_cli.compile(scenario).program.name == "Built"
     assert scenario == cartpole()
     assert scenario.model_copy(update={"name": "Other"}) != scenario
 

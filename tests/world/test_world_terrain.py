@@ -191,7 +191,7 @@ def compiled(folder: Path, terrain: str) -> api.Compiled:
 
 def lowest(scenario: api.Compiled) -> float:
     """Where a ball that rolls for 3 s gets to, above the ground there."""
-    at = height(scenario.ir.world.terrain)
+    at = height(scenario.program.world.terrain)
     with closing(api.make(scenario)) as environment:
         environment.reset(seed=0)
         for _ in range(99):
@@ -202,7 +202,7 @@ def lowest(scenario: api.Compiled) -> float:
 
 def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
     scenario = compiled(tmp_path, "type: formula, heights: 0.2 m * sin(x / m * 90 deg) + 0.1 * y, size: 40 40 m")
-    at = height(scenario.ir.world.terrain)
+    at = height(scenario.program.world.terrain)
     assert at(1.0, 2.0) == pytest.approx(0.4, abs=1e-3)
     assert at(-1.0, 0.0) == pytest.approx(-0.2, abs=1e-3)
     assert lowest(scenario) == pytest.approx(0.1, abs=0.02)
@@ -211,7 +211,7 @@ def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
 def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(tmp_path: Path) -> None:
     (tmp_path / "hills.png").write_bytes(grey_png([[255] * 5, *[[0] * 5] * 4]))
     scenario = compiled(tmp_path, "type: heightfield, file: hills.png, size: 8 8 m, height: 2 m")
-    at = height(scenario.ir.world.terrain)
+    at = height(scenario.program.world.terrain)
     assert at(0.0, 4.0) == 2.0
     assert at(0.0, 3.0) == 1.0
     assert at(0.0, -1.0) == 0.0
@@ -235,7 +235,7 @@ def test_the_ground_may_be_a_mesh(tmp_path: Path) -> None:
     (tmp_path / "ramp.obj").write_text(text, encoding="utf-8")
     for file in ("ramp.stl", "ramp.obj"):
         scenario = compiled(tmp_path, f"type: mesh, file: {file}, scale: 1 1 0.5")
-        at = height(scenario.ir.world.terrain)
+        at = height(scenario.program.world.terrain)
         assert at(3.0, 0.0) == pytest.approx(0.5)
         assert at(3.0, -5.0) == pytest.approx(0.25)
         assert at(30.0, 0.0) == 0.0

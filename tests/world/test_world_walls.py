@@ -63,7 +63,7 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
 
 def seen(environment: Supervisor) -> dict[str, float]:
     """What the observation shows, in m and as truth values."""
-    entries = environment.scenario.numbers
+    entries = environment.scenario.policy.numbers
     shown = environment.get_observations()
     return {
         f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low + (value + 1) / 2 * (entry.high - entry.low)
@@ -113,7 +113,7 @@ def test_a_touch_sensor_feels_a_wall_that_is_named(tmp_path: Path) -> None:
     file = tmp_path / "yard.yaml"
     sensors = "    sensors: {bump: {type: touch, link: pole, against: [nook, arena]}}\n    emit: [bump]\n"
     file.write_text(YARD.replace("    pose: {x: 5 m}\n", f"    pose: {{x: 5 m}}\n{sensors}"), encoding="utf-8")
-    (sensor,) = api.compile(file).ir.robots[0].sensors
+    (sensor,) = api.compile(file).program.robots[0].sensors
     assert sensor.against == ("nook 1", "nook 2", "front wall", "back wall", "left wall", "right wall")
 
 

@@ -119,14 +119,14 @@ def measure(
     Raises:
         UsageError: An episode ends in the steps that are not timed.
     """
-    ir, name = environment.scenario, environment.engine.name
+    program, name = environment.scenario, environment.engine.name
     show = on_measured or (lambda _done, _all: None)
     measured: list[tuple[float, float]] = []
     plan = _plan(environment, steps, seed)
     timed = sum(episode.steps for episode in plan)
     sides = (
         lambda: _time(environment, plan, environment.step, lambda episode: episode.action),
-        lambda: _time(other, plan, other.engine.step, lambda _: ir.world.substeps * ir.agent.repeat),
+        lambda: _time(other, plan, other.engine.step, lambda _: program.world.substeps * program.repeat),
     )
     for number in range(pairs + 1):
         show(number, pairs + 1)
@@ -136,7 +136,9 @@ def measure(
     del measured[0]  # caches and clocks warm up
     ratios = [step / base for step, base in measured]
     step_us, bare_us = (1e6 / timed * median(side) for side in zip(*measured, strict=True))
-    return Timing(ir.name, name, ir.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us)
+    return Timing(
+        program.name, name, program.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
+    )
 
 
 def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Held]:

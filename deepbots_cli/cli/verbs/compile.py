@@ -21,7 +21,7 @@ def command(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced; by default to standard output."),
     ] = None,
-    ir: Annotated[bool, typer.Option("--ir", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
+    program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -33,21 +33,21 @@ def command(
     \b
       deepbots compile cartpole
       deepbots compile cartpole -o environment.py
-      deepbots compile cartpole --ir
+      deepbots compile cartpole --program
 
     Next: `deepbots eject SCENARIO DIR` writes the module with scripts that run and train it.
     """
-    if ir and as_json:
-        raise UsageError("--ir and --json exclude each other; --ir prints JSON already")
+    if program and as_json:
+        raise UsageError("--program and --json exclude each other; --program prints JSON already")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.mention(compiled.findings, scenario)
     if as_json:
-        data = {"name": compiled.ir.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
+        data = {"name": compiled.program.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
         text = terminal.json_text(data)
     else:
-        text = f"{canonical.to_json(compiled.ir)}\n" if ir else compiled.code
+        text = f"{canonical.to_json(compiled.program)}\n" if program else compiled.code
     if output is None:
         print(text, end="")
     else:

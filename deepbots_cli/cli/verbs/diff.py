@@ -26,7 +26,7 @@ from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
 from deepbots_cli.program.robots import Robot, Route
-from deepbots_cli.program.task import Agent, Policy, Training, Truncation
+from deepbots_cli.program.task import Network, Policy, Training, Truncation
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import RobotModel
 
@@ -135,19 +135,20 @@ class Change:
 
 
 _COLOURED = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
+_POLICY = r"policies/[^/]+/"
 _PATHS: tuple[tuple[str, str, Group], ...] = (
     # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
-    (r"observation/([^/]+)/noise", r"observation.\1.noise", Group.task),
-    (r"observation/([^/]+)", r"observation.\1", Group.task),
-    (r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Group.task),
-    (r"action/([^/]+)", r"action.\1", Group.policy),
-    (r"agent/each/([^/]+)", r"robots.\1.count", Group.world),
-    (r"agent/(\w+)", r"agent.\1", Group.world),
-    (r"goal/achieved/noise", "goal.noise", Group.task),
-    (r"goal/(?:low|high)", "goal.range", Group.policy),
-    (r"goal/(\w+)", r"goal.\1", Group.task),
+    (_POLICY + r"observation/([^/]+)/noise", r"observation.\1.noise", Group.task),
+    (_POLICY + r"observation/([^/]+)", r"observation.\1", Group.task),
+    (_POLICY + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Group.task),
+    (_POLICY + r"action/([^/]+)", r"action.\1", Group.policy),
+    (_POLICY + r"copies/([^/]+)", r"robots.\1.count", Group.world),
+    (rf"(?:{_POLICY})?(repeat|stack)", r"agent.\1", Group.world),
+    (_POLICY + r"goal/achieved/noise", "goal.noise", Group.task),
+    (_POLICY + r"goal/(?:low|high)", "goal.range", Group.policy),
+    (_POLICY + r"goal/(\w+)", r"goal.\1", Group.task),
     (r"signals/([^/]+)", r"signals.\1", Group.task),
-    (r"reward/([^/]+)", r"reward.\1", Group.task),
+    (_POLICY + r"reward/([^/]+)", r"reward.\1", Group.task),
     (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Group.task),
     (r"truncation/(\w+)", r"truncation.\1", Group.task),
     (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Group.world),
@@ -177,13 +178,13 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (r"reset/(\w+)", r"reset.\1", Group.world),
     (r"(solved)", r"\1", Group.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
-    (r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
-    (r"training/policy/(\w+)", r"train.policy.\1", Group.training),
-    (r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
-    (r"scripts/([^/]+)", r"scripts.\1", Group.training),
+    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
+    (_POLICY + r"training/network/(\w+)", r"train.policy.\1", Group.training),
+    (_POLICY + r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
+    (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Group.training),
 )
 _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
-_PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Policy)
+_PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Policy, Truncation, Reset, JointStart, Training, Network)
 """Records that only hold other records; their class is not compared."""
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
@@ -191,9 +192,9 @@ _LISTED = 3
 
 def changes(one: Opened, other: Opened) -> list[Change]:
     """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
-    found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.ir, other.ir)]
-    if not found and canonical.digest(one.ir) != canonical.digest(other.ir):
-        path = "last digits" if list(values(one.ir)) == list(values(other.ir)) else "order of keys"
+    found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.program, other.program)]
+    if not found and canonical.digest(one.program) != canonical.digest(other.program):
+        path = "last digits" if list(values(one.program)) == list(values(other.program)) else "order of keys"
         found = [Change(path, Group.cosmetic, "changed", "", "")]
     by_path: dict[str, Change] = {}
     for change in sorted(found, key=lambda change: list(Group).index(change.group)):
@@ -206,7 +207,7 @@ def changes(one: Opened, other: Opened) -> list[Change]:
 
 def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
     """Differences in the interface of a policy: ranges, choices and messages."""
-    before, after = interface.interface(one.ir), interface.interface(other.ir)
+    before, after = interface.interface(one.program), interface.interface(other.program)
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
             path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
@@ -216,10 +217,10 @@ def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
 
 
 def _of_values(one: Opened, other: Opened) -> Iterator[Change]:
-    before, after = values(one.ir), values(other.ir)
+    before, after = values(one.program), values(other.program)
     items: dict[tuple[int, str, Group], tuple[dict[str, str], dict[str, str]]] = {}
     for raw in dict.fromkeys((*before, *after)):
-        item, rest = _translated(raw, one.ir, other.ir)
+        item, rest = _translated(raw, one.program, other.program)
         for side, there in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
             if raw in there:
                 side[rest] = there[raw]
@@ -289,8 +290,8 @@ def _altered_parameters(one: Opened, other: Opened) -> list[str]:
 def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
     """Cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
-        ("evaluation.cases", _variants(one.ir, one.ir.cases), _variants(other.ir, other.ir.cases)),
-        ("curriculum", _variants(one.ir, one.ir.curriculum), _variants(other.ir, other.ir.curriculum)),
+        ("evaluation.cases", _variants(one.program, one.program.cases), _variants(other.program, other.program.cases)),
+        ("curriculum", _variants(one.program, one.program.curriculum), _variants(other.program, other.program.curriculum)),
     ):
         for name in dict.fromkeys((*before, *after)):
             if before.get(name) != after.get(name):

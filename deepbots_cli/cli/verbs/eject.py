@@ -54,11 +54,11 @@ def project(compiled: api.Compiled) -> Files:
     folder = Path(__file__).parents[1] / "project"
     templates = Environment(loader=FileSystemLoader(folder), undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
     words = {
-        "name": compiled.ir.name,
-        "summary": compiled.ir.summary,
+        "name": compiled.program.name,
+        "summary": compiled.program.summary,
         "version": deepbots_cli.__version__,
         "digest": compiled.digest[:12],
-        "supervisor": f"{class_name(compiled.ir.name)}Supervisor",
+        "supervisor": f"{class_name(compiled.program.name)}Supervisor",
         "resolved": RESOLVED,
         "inputs": FOLDER,
         "options": ", allow_code=True" if compiled.allow_code else "",

@@ -107,7 +107,7 @@ def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Co
     """The name in the report of a scenario that replaces the scenario of the run."""
     if compiled is None:
         return None
-    same = task_digest(compiled.ir) == task_digest(run.ir)
+    same = task_digest(compiled.program) == task_digest(run.program)
     changed = "".join(f" --set {quote(text)}" for text in sets)
     return f"{scenario or 'of the run'}{changed}, {'the same as in the training' if same else 'different from the training'}"
 

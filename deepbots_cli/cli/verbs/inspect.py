@@ -78,13 +78,13 @@ def command(
         return
     side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code)
     terminal.mention(side.findings, scenario)
-    ir = chosen(side.ir, case, stage)
+    program = chosen(side.program, case, stage)
     root = side.root if isinstance(side.root, Mapping) else Mapping(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
         root = under(root, ("evaluation", "cases", case))
     elif stage is not None:
-        root = under(root, ("curriculum", [known.name for known in side.ir.curriculum].index(stage)))
-    tables = {**inspection.of_scenario(ir, root, side.run), **_start(ir, picture, allow_code=allow_code)}
+        root = under(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
+    tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, allow_code=allow_code)}
     if as_json:
         terminal.show_json(tables)
     else:
@@ -93,13 +93,13 @@ def command(
         terminal.note(f"wrote a picture of the world to {picture}")
 
 
-def _start(ir: Program, picture: Path | None, *, allow_code: bool) -> inspection.Tables:
+def _start(program: Program, picture: Path | None, *, allow_code: bool) -> inspection.Tables:
     """The poses of end links at the start of an episode, if the simulator is installed; renders the world if `picture` is given."""
-    links = inspection.end_links(ir)
+    links = inspection.end_links(program)
     if picture is None and not links:
         return {}
     try:
-        with closing(api.make(ir, render_mode="rgb_array" if picture else None, allow_code=allow_code)) as environment:
+        with closing(api.make(program, render_mode="rgb_array" if picture else None, allow_code=allow_code)) as environment:
             environment.reset(seed=0)
             if picture is not None:
                 _draw(environment.render(), picture)

@@ -80,10 +80,10 @@ def command(
         raise UsageError(f"{' and '.join(given)} exclude each other")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
-    ir = chosen(compiled.ir, case, stage)
+    program = chosen(compiled.program, case, stage)
     if script is not None:
-        ir.script(script)
-    with closing(api.make(ir, engine=engine, allow_code=allow_code)) as environment:
+        program.script(script)
+    with closing(api.make(program, engine=engine, allow_code=allow_code)) as environment:
         if script is not None:
             acting: Acting = partial(environment.script, script)
         elif actions is not None:
@@ -99,13 +99,13 @@ def command(
                     show(len(done), episodes)
     summary = Summary.of(done)
     if as_json:
-        totals = {"success_defined": ir.defines_success, **vars(summary)}
-        known = {"scenario": ir.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
+        totals = {"success_defined": program.defines_success, **vars(summary)}
+        known = {"scenario": program.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
         terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": totals})
         return
     _show(done)
     if len(done) > 1:
-        terminal.say("\n" + report.summary_text(summary, success_defined=ir.defines_success))
+        terminal.say("\n" + report.summary_text(summary, success_defined=program.defines_success))
 
 
 def _row(episode: Episode) -> Row:
@@ -177,7 +177,7 @@ def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, max_
 
 
 def _action(environment: Supervisor, text: str) -> Any:
-    parts = [width for part in environment.scenario.action for width in _slots(part)]
+    parts = [width for part in environment.scenario.policy.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
         raise UsageError(

@@ -85,7 +85,7 @@ def command(
     else:
         compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
-        with terminal.passing("" if quiet else f"training {compiled.ir.name} from seed {seed or 0} ..."):
+        with terminal.passing("" if quiet else f"training {compiled.program.name} from seed {seed or 0} ..."):
             train = learning.train  # which imports torch
         result = train(
             compiled,
