@@ -205,8 +205,10 @@ class _Checker:
         """The result for every item: the faults of all of them are reported before the check stops."""
         found: list[B] = []
         for item in items:
-            with suppress(Stop):
+            try:  # 0.1 us, with `contextlib.suppress` 1.4 us; called for every operator
                 found.append(visit(item))
+            except Stop:
+                continue
         if len(found) < len(items):
             raise Stop
         return found

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, cast
+from weakref import proxy
 
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
@@ -28,6 +29,8 @@ from deepbots_cli.robots.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")
+_NO_NAMES: frozenset[str] = frozenset()
+_TIME = frozenset({"time"})
 FOLLOWING = frozenset({"running_max", "running_min", "smooth", "hold"})
 """Functions with a memory that rise with their argument."""
 _CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
@@ -73,6 +76,8 @@ class Analysis:
     def __init__(self, program: Program, *, exact: Analysis | None = None) -> None:
         """`exact` is the analysis of the same program of which this is the ideal one; they share lowered trees."""
         self.program = program
+        self._self = cast("Analysis", proxy(self))
+        """For ranges and rewards, which the analysis holds: collecting the cycles took 7 % of the time of linting 200 files."""
         self.leaves: dict[str, Interval] = exact.leaves if exact else {}
         """Intervals of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
@@ -105,16 +110,16 @@ class Analysis:
     @cached_property
     def ranges(self) -> Ranges:
         """Value ranges in any step of an episode."""
-        return Ranges(self)
+        return Ranges(self._self)
 
     @cached_property
     def start(self) -> StartRanges:
         """Value ranges right after a reset."""
-        return StartRanges(self)
+        return StartRanges(self._self)
 
     @cached_property
     def reward(self) -> RewardTerms:
-        return RewardTerms(self)
+        return RewardTerms(self._self)
 
     @cached_property
     def shadowed(self) -> Mapping[Ending, Ending]:
@@ -124,7 +129,7 @@ class Analysis:
     def ranges_in(self, first: float, last: float) -> Ranges:
         """Value ranges in these steps."""
         if (first, last) not in self._ranges:
-            self._ranges[first, last] = Ranges(self, {}, (first, last))
+            self._ranges[first, last] = Ranges(self._self, {}, (first, last))
         return self._ranges[first, last]
 
     @property
@@ -215,19 +220,20 @@ class Analysis:
         """All names that a value depends on, its own included; `time` where it depends on how long something lasts."""
         known = self._names_behind.get(id(node))
         if known is None:
-            known = self._names_behind[id(node)] = (node, frozenset(self._behind(node)))
+            known = self._names_behind[id(node)] = (node, self._behind(node))
         return known[1]
 
-    def _behind(self, node: Scalar) -> Iterator[str]:
-        if isinstance(node, Name):
-            yield node.name
-            meant = self.definition(node)
-            if meant is not None:
-                yield from self.names_behind(meant)
-        elif isinstance(node, State) and node.function in _LASTING:
-            yield "time"
-        for part in parts(node):
-            yield from self.names_behind(part)
+    def _behind(self, node: Scalar) -> frozenset[str]:
+        match node:
+            case Name(name):
+                meant = self.definition(node)
+                return frozenset((name,)) if meant is None else self.names_behind(meant) | {name}
+            case Const() | World():
+                return _NO_NAMES
+            case State(function) if function in _LASTING:
+                return _TIME.union(*map(self.names_behind, node.args))
+            case _:
+                return _NO_NAMES.union(*map(self.names_behind, node.args))
 
     def sources(self, node: Scalar) -> frozenset[str]:
         """The drawn parameters and the bodies that a value depends on, among other names."""
