@@ -6,23 +6,27 @@ their definitions, message fields to the sensors behind them, and sensors to the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import NamedTuple, cast
 from weakref import proxy
 
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.expressions.scalar import children as parts
-from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed, walk
 from deepbots_cli.lint.ranges import Ranges, StartRanges
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Ending, Goal
+from deepbots_cli.program.task import Ending, Goal, Observation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
 from deepbots_cli.robots.model import Pose
@@ -559,3 +563,39 @@ def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
             case _:
                 return False
     return True
+
+
+# For the rules
+
+
+class Context:
+    """A scenario without errors, for the rules.
+
+    `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in its text.
+    """
+
+    def __init__(self, checked: Checked, program: Program, namespace: Namespace) -> None:
+        self.checked = checked
+        self.program = program
+        self.namespace = namespace
+        self.values: Values = namespace.values
+        self.analysis = Analysis(program)
+        variants = [*(case.program for case in program.cases), *(stage.program for stage in program.curriculum)]
+        self.versions = (self.analysis, *map(Analysis, variants))
+        """The scenario itself, and under the settings of each case and each stage."""
+
+    def text(self, owner: str) -> Text:
+        """The text of an expression, by its owner."""
+        return self.values.text(tuple(owner.split(".")))
+
+    def range_span(self, entry: Observation) -> Span:
+        """The place of the range of an observation."""
+        return self.values.span(("observation", entry.value.name, "range"))
+
+
+StaticRule = Callable[[Context], Iterator[Finding]]
+
+
+def names_in(tree: Typed) -> Iterator[str]:
+    """The names that an expression refers to."""
+    return (node.symbol.name for node in walk(tree) if isinstance(node, Reference))

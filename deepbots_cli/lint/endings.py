@@ -12,8 +12,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, has_choice, thresholds, total
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, has_choice, thresholds, total
 from deepbots_cli.lint.ranges import Ranges, between, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
@@ -458,5 +457,5 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     return False
 
 
-RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
-MEASURED = (sometimes_ends_at_reset, breaks_off)
+STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
+SIMULATED_RULES = (sometimes_ends_at_reset, breaks_off)

@@ -11,13 +11,12 @@ from deepbots_cli.document.layout import removing
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import Op, Scalar, World
 from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, walk
-from deepbots_cli.lint.analysis import Analysis
-from deepbots_cli.lint.context import Context, names_in
+from deepbots_cli.lint.analysis import Analysis, Context, names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
 
-# ---- names.py
+# Unused definitions
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
@@ -106,7 +105,7 @@ def _computed(program: Program) -> Iterator[Expression]:
         yield from robot.receive
 
 
-# ---- equality.py
+# Equality of measurements
 
 _MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
 _SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
@@ -170,7 +169,7 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
     return known[number]
 
 
-# ---- turns.py
+# Angles that jump
 
 _WRAPPING = frozenset({"yaw", "bearing", "atan2", "wrap"})
 """Functions that go from 180 deg to -180 deg within a step."""
@@ -260,4 +259,4 @@ class _Wrapping:
         return self._known[name]
 
 
-RULES = (unused_definition, equality_of_measures, angle_jumps)
+STATIC_RULES = (unused_definition, equality_of_measures, angle_jumps)

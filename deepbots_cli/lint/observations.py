@@ -16,15 +16,12 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
-from deepbots_cli.lint.analysis import Analysis
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Context
 from deepbots_cli.lint.ranges import between, range_text, with_unit
 from deepbots_cli.lint.simulation import MeasuredNumber, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
-
-# ---- observation.py
 
 _ROUNDING = 1e-6
 """Relative difference that rounding alone may cause."""
@@ -428,11 +425,11 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
                 break
 
 
-RULES = (
+STATIC_RULES = (
     noise_without_effect,
     observation_unbounded,
     bounds_mismatch,
     privileged_observation,
     goal_in_observation,
 )
-MEASURED = (outside_space, constant_observation, often_saturated)
+SIMULATED_RULES = (outside_space, constant_observation, often_saturated)

@@ -11,8 +11,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, Threshold, is_clock, thresholds, total
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Context, RewardTerms, Threshold, is_clock, thresholds, total
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
 from deepbots_cli.program.task import Ending
@@ -541,7 +540,7 @@ def _worth(analysis: Analysis) -> Interval:
     return Interval(low, high)
 
 
-RULES = (
+STATIC_RULES = (
     reward_unbounded,
     term_dominates,
     inactive_term,
@@ -550,4 +549,4 @@ RULES = (
     nothing_to_learn,
     return_out_of_reach,
 )
-MEASURED = (dominating_term, silent_term, non_finite_reward, other_policy_pays_more)
+SIMULATED_RULES = (dominating_term, silent_term, non_finite_reward, other_policy_pays_more)

@@ -12,8 +12,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
-from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, thresholds
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, thresholds
 from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
 from deepbots_cli.lint.ranges import Ranges, between, range_text, with_unit
 from deepbots_cli.program.values import Expression
@@ -241,4 +240,4 @@ def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
 
 
-RULES = (saturates_before_termination, observation_saturates)
+STATIC_RULES = (saturates_before_termination, observation_saturates)

@@ -9,8 +9,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
 from deepbots_cli.expressions.unification import negated
-from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, Terms, Threshold, is_clock, thresholds
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, Context, RewardTerms, Terms, Threshold, is_clock, thresholds
 from deepbots_cli.lint.ranges import Ranges, with_unit
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
@@ -293,4 +292,4 @@ def _opposite(compared: Comparison, asked: Threshold) -> str:
     return f"pay for the opposite, as in `exp(-{quantity} / {with_unit(asked.bound.low / 2, asked.dimension)})`"
 
 
-RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)
+STATIC_RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)

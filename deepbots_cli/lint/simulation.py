@@ -26,7 +26,7 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.expressions.scalar import Name, walk
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Context
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices, Observation
