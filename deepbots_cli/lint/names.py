@@ -53,7 +53,7 @@ def _unused_names(context: Context) -> Iterator[Finding]:
         if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removing(context.values.root, definition.path)
-            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
+            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it, or remove it", fix=fix)
 
 
 def _unused_parts(context: Context) -> Iterator[Finding]:
@@ -70,7 +70,7 @@ def _unused_parts(context: Context) -> Iterator[Finding]:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in names_in(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         unused = [
-            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or take it out")
+            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or remove it")
             for sensor in robot.sensors
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
         ]
@@ -202,7 +202,9 @@ def angle_jumps(context: Context) -> Iterator[Finding]:
         for node in _Wrapping(context.analysis, on, known).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
             written, place = text.text[node.start : node.end], text.part(node.start, node.end)
-            yield Finding("DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"go the short way round: `wrap({written})`")
+            yield Finding(
+                "DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"take the shorter way round: `wrap({written})`"
+            )
 
 
 class _Wrapping:

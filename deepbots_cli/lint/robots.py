@@ -50,9 +50,9 @@ _LOWEST, _HIGHEST = 0, 1
 def command_cut_off(context: Context) -> Iterator[Finding]:
     """DB312: an actuator cuts off most of the commands that the agent can give, so that most actions have the same effect.
 
-    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where less
-    than a quarter of the range of commands can be followed, the agent has to find the few actions that make a difference, and the noise
-    of its exploration makes none. Commands that depend on sensors are not reported.
+    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where the
+    actuator can follow less than a quarter of the range of commands, few actions make a difference, and the noise of exploration has
+    no effect. Commands that depend on sensors are not reported.
 
     Example::
 
@@ -75,8 +75,8 @@ def command_cut_off(context: Context) -> Iterator[Finding]:
             done = min(asked.high, limits.high) - max(asked.low, limits.low)
             if asked.finite and not asked.single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
-                able = f"is asked for {range_text(asked, dimension)}, and can do {range_text(limits, dimension)}"
-                help = "let the action, or what multiplies it, go as far as the actuator does"
+                able = f"receives commands of {range_text(asked, dimension)}, and its limits are {range_text(limits, dimension)}"
+                help = "scale the action to the limits of the actuator"
                 yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help=help)
 
 
@@ -112,8 +112,8 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
 def joint_driven_twice(context: Context) -> Iterator[Finding]:
     """DB313: two actuators drive the motor of the same joint, so that the command of the first is lost.
 
-    A joint has one motor, and the last command counts. Most often a line was copied, and nothing moves the joint on the other side. A
-    torque or a spring (`stiffness`) beside a motor adds to it, and is not reported.
+    A joint has one motor, and the last command counts. The usual cause is a copied line, so that no actuator drives the joint on the
+    other side. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
 
     Example::
 
@@ -140,7 +140,7 @@ def joint_driven_twice(context: Context) -> Iterator[Finding]:
             shared = next((joint for joint in joints if joint in driving), None)
             if shared is not None:
                 first, second = (_joints_span(context.values, robot.name, called) for called in (driving[shared], name))
-                headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` drives already"
+                headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
                 yield Finding("DB313", second, headline, help="give each joint one motor", also=(Label(first, "driven here"),))
             driving |= dict.fromkeys(joints, name)
 
@@ -212,10 +212,12 @@ def limp_at_start(context: Context) -> Iterator[Finding]:
             sunk = _sunk(body, positions, joints, program.world.gravity, wait)
             if sunk is not None:
                 by = with_unit(sunk[1], joint_dimension(sunk[0]))
-                headline = f"`{motor.name}` exerts nothing for the first {with_unit(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
-                help = "hold the joint with a `position_motor`, or let the first command come sooner"
+                headline = (
+                    f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
+                )
+                help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
-                also = (Label(values.span(late), "what it waits for"),) if values.stands(late) else ()
+                also = (Label(values.span(late), "delays the first command"),) if values.stands(late) else ()
                 yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
 
 
@@ -294,9 +296,11 @@ def _missed(simulation: Simulation, miss: Miss) -> Finding:
     notes = [simulation.when(Where(miss.by, miss.seed, miss.step))]
     for name, limit in miss.at_limit.items():
         notes.append(f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}")
-    notes += [f"{miss.out} of {miss.commands} commands in that episode are out of reach"] if miss.commands > 1 else []
-    remedy = "choose another `rpy`, or leave it out if any attitude will do" if is_turned else "command positions that the arm reaches"
-    headline = f"`{miss.actuator}` is commanded to a pose that the inverse kinematics misses by {by}"
+    notes += [f"{miss.out} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
+    remedy = (
+        "write another `rpy`, or leave it out if any attitude is allowed" if is_turned else "command positions within the reach of the arm"
+    )
+    headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
     help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
     return Finding("DB315", span, headline, help=help, notes=tuple(notes))
 
@@ -307,7 +311,7 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    help = f"write `rpy: {start} deg`, which is about the attitude at the start, or let the arm start in another pose"
+    help = f"write `rpy: {start} deg`, about the initial attitude, or start the arm in another pose"
     notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the arm contorts itself, and may swing far on its way")
     return Finding("DB315", span, headline, help=help, notes=notes)
 
@@ -318,7 +322,7 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
 def rays_meet_nothing(context: Context) -> Iterator[Finding]:
     """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
 
-    Level rays above the walls never meet them: every reading is the far end of the range, and the policy learns nothing from it. The
+    Rays above all bodies never meet one: every reading is the far end of the range, and the policy learns nothing from it. The
     walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
     robot that stands level on flat ground or has a fixed base, and a sensor that no joint raises or tilts; rays that meet the ground
     within their range are not reported.
@@ -344,7 +348,7 @@ def rays_meet_nothing(context: Context) -> Iterator[Finding]:
 
 
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
-    """DB615: the same for robots whose height the text does not tell."""
+    """DB615: the same for robots whose height does not follow from the scenario."""
     heights = Heights(simulation.analysis)
     for (robot, sensor), clearance in simulation.report.clearances.items() if simulation.is_complete else ():
         if heights.needs_simulation(robot, sensor):
@@ -521,7 +525,7 @@ def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance,
         named, span = f"`{wall or base}`", values.key_span(next((place for place in places if values.stands(place)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
-        f"the rays of `{sensor}` meet nothing: they stay {height} above the ground or higher, and the tallest thing, {named}, ends at {top}"
+        f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
     )
     return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, also=also)
 

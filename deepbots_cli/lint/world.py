@@ -53,11 +53,11 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 
 
 def odd_scale(context: Context) -> Iterator[Finding]:
-    """DB507: the size or the mass of an object is out of all proportion.
+    """DB507: the size or the mass of an object is implausible.
 
     A bare number is a length in metres or a mass in kilograms: a puck with `radius: 4` is 8 m across. The rule reports an object that
     is at least four times as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air
-    has 1.2, osmium 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that nothing may
+    has 1.2, osmium 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that must not
     move, write `fixed: true` instead of a large mass.
 
     Example::
@@ -99,7 +99,7 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
     for robot, size in robots:
         if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
             headline = (
-                f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`, {with_unit(size, LENGTH)} in size, begins in it"
+                f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`, {with_unit(size, LENGTH)} in size, begins inside"
             )
             return Finding("DB507", _span(path, ("radius", "size"), values), headline, help=_in_centimetres(path, values))
     return None
@@ -144,13 +144,13 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, val
     if not _LIGHTEST <= density <= _HEAVIEST:
         beyond = "more than any metal" if density > _HEAVIEST else "less than a tenth of air"
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
-        headline = f"`{path[-1]}` has {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
-        help = f"check the units of its mass and its size: {water}" + ("; or write `fixed: true`" if density > _HEAVIEST else "")
+        headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
+        help = f"check the units of its mass and size: {water}" + ("; or write `fixed: true`" if density > _HEAVIEST else "")
         return Finding("DB507", _span(path, ("mass",), values), headline, help=help)
     carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
     if carried <= 0.0 or kind.mass < _OUTWEIGHS * carried:
         return None
-    headline = f"`{path[-1]}` weighs {weight}, and all robots together {with_unit(carried, MASS)}"
+    headline = f"`{path[-1]}` weighs {weight}, and all robots together weigh {with_unit(carried, MASS)}"
     return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, help=_in_centimetres(path, values))
 
 
@@ -166,20 +166,20 @@ def _in_centimetres(path: Path, values: Values) -> str:
     found = _METRES.fullmatch(written)
     if found is None:
         return "check the unit of its size"
-    return f"write `{found[1]} cm` if that is meant" + ("" if "m" in written else ": a number without a unit is in metres")
+    return f"write `{found[1]} cm` if you mean centimetres" + ("" if "m" in written else ": a number without a unit is in metres")
 
 
 # Measured in a simulation
 
-_CALMER = "shorten the physics step (`world.substeps`), weaken motors and springs, and look at masses and inertias"
+_CALMER = "shorten the physics step (`world.substeps`), weaken motors and springs, and check masses and inertias"
 _KINDS = {
     "crash": ("the physics engine crashes ({})", _CALMER),
     "hang": (
-        "a step does not come back within {}",
-        "look for what makes the engine busy: bodies within each other, fine meshes, many substeps",
+        "a step does not return within {}",
+        "check for overlapping bodies, fine meshes and many substeps",
     ),
-    "memory": ("the simulation needs more memory than {}", "let there be fewer bodies, smaller meshes or smaller pictures"),
-    "killed": ("the simulation is ended from outside ({})", "most often the system had no memory left: let there be less in the world"),
+    "memory": ("the simulation needs more memory than {}", "use fewer bodies, smaller meshes or smaller pictures"),
+    "killed": ("another process ended the simulation ({})", "usually the system ran out of memory: make the world smaller"),
 }
 
 
@@ -192,7 +192,7 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         body = fastest[0] if fastest else None
         notes = [simulation.when()]
         if fastest:
-            notes.append(f"the fastest body until then was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
+            notes.append(f"the fastest body before was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
         yield Finding("DB309", simulation.body_span(body), headline.format(halt.what), help=help, notes=tuple(notes))
     elif stop is not None:
         yield from _stopped(simulation, stop)
@@ -206,7 +206,7 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
         case "lost":
             headline = f"the motion of `{body}` is no longer a number"
         case "engine":
-            headline, body = f"the engine gives up: {text}", _body_in(simulation, text)
+            headline, body = f"the engine stops with an error: {text}", _body_in(simulation, text)
         case "build":
             yield Finding("DB309", simulation.body_span(_body_in(simulation, text)), f"the engine cannot build this world: {text}")
             return
@@ -217,7 +217,7 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
 
 def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
     joint = f"joint `{stop['joint']}` of `{body}`" if "joint" in stop else f"`{body}`"
-    speed = float(stop.get("figure", 0.0))
+    speed = float(stop.get("value", 0.0))
     match stop.get("what"):
         case "velocity":
             return f"`{body}` moves at {speed:.3g} m/s"
@@ -260,15 +260,15 @@ def identical_episodes(context: Context) -> Iterator[Finding]:
         return
     if any(_is_drawn(tree) for reading in context.values.readings for tree in reading.trees):
         return
-    headline = f"nothing is drawn, so that the {program.evaluation.episodes} episodes of an evaluation are one and the same"
+    headline = f"nothing is drawn, so the {program.evaluation.episodes} episodes of an evaluation are identical"
     if program.reset.joint_starts:
         start = program.reset.joint_starts[0]
         joint = context.analysis.body(start.robot).model.joint(start.joints[0])
         spread = "-1 .. 1 deg" if joint_dimension(joint) == ANGLE else "-1 .. 1 cm"
-        yield Finding("DB809", start.position.span, headline, help=f"draw it, as in `uniform({spread})`")
+        yield Finding("DB809", start.position.span, headline, help=f"draw the initial state, as in `uniform({spread})`")
     else:
         section = next((key for key in ("reset", "evaluation", "train") if context.values.stands((key,))), "train")
-        help = f"draw where it begins, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
+        help = f"draw the initial place, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
         yield Finding("DB809", context.values.key_span((section,)), headline, help=help)
 
 
@@ -309,10 +309,11 @@ def _draws_coordinates(place: Placement) -> bool:
 
 
 def requirement_not_redrawn(context: Context) -> Iterator[Finding]:
-    """DB812: `reset.require` depends on drawn parameters, and on nothing that is drawn again when it does not hold.
+    """DB812: `reset.require` depends on drawn parameters, and on no value that is drawn again when it does not hold.
 
     When a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the
-    episode, so that all attempts are the same, and the reset fails. Draw the parameter so that it fits, or draw under `place`.
+    episode, so that all attempts are the same, and the reset fails. Draw the parameter from values that meet the requirement, or draw
+    places under `place`.
 
     Example::
 
@@ -339,8 +340,10 @@ def requirement_not_redrawn(context: Context) -> Iterator[Finding]:
     sources = sorted((analysis.sources(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = f"drawing again does not change what is required: `{sources[0]}` is drawn once per episode"
-        yield Finding("DB812", require.span, headline, help=f"draw `{sources[0]}` so that it fits, or draw places under `reset.place`")
+        headline = f"a new attempt does not change the requirement: `{sources[0]}` is drawn once per episode"
+        yield Finding(
+            "DB812", require.span, headline, help=f"draw `{sources[0]}` from values that meet it, or draw places under `reset.place`"
+        )
 
 
 def _is_of_root(program: Program, fact: World) -> bool:
@@ -357,7 +360,7 @@ def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -
 
 
 def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
-    """DB310: bodies begin within each other; one pair is reported for all copies of a group."""
+    """DB310: bodies overlap at the start; one pair is reported for all copies of a group."""
     deepest: dict[frozenset[str], Overlap] = {}
     for found in simulation.report.overlaps:
         pair = frozenset(name.partition("#")[0] for name, _ in (found.one, found.other))
@@ -372,14 +375,14 @@ def _overlapping(simulation: Simulation, found: Overlap) -> Finding:
     one, other = sorted((found.one, found.other), key=lambda part: _order(simulation, part[0]))
     depth = f"{found.depth * 1000:.3g} mm"
     span = simulation.placement(one[0]) or simulation.body_span(one[0])
-    notes = (f"link `{one[1]}` meets `{other[1]}`, in the reset with seed {found.seed}; {simulation.plan.resets} seeds were tried",)
+    notes = (f"link `{one[1]}` meets `{other[1]}`, in the reset with seed {found.seed}; {simulation.plan.resets} seeds were simulated",)
     if other[0] == GROUND:
-        headline = f"`{one[0]}` begins {depth} deep in the ground"
-        help = f"place it {depth} higher, or leave `z` out for what shall rest on the ground"
+        headline = f"`{one[0]}` begins {depth} below the surface of the ground"
+        help = f"place it {depth} higher, or leave `z` out to let it rest on the ground"
         also = (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
     else:
-        headline = f"`{one[0]}` and `{other[0]}` begin {depth} within each other"
-        help = "place them apart, or in a `region`, which looks for free spots"
+        headline = f"`{one[0]}` and `{other[0]}` overlap by {depth} at the start"
+        help = "place them apart, or in a `region`, which finds free positions"
         there = simulation.placement(other[0]) or simulation.body_span(other[0])
         also = (Label(there, f"`{other[0]}` begins here"),)
     return Finding("DB310", span, headline, help=help, notes=notes, also=also)

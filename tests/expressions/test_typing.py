@@ -248,11 +248,11 @@ def test_every_function_is_documented_in_one_sentence():
 @pytest.mark.parametrize(
     ("text", "help"),
     [
-        ("0,5 when flag", "decimals take a point: `0.5`"),
-        ("delta(", "a value and the closing `)` are missing behind `(`"),
-        ("1 +", "a value is missing behind `+`"),
-        ("1 when", "a value is missing behind `when`"),
-        ("random()", "a draw is `uniform(low .. high)`, or `normal(mean +- deviation)`"),
+        ("0,5 when flag", "write a decimal point: `0.5`"),
+        ("delta(", "a value and the closing `)` are missing after `(`"),
+        ("1 +", "a value is missing after `+`"),
+        ("1 when", "a value is missing after `when`"),
+        ("random()", "a draw is `uniform(low .. high)`, or `normal(mean +- std)`"),
         ("clip(x, 0 m, 1 m)", "write `clamp(x, low .. high)`"),
     ],
 )
