@@ -266,4 +266,4 @@ def test_a_component_without_its_robot_or_as_a_piece_of_a_name_is_known(bench):
 
 
 def test_a_message_to_a_robot_that_nobody_sends_is_told_where_actions_are_named(bench):
-    assert "named under `action`" in bench.only("engine * 2", Context.APPLY).help
+    assert "defined under `action`" in bench.only("engine * 2", Context.APPLY).help
