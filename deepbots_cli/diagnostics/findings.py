@@ -17,7 +17,7 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics.registry import RULES, Severity
 
 MAX_FINDINGS = 500
-"""Findings of one scenario. A file of 1 MiB can be wrong in 30 000 places, which takes half a minute to word."""
+"""Findings of one scenario. A file of 1 MiB can have 30 000 errors, and their messages take half a minute."""
 
 _MAX_MESSAGE = 200
 """Characters quoted from the message of an exception, which may quote a whole file."""
@@ -229,7 +229,7 @@ class Findings:
 
     def give_up(self, too_many: TooManyFindings) -> None:
         """Report that the limit is reached and the search ended."""
-        help = "mend some of these first; nothing more was looked for"
+        help = "correct some of these first; the rest was not checked"
         last = Finding("DB005", too_many.one.span, f"more than {self.limit} findings", help)
         self._found.setdefault(last.sort_key, last)
 

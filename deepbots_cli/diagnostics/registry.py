@@ -56,17 +56,17 @@ FAMILIES = {
 _CATALOGUE = (
     Rule("DB001", "yaml-syntax", "error", "the text is not YAML 1.2"),
     Rule("DB002", "duplicate-key", "error", "a mapping holds the same key twice"),
-    Rule("DB003", "yaml11-boolean", "warning", "a word that older YAML read as true or false is text here"),
-    Rule("DB004", "odd-number", "warning", "a value that looks like a number is text, or would be another number elsewhere"),
-    Rule("DB005", "resource-limit", "error", "a file is deeper, larger or expands further than is allowed"),
+    Rule("DB003", "yaml11-boolean", "warning", "a word that YAML 1.1 reads as true or false is text here"),
+    Rule("DB004", "odd-number", "warning", "a value that looks like a number is text, or is another number in YAML 1.1"),
+    Rule("DB005", "resource-limit", "error", "a file that is deeper, larger or expands further than allowed"),
     Rule("DB101", "unknown-key", "error", "a key that the language does not know"),
-    Rule("DB102", "missing-key", "error", "a key that is required here is absent"),
+    Rule("DB102", "missing-key", "error", "a required key is missing"),
     Rule("DB103", "wrong-type", "error", "a value of the wrong type"),
-    Rule("DB104", "unknown-kind", "error", "a word outside the words that are allowed here"),
+    Rule("DB104", "unknown-kind", "error", "a word that is not allowed here"),
     Rule("DB105", "out-of-range", "error", "a number outside its range"),
     Rule("DB106", "wrong-length", "error", "a list or a vector with too few or too many items"),
     Rule("DB107", "empty-value", "error", "a key without a value"),
-    Rule("DB108", "not-yet-supported", "error", "a part of the language that this version does not run yet"),
+    Rule("DB108", "not-yet-supported", "error", "a part of the language that this version does not support yet"),
     Rule("DB201", "unknown-reference", "error", "a name that nothing in the scenario defines"),
     Rule("DB202", "duplicate-name", "error", "two definitions share one name"),
     Rule("DB203", "wrong-kind-reference", "error", "a name of the wrong kind"),
@@ -78,7 +78,7 @@ _CATALOGUE = (
     Rule("DB302", "unknown-joint", "error", "a joint that the robot does not have"),
     Rule("DB303", "joint-not-actuatable", "error", "an actuator on a joint that cannot move"),
     Rule("DB304", "limit-beyond-urdf", "warning", "a limit wider than the robot file allows"),
-    Rule("DB305", "missing-inertial", "warning", "a link without inertia, which then weighs nothing"),
+    Rule("DB305", "missing-inertial", "warning", "a link without inertia, which has no mass"),
     Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
     Rule("DB307", "missing-joint-limits", "warning", "a revolute or prismatic joint without limits"),
     Rule("DB308", "rate-mismatch", "error", "a period that is no multiple of the timestep"),
@@ -88,7 +88,7 @@ _CATALOGUE = (
     Rule("DB312", "command-cut-off", "warning", "an actuator that clips most of its commands", preview=True),
     Rule("DB313", "joint-driven-twice", "warning", "a joint that two actuators hold", preview=True),
     Rule("DB314", "limp-at-start", "warning", "an arm that sinks before the first command reaches its motors", preview=True),
-    Rule("DB315", "pose-out-of-reach", "warning", "an arm that is commanded to a pose that it cannot reach", deep="only"),
+    Rule("DB315", "pose-out-of-reach", "warning", "an arm that receives a command out of its reach", deep="only"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),
@@ -96,8 +96,8 @@ _CATALOGUE = (
     Rule("DB405", "possible-zero-division", "warning", "a divisor can be zero"),
     Rule("DB406", "domain-error", "warning", "an argument can leave the domain of its function"),
     Rule("DB407", "not-available-here", "error", "a name or function that cannot be used in this place"),
-    Rule("DB409", "foreign-code", "error", "a term that is a function of Python, which is not allowed unless you say so"),
-    Rule("DB410", "foreign-code-runs", "warning", "a term that is a function of Python, which you have allowed"),
+    Rule("DB409", "foreign-code", "error", "a term that is a Python function, without `--allow-code`"),
+    Rule("DB410", "foreign-code-runs", "warning", "a term that is a Python function, with `--allow-code`"),
     Rule("DB411", "equality-of-measures", "warning", "a condition that compares a measured quantity for equality"),
     Rule("DB501", "unknown-unit", "error", "a unit that the language does not know"),
     Rule("DB502", "missing-unit", "error", "a number that needs a unit has none"),
@@ -109,7 +109,7 @@ _CATALOGUE = (
     Rule("DB601", "observation-unbounded", "warning", "an observation that is neither clipped nor bounded", preview=True),
     Rule("DB602", "bounds-mismatch", "error", "a value that can never lie in its range"),
     Rule("DB603", "saturates-before-termination", "warning", "an observation that saturates long before its value ends the episode"),
-    Rule("DB607", "observation-outside-space", "error", "an observation without a value, or outside of its space", deep="only"),
+    Rule("DB607", "observation-outside-space", "error", "an observation without a value, or outside its space", deep="only"),
     Rule("DB608", "constant-observation", "warning", "an observation that never changes", deep="only"),
     Rule("DB609", "privileged-observation", "warning", "an observation that no robot measures and `augment` does not grant"),
     Rule("DB611", "observation-saturates", "warning", "an observation often at the end of its range", deep="too", deep_preview=True),
@@ -125,7 +125,7 @@ _CATALOGUE = (
     Rule("DB705", "rewards-early-death", "warning", "failing at once costs less than continuing the episode"),
     Rule("DB706", "hidden-state-reward", "warning", "a reward that depends on a state that the policy does not observe", preview=True),
     Rule("DB707", "non-finite-reward", "error", "a reward that is not finite", deep="only"),
-    Rule("DB708", "hovering-pays", "warning", "staying just short of the goal pays more than reaching it", deep="too", deep_preview=True),
+    Rule("DB708", "hovering-pays", "warning", "staying just outside of the goal pays more than reaching it", deep="too", deep_preview=True),
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight cannot recompute for another goal"),
     Rule("DB710", "pays-towards-failure", "warning", "a reward that grows towards a failure", preview=True),
     Rule("DB711", "nothing-to-learn", "warning", "a reward that is the same for all policies"),
@@ -140,7 +140,7 @@ _CATALOGUE = (
     Rule("DB809", "identical-episodes", "warning", "a scenario whose episodes are all identical", preview=True),
     Rule("DB810", "return-out-of-reach", "warning", "a mean return that no policy reaches, or that every policy reaches"),
     Rule("DB811", "after-the-end", "warning", "a push, a reading or a message after the end of every episode"),
-    Rule("DB812", "requirement-not-redrawn", "warning", "a requirement that drawing again cannot meet"),
+    Rule("DB812", "requirement-not-redrawn", "warning", "a requirement that a new draw cannot meet"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
     Rule("DB902", "preview-rule-selected", "warning", "a selected rule that is in preview or needs a simulation"),
     Rule("DB903", "rule-failed", "error", "a rule or the compiler raised an exception on this file, which is a fault of deepbots"),
@@ -151,7 +151,7 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
     """The rules that an entry point names.
 
     Raises:
-        ValueError: One lacks something, or has a code or a name of ours.
+        ValueError: A rule is incomplete, or uses a code or a name of deepbots.
     """
     for rule in [found] if isinstance(found, Rule) else list(found):
         if not isinstance(rule, Rule) or rule.check is None or not rule.check.__doc__:

@@ -51,7 +51,7 @@ class Selection:
 
     def __init__(self, select: Words | None = None, ignore: Words | None = None, *, preview: bool = False, deep: bool = False) -> None:
         if select is not None and not select.words:
-            raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to look for everything")
+            raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to select every rule")
         self._select = None if select is None else _codes(select)
         self._ignore = _codes(ignore) if ignore else {}
         self._preview = preview
@@ -76,10 +76,12 @@ class Selection:
                 continue
             rule, span = entries[0], self._words.span(word)
             if rule.preview and not self._preview:
-                help = "add --preview (`preview = true`), or take it out"
-                found.append(Finding("DB902", span, f"{rule.code} is in preview, and does not run", help=help))
+                help = "add --preview (`preview = true`), or remove the code"
+                found.append(Finding("DB902", span, f"{rule.code} is in preview and does not run", help=help))
             if rule.deep == "only" and not self._deep:
-                found.append(Finding("DB902", span, f"{rule.code} asks a simulation, and does not run", help="add --deep, or take it out"))
+                found.append(
+                    Finding("DB902", span, f"{rule.code} needs a simulation and does not run", help="add --deep, or remove the code")
+                )
         return found
 
     def _has(self, code: str) -> bool:
@@ -148,7 +150,9 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
         codes = list(islice(_CODE.finditer(source.text, *comment.span(1)), _MAX_CODES)) if comment[1] else []
         if not codes:
             span = Span(source, *comment.span())
-            yield Finding("DB901", span, "a suppression without a code", help="name what it suppresses: # deepbots: ignore[DB603]")
+            yield Finding(
+                "DB901", span, "a suppression without a code", help="write the code that it suppresses: # deepbots: ignore[DB603]"
+            )
         for code in codes:
             removal = _removal(source, comment, [other[0] for other in codes if other[0] != code[0]])
             yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
@@ -166,12 +170,12 @@ def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
     if rule is None:
         near = nearest(entry.code, RULES)
-        help = f"did you mean {near}?" if near else "codes look like DB603"
+        help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
     headline, help = f"no finding {entry.code} is suppressed here", "remove the comment"
     if rule.severity == "error":
-        headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct what it reports"
+        headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct the error"
     return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))
 
 

@@ -2,7 +2,7 @@
 
 files.py    which files a scenario may read; bytes to text
 parse.py    YAML text to nodes, within limits
-hints.py    YAML mistakes: the wording of syntax errors, and text that is YAML but not what was meant
+hints.py    YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake
 nodes.py    Scalar, Sequence, Mapping; paths, walking, changed trees
 load.py     a scenario with the files that it extends and includes, `remove` and `--set`, as one Document
 layout.py   nodes to text: the canonical layout, written trees, removed entries

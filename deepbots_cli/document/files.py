@@ -49,9 +49,9 @@ class Refused:
         if self.reason == "outside":
             return f"move it into {self.roots[0] if self.roots else 'the project'}, or allow its folder with --allow-path"
         if self.reason == "irregular":
-            return "name a file"
+            return "write the path of a file"
         near = _similar(self.path)
-        return f"did you mean {near}?" if near else f"paths are relative to the file that names them; {self.path} was looked for"
+        return f"did you mean {near}?" if near else f"paths are relative to the file that contains them; {self.path} does not exist"
 
 
 def _similar(path: Path) -> str | None:
@@ -143,7 +143,7 @@ def check(source: Source, findings: Findings) -> bool:
     elif character in "\r\x85\u2028\u2029":
         headline, help = f"a line ends in an unusual character ({number})", "end lines with a line feed, as editors on Linux do"
     else:
-        headline = f"the character {number} cannot stand in YAML"
+        headline = f"the character {number} is not allowed in YAML"
         help = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'
     findings.add("DB001", Span(source, *found.span()), headline, help=help)
     return False

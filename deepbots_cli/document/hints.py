@@ -1,7 +1,7 @@
-"""YAML mistakes: the wording of syntax errors, and YAML that its author probably meant otherwise.
+"""YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake.
 
-The message of the parser only says what it expected. It chooses the case here; the text around the place tells what to
-write instead.
+The message of the parser states only what it expected. It selects the case here, and the text around the place gives the
+correction.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ GIVE_A_VALUE = "give it a value, or remove the key"
 
 # Syntax errors
 
-_QUOTE_HELP = "put the whole value in quotes, or behind `|` on a line of its own"
+_QUOTE_HELP = "put the whole value in quotes, or after `|` on a line of its own"
 _NO_KEY = "a line without a key"
 _KEY = re.compile(r"\s*(?:- +)*[^\s:#]+: +")
 _TAB_INDENT = re.compile(r"[ ]*\t")
@@ -109,7 +109,7 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         return problem.finding("a tab where YAML allows only spaces", "use spaces", at)
     rest = problem.rest(at)
     if rest.startswith("? "):
-        return problem.finding("a value cannot start with `? `", "choose by where(condition, a, b), or put the value in quotes", at)
+        return problem.finding("a value cannot start with `? `", "write where(condition, a, b), or put the value in quotes", at)
     if not rest:
         return problem.finding("a value is missing", "write a value", at)
     sign = "a backtick" if rest[0] == "`" else f"`{rest[0]}`"
@@ -122,7 +122,7 @@ def _quote(problem: _Problem) -> Finding | None:
     if "escape" in problem.problem:
         at = problem.source.text.rfind("\\", problem.since, problem.at + 1)
         return problem.finding("an unknown escape in double quotes", "use single quotes, or double the backslash", at, 2)
-    return problem.finding("this quote is never closed", "close it on the same line", problem.since)
+    return problem.finding("this quote is not closed", "close it on the same line", problem.since)
 
 
 def _brackets(problem: _Problem) -> Finding | None:
@@ -142,12 +142,12 @@ def _brackets(problem: _Problem) -> Finding | None:
         return _second_colon(problem, "separate keys by commas, or put the value in quotes")
     if here in ("", ":", "-") or problem.line_start > opening:
         sign, closing = ("{", "}") if text[opening] == "{" else ("[", "]")
-        return problem.finding(f"this `{sign}` is never closed", f"add the closing `{closing}`", opening)
+        return problem.finding(f"this `{sign}` is not closed", f"add the closing `{closing}`", opening)
     return problem.finding(f"unexpected `{here}` between brackets", "separate items by commas, or put the value in quotes", problem.at)
 
 
 def _second_colon(problem: _Problem, help: str) -> Finding:
-    help = "choose by where(condition, a, b)" if " ? " in problem.before else help
+    help = "write where(condition, a, b)" if " ? " in problem.before else help
     return problem.finding("a second colon in one value", help, problem.at)
 
 
@@ -168,8 +168,8 @@ def _colon(problem: _Problem) -> Finding | None:
     line = text[above : problem.line_start].strip()
     if line.startswith("//"):
         return _line_without_key(problem, text.index("//", above), line)
-    help = "align it with the keys that it belongs to; a key holds a value or further keys, not both"
-    return problem.finding("a key where the value above goes on", help, problem.at - len(key), max(1, len(key)))
+    help = "align it with the keys of its section; a key has either a value or further keys"
+    return problem.finding("a key where the value above continues", help, problem.at - len(key), max(1, len(key)))
 
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
@@ -182,7 +182,7 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     elif found := _ASSIGNED.match(line):
         help, edit = f"write a colon: `{found[1]}: {found[2][:_MAX_SHOWN]}`", (found.end(1), found.start(2), ": ")
     elif found := _PARTED.match(line):
-        help, edit = f"write a colon behind the key: `{f'{found[1]}: {found[2]}'.rstrip()}`", (found.end(1), found.end(1), ":")
+        help, edit = f"write a colon after the key: `{f'{found[1]}: {found[2]}'.rstrip()}`", (found.end(1), found.end(1), ":")
     fix = Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False) if edit else None
     return problem.finding(_NO_KEY, help, start, max(1, len(line)), fix)
 
@@ -197,7 +197,7 @@ def _behind_value(problem: _Problem) -> Finding | None:
         key = _KEY.match(problem.before)
         whole = problem.rest(problem.line_start + (key.end() if key else len(before) - len(before.lstrip())))
         quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'[^\"]*'", whole) else _quoted(whole)
-        return problem.finding("text behind the end of a value", f"put the whole value in quotes: {quoted}", at, length)
+        return problem.finding("text after the end of a value", f"put the whole value in quotes: {quoted}", at, length)
     if rest.startswith(("}", "]")):
         return problem.finding(f"a closing `{rest[0]}` without an opening one", "remove it, or put the value in quotes", at)
     if rest.startswith(":"):
@@ -221,7 +221,7 @@ _HAS_COLON = re.compile(r"\s*:")
 _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
 _COLOUR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
-_COMMA_HELP = "a comma inside brackets separates keys; decimals take a point, digits are grouped as in 100_000; "
+_COMMA_HELP = "a comma inside brackets separates keys; decimals have a point, digits are grouped as in 100_000; "
 
 
 def cut_by_commas(scalars: Iterable[Scalar], findings: Findings) -> list[Span]:
@@ -264,7 +264,7 @@ def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool
     if value.style != "plain":
         help = f'a leading `{value.span.text[0]}` begins a block of text; put the value in quotes: "{value.span.text}"'
     elif value.text:
-        help = "there is no null; remove the key"
+        help = "the language has no null; remove the key"
     elif is_flow and _GLUED.match(key.text):
         help = "put a space after the colon"
     elif is_flow and not _HAS_COLON.match(text, end):
@@ -309,14 +309,14 @@ def unusual_value(scalar: Scalar, findings: Findings) -> None:
     """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
     text, span = scalar.text, scalar.span
     if text in _YAML11:
-        help = f"write {_YAML11[text]}, or put it in quotes if text is meant"
-        headline = f"`{text}` is text, though older YAML reads it as {_YAML11[text]}"
+        help = f"write {_YAML11[text]}, or put it in quotes if you mean text"
+        headline = f"`{text}` is text, but YAML 1.1 reads it as {_YAML11[text]}"
         # Where a truth value is needed, a later pass reports an error, whose fix comes first.
         findings.add("DB003", span, headline, help=help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
     elif (odd := _odd_number(text)) is not None:
         headline, help, number = odd
         if isinstance(scalar.value, str):
-            help = f"{help}, or put it in quotes if text is meant"
+            help = f"{help}, or put it in quotes if you mean text"
             number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
         findings.add("DB004", span, headline, help=help, fix=Fix((Edit(span, number),), safe=True) if number else None)
 
@@ -332,18 +332,18 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
     if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
         return None
     if _LEADING_ZERO.fullmatch(text):
-        return f"`{text}` is {int(text)} here, though older YAML reads a leading zero as octal", f"write {int(text)}", str(int(text))
+        return f"`{text}` is {int(text)} here, but YAML 1.1 reads a leading zero as octal", f"write {int(text)}", str(int(text))
     if _RADIX.fullmatch(text):
         return f"`{text}` is text: numbers are decimal", f"write {int(text, 0)}", str(int(text, 0))
     if decimal := _DECIMAL_COMMA.fullmatch(text):
         number = text.replace(",", ".")
         certain = len(decimal[1]) != 3  # `1,500` may be either
-        return f"`{text}` is text: a decimal takes a point", f"write {number} for a decimal", number if certain else None
+        return f"`{text}` is text: decimals have a point", f"write {number} for a decimal", number if certain else None
     if _COMMAS.fullmatch(text):
         number = text.replace(",", "_")
-        return f"`{text}` is text: a decimal takes a point", f"write {number}", number if _GROUPED.fullmatch(number) else None
+        return f"`{text}` is text: decimals have a point", f"write {number}", number if _GROUPED.fullmatch(number) else None
     if _SEXAGESIMAL.fullmatch(text):
-        return f"`{text}` is text, though older YAML reads it as a number in base 60", "write a duration with its unit, such as 750 s", None
+        return f"`{text}` is text, but YAML 1.1 reads it as a number in base 60", "write a duration with its unit, such as 750 s", None
     if _GROUPS.fullmatch(text):
         number = text.replace("_", "")
         return f"`{text}` is text: digits are grouped in threes", f"write {number}", number

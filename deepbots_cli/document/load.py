@@ -164,7 +164,7 @@ class _Reader:
         if root is None:
             return None
         if not isinstance(root, Mapping):
-            self.findings.add("DB103", root.span, "the file is no mapping", help="write keys with values, such as `name: CartPole`")
+            self.findings.add("DB103", root.span, "the file is not a mapping", help="write keys with values, such as `name: CartPole`")
             return None
         has_includes = "include" in source.text or "\\" in source.text  # an escape may spell the key
         tree = self.expanded(root, folder, chain, 1) if has_includes else root
@@ -223,11 +223,11 @@ class _Reader:
             return None
         if path in chain:
             circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))
-            help = "take one of them out of the circle"
-            self.findings.add("DB204", value.span, f"`{value.text}` leads back to itself", help=help, notes=(circle,))
+            help = "remove one of these references"
+            self.findings.add("DB204", value.span, f"`{value.text}` includes itself", help=help, notes=(circle,))
             return None
         if len(chain) >= MAX_CHAIN:
-            self.findings.add("DB204", value.span, f"files name each other more than {MAX_CHAIN} deep", help="join some of them")
+            self.findings.add("DB204", value.span, f"files include each other more than {MAX_CHAIN} levels deep", help="merge some of them")
             return None
         if path not in self.trees:
             self.trees[path] = self.read(path, value.span, chain)
@@ -237,13 +237,13 @@ class _Reader:
         try:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
-            help = f"the system says: {(error.strerror or 'no reason').lower()}"
+            help = f"the error of the system: {(error.strerror or 'no reason').lower()}"
             self.findings.add("DB204", by, f"`{path.name}` cannot be read", help=help)
             return None
         self.size += len(data)
         if self.size > files.MAX_TOTAL_BYTES:
             headline = f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together"
-            self.findings.add("DB005", by, headline, help="check that all of them are parts of a scenario")
+            self.findings.add("DB005", by, headline, help="check that every file is part of a scenario")
             return None
         source, readable = files.decode(data, files.display(path), self.findings, included_from=by)
         self.files[path] = source
@@ -265,9 +265,9 @@ class _Reader:
                 paths.append(steps)
                 _, key, found = descend(own, steps)
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
-                    headline = f"`{item.text}` is written here, and taken out by `remove`"
-                    help = "keep one of the two; a value that is written anew needs no `remove`"
-                    self.findings.add("DB205", key.span, headline, help=help, also=(Label(item.span, "taken out here"),))
+                    headline = f"`{item.text}` is defined here, and removed by `remove`"
+                    help = "remove one of the two; a new value needs no `remove`"
+                    self.findings.add("DB205", key.span, headline, help=help, also=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 help = _listed(reached) if isinstance(reached, Mapping) else "remove a path that exists"
@@ -359,7 +359,7 @@ def _set(root: Mapping, path: Scalar, value: Node | None, whole: Span, findings:
     for step in reversed(inner):
         value = Mapping(whole, {step.text: Entry(step, value)})
     if isinstance(value, Scalar) and value.value is None:
-        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", help="there is no null; write a value")
+        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", help="the language has no null; write a value")
         return root
     changed = nodes.replace(root, steps, Entry(key, value))
     return changed if isinstance(changed, Mapping) else root

@@ -107,7 +107,7 @@ class _Builder:
         next(self.events)  # the end of the document
         after = next(self.events)
         if not isinstance(after, StreamEndEvent):
-            self.findings.add("DB001", self.span(after), "a second document begins here", help="keep to one document per file")
+            self.findings.add("DB001", self.span(after), "a second document begins here", help="write one document per file")
             return None
         return root
 
@@ -142,7 +142,7 @@ class _Builder:
         self.end = span.end
         if event.anchor not in self.anchors:
             name = span.text
-            help = f'a leading `*` refers to an anchor; write "{name}" in quotes if a pattern is meant'
+            help = f'a leading `*` refers to an anchor; for a pattern, write "{name}" in quotes'
             fix = Fix((Edit(span, f'"{name}"'),), safe=True) if _PATTERN.fullmatch(name) else None
             self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help=help, fix=fix)
             return None
@@ -159,7 +159,7 @@ class _Builder:
     def value(self, event: Event) -> Scalar | None:
         scalar = self.scalar(event)
         if scalar.value in (math.inf, -math.inf):
-            self.findings.add("DB105", scalar.span, "the number is too large to compute with", help="write a smaller number")
+            self.findings.add("DB105", scalar.span, "the number is too large", help="write a smaller number")
             return None
         if scalar.style == "plain":
             hints.unusual_value(scalar, self.findings)
@@ -266,7 +266,7 @@ class _Builder:
             self.stop(event, f"the scenario has more than {MAX_NODES:_} values")
 
     def stop(self, event: Event, headline: str) -> NoReturn:
-        self.findings.add("DB005", self.span(event), headline, help="simplify the file; scenarios are far below this limit")
+        self.findings.add("DB005", self.span(event), headline, help="simplify the file; ordinary scenarios are far below this limit")
         raise _OverLimitError
 
 

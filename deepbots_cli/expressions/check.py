@@ -60,18 +60,18 @@ _COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
-_NO_ZERO = "keep it away from zero, as in `max(x, 0.01 m)`"
-_KEEP_ABOVE = "keep it above with `max(x, ...)`"
+_NO_ZERO = "bound it away from zero, as in `max(x, 0.01 m)`"
+_KEEP_ABOVE = "bound it from below with `max(x, ...)`"
 _FAMILY_HELP = {
-    Family.DRAW: "draw it as a parameter, and name that here",
-    Family.STATEFUL: "keep it as a signal, and name that where signals are known",
-    Family.MESSAGE: "only the supervisor receives what robots send; keep it as a signal, or send it under `receive`",
-    Family.WORLD: "a robot knows only its sensors and messages; send it the value under `receive`",
+    Family.DRAW: "draw it as a parameter, and use the parameter here",
+    Family.STATEFUL: "define it as a signal, and use the signal where signals are known",
+    Family.MESSAGE: "only the supervisor receives the messages of robots; define it as a signal, or send it under `receive`",
+    Family.WORLD: "a robot knows only its sensors and messages; send the value to it under `receive`",
 }
 _CONTEXT_HELP = {
-    **{(Context.FORBID, family): "compute it under `augment`, and name that here" for family in Family},
-    (Context.FIXED, Family.DRAW): "it is the same in every episode; give one figure",
-    (Context.SCRIPT, Family.STATEFUL): "keep it as a signal, and name that here",
+    **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
+    (Context.FIXED, Family.DRAW): "it is the same in every episode; write a fixed value",
+    (Context.SCRIPT, Family.STATEFUL): "define it as a signal, and use the signal here",
 }
 # A common question about a part of the world that has no position.
 _ASKED = {
@@ -84,13 +84,13 @@ _ASKED = {
 }
 # Hints for unknown names besides the known ones.
 _NAMED = {"pi": "half a turn is `180 deg`"}
-_ELSEWHERE = {Context.APPLY: "what the agent decides is named under `action`"}
+_ELSEWHERE = {Context.APPLY: "the choices of the agent are defined under `action`"}
 # Functions that other languages have.
 _CALLED_ELSEWHERE = {
-    "random": "a draw is `uniform(low .. high)`, or `normal(mean +- deviation)`",
+    "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
     "rand": "a draw is `uniform(low .. high)`",
-    "randn": "a draw is `normal(mean +- deviation)`",
-    "gauss": "a draw is `normal(mean +- deviation)`",
+    "randn": "a draw is `normal(mean +- std)`",
+    "gauss": "a draw is `normal(mean +- std)`",
     "randint": "a draw of whole numbers is `integer(low .. high)`",
     "clip": "write `clamp(x, low .. high)`",
     "pow": "a power is `a ^ b`",
@@ -112,7 +112,7 @@ class Checked(NamedTuple):
 def check(tree: syntax.Node, scope: Scope, report: Report) -> Typed:
     """The typed tree of a text that gives one value; None after a finding that leaves it without a type."""
     if isinstance(tree, syntax.Redrawn):
-        help = "only parameters and channel settings are drawn `every` period or `each step`"
+        help = "only parameters and channel settings may be drawn again with `every` or `each step`"
         report("DB407", tree.value.end, tree.end, "a draw that is repeated", help)
         raise Stop
     return _Checker(scope, report).whole(tree)
@@ -152,7 +152,7 @@ def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: boo
 
 def _require_rising(found: TypedRange, report: Report) -> None:
     if found.low.type.interval.low > found.high.type.interval.high:
-        raise fault(report, "DB105", found, "a range whose low end is above its high end", "give the low end first")
+        raise fault(report, "DB105", found, "a range whose low end is above its high end", "write the low end first")
 
 
 class _Checker:
@@ -171,7 +171,7 @@ class _Checker:
             raise self._fault("DB401", tree, "a range where a single value is needed")
         value = self.visit(tree)
         if value.type.copies:
-            help = "there may be any number of them: take `min`, `max`, `sum`, `norm`, `any` or `all` of it"
+            help = "the number of copies varies: reduce the value with `min`, `max`, `sum`, `norm`, `any` or `all`"
             raise self._fault("DB404", tree, "a value for each copy of a group", help)
         if size(value) > MAX_SIZE:
             headline = f"an expression of more than {MAX_SIZE} operations on single numbers"
@@ -205,8 +205,10 @@ class _Checker:
         """The result for every item: the faults of all of them are reported before the check stops."""
         found: list[B] = []
         for item in items:
-            with suppress(Stop):
+            try:  # 0.1 us, with `contextlib.suppress` 1.4 us; called for every operator
                 found.append(visit(item))
+            except Stop:
+                continue
         if len(found) < len(items):
             raise Stop
         return found
@@ -265,13 +267,13 @@ class _Checker:
         scope, name = self._scope, node.dotted
         subject = scope.subject(name)
         if subject is not None:
-            help = f"ask for one of its values, as in `{_ASKED.get(subject.kind, 'position')}({name})`"
+            help = f"use one of its values, as in `{_ASKED.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
             return Stop() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.words}, not a value", help)
         if name in FUNCTIONS:
             return self._fault("DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`")
         if asked := self._asked_of_a_body(node):
-            help = f"what is known of the world is asked for by functions: `{asked}`"
+            help = f"functions give the values of the world: `{asked}`"
             return self._fault("DB402", node, f"unknown name `{name}`", help, Meant(asked, safe=False))
         return self._unknown("name", name, scope.names(), node, also=_NAMED.get(name.lower(), _ELSEWHERE.get(scope.context)))
 
@@ -309,7 +311,7 @@ class _Checker:
         unit = node.unit
         values = tuple(unit.to_si(item.value) if unit else item.value for item in items)
         if not all(map(math.isfinite, values)):
-            raise self._fault("DB401", node, "a quantity too large to be kept")
+            raise self._fault("DB401", node, "a quantity too large for a number")
         known = Type(unit.dimension if unit else NUMBER, components, interval=Interval(min(values), max(values)))
         return Constant(known, node.start, node.end, values, unit)
 
@@ -343,12 +345,12 @@ class _Checker:
             if unit is not None:
                 help = f"did you mean `{unit.text}`?"
             elif scaled is not None:
-                help = f"give it in {scaled[1]}: 1 {written} is {scaled[0]:g} {scaled[1]}"
+                help = f"write it in {scaled[1]}: 1 {written} is {scaled[0]:g} {scaled[1]}"
             raise self._fault("DB501", name, f"unknown unit `{written}`", help, unit)
         if len(node.items) == 2:
             missing, help = "an operator", f"to multiply, write `*` before `{written}`"
             if symbol.type is not None and symbol.type.boolean:
-                missing, help = "`when`", f"what is paid on a condition is written `5 when {written}`"
+                missing, help = "`when`", f"write a conditional reward as `5 when {written}`"
             raise self._fault("DB401", node, f"{missing} is missing before `{written}`", help)
 
     # operators
@@ -383,7 +385,7 @@ class _Checker:
             interval = OPERATORS[operator].interval(left.type.interval, right.type.interval)
             settled = all(value.type.interval.finite and value.type.interval.single for value in both)
             if settled and interval.single and not interval.finite:  # a division by zero gives an interval that is not single
-                self._fault("DB406", node, "a result too large to be kept")
+                self._fault("DB406", node, "a result too large for a number")
             return Operation(result._replace(interval=interval), node.start, node.end, operator, both)
         if node.operator not in _COMPARISONS:
             require_kind(both, self._report, boolean=True)
@@ -412,19 +414,19 @@ class _Checker:
                     near = Fraction(known.low).limit_denominator(_MAX_DENOMINATOR)
                     if float(near) == known.low:
                         return base ** (near if near.denominator > 1 else int(near))
-                help = "divide by a unit first: only a plain number takes any exponent"
-                raise self._fault("DB503", right, f"{base.words} to a power that is not a known, simple number", help)
+                help = "divide by a unit first: only a plain number may have any exponent"
+                raise self._fault("DB503", right, f"{base.words} to a power that is not a fixed, simple number", help)
             case _:
                 return dimension_of((left, right), node, self._report)
 
     def _warn_of_domain(self, operator: str, a: Interval, b: Interval, node: syntax.Binary) -> None:
-        """DB405 for a division by what can be zero, DB406 for a root of what can be negative."""
+        """DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
         if operator == "/" and b.finite and 0.0 in b:
-            between = f"the divisor lies between {b.low:g} and {b.high:g}, and can be zero"
+            between = f"the divisor is between {b.low:g} and {b.high:g}, and can be zero"
             self._fault("DB405", node.right, "a division by zero" if b.single else between, _NO_ZERO)
         if operator == "^" and a.finite:
             if a.low < 0.0 and b.single and not b.low.is_integer():
-                self._fault("DB406", node.left, f"a broken power of a value that can be as low as {a.low:g}", _KEEP_ABOVE)
+                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {a.low:g}", _KEEP_ABOVE)
             if 0.0 in a and b.high < 0.0:
                 self._fault("DB405", node.left, "a negative power of a value that can be zero", _NO_ZERO)
 
@@ -533,7 +535,7 @@ class _Checker:
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.copies and function.reduction.empty is None:
-                help = "there may be none of them: take `min`, `max`, `sum`, `norm`, `any` or `all`"
+                help = "there may be no copy: use `min`, `max`, `sum`, `norm`, `any` or `all`"
                 raise self._fault("DB404", node, f"a {function.name} over the copies of a group", help)
             if vector.type.components is None:
                 raise self._fault("DB404", vector, f"a single value where `{function.name}` needs a vector", _usage(function))
@@ -576,7 +578,7 @@ def _with_owner(name: str, known: list[str]) -> Meant | None:
 
 
 def _known(names: list[str]) -> str:
-    return f"known are {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else "there is none to choose from"
+    return f"known names: {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else "there is none to choose from"
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:

@@ -68,7 +68,7 @@ ALLOWED: dict[Context, frozenset[Family]] = {
 
 
 class Form(Enum):
-    """How an argument is written: a value, `low .. high`, `mean +- deviation`, `a | b`, or a name in the world."""
+    """How an argument is written: a value, `low .. high`, `mean +- std`, `a | b`, or a name in the world."""
 
     VALUE = auto()
     RANGE = auto()
@@ -94,7 +94,7 @@ class Param(NamedTuple):
     many: bool = False
 
     def __str__(self) -> str:
-        shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- deviation", Form.OPTIONS: "a | b | ..."}.get(self.form, self.name)
+        shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(self.form, self.name)
         return f"[{shown}]" if self.optional else f"{shown}, ..." if self.many else shown
 
 

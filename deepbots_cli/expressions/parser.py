@@ -47,8 +47,8 @@ _MAX_FACTORS = 8
 
 _STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
-_NEVER_CLOSED = "a parenthesis that is never closed"
-_SMALLER = "name parts of it, as signals or parameters"
+_NEVER_CLOSED = "a parenthesis that is not closed"
+_SMALLER = "define parts of it as signals or parameters"
 _SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the first is the end of the text
 _WANT_VALUE = {"when", "and", "or", "not", "every"}
 
@@ -56,7 +56,7 @@ _WANT_VALUE = {"when", "and", "or", "not", "every"}
 def parse(text: str, report: Report) -> Node | None:
     """The tree of an expression, literal or range; None after exactly one finding (DB401 or DB005)."""
     if len(text) > MAX_LENGTH:
-        report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"at most {MAX_LENGTH} are read")
+        report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"the limit is {MAX_LENGTH} characters")
         return None
     try:
         if len(text) <= _SHORT:
@@ -66,7 +66,7 @@ def parse(text: str, report: Report) -> Node | None:
         report(*fault.finding)
         return None
     if depth(tree) > MAX_DEPTH:
-        report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} operations, one upon the other", _SMALLER)
+        report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} nested operations", _SMALLER)
         return None
     return tree
 
@@ -130,7 +130,7 @@ class _Parser:
         token = self._next()
         value = float(token.text.replace("_", ""))
         if value == float("inf"):
-            raise _SyntaxError(token.start, token.end, "a number too large to be kept", "the largest is about 1.8e308")
+            raise _SyntaxError(token.start, token.end, "a number that is too large", "the largest number is about 1.8e308")
         behind = self._peek
         if behind.start == token.end and behind.text[:1] == "_":
             raise _SyntaxError(token.start, behind.end, "an underscore that does not group three digits", "write `100_000` or `100000`")
@@ -279,7 +279,7 @@ class _Parser:
         while self._take("."):
             member = self._next()
             if member.kind != "NAME":
-                raise _SyntaxError(member.start, member.end, "a component name is missing after the point")
+                raise _SyntaxError(member.start, member.end, "a component name is missing after the dot")
             base = Member(base.start, member.end, base, member.text)
         if self._peek.text != "^":
             return base
@@ -330,8 +330,8 @@ class _Parser:
     def _argument(self) -> Node:
         first = self._range(self._slot())
         if self._take("+-"):
-            deviation = self._slot()
-            return Spread(first.start, deviation.end, _borrow_unit(first, deviation), deviation)
+            std = self._slot()
+            return Spread(first.start, std.end, _borrow_unit(first, std), std)
         if not self._take("|"):
             return first
         items = (first, *self._several(self._slot, "|"))
@@ -397,12 +397,12 @@ _SAME = {
     "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
 }  # fmt: skip
 _CONDITIONAL = _Hint("write `where(condition, a, b)`, or `a when condition`")
-_NO_TEXT = _Hint("expressions hold no text, only numbers and names")
+_NO_TEXT = _Hint("expressions contain numbers and names, but no text")
 _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _SAME.items()} | {
     "**": _Hint("a power is `a ^ b`", "^"),
     "−": _Hint("write the plain minus `-`", "-"),
     "–": _Hint("write the plain minus `-`", "-"),
-    "\u00a0": _Hint("this is a space that only looks like one; type it anew", " "),
+    "\u00a0": _Hint("this is a non-breaking space; replace it by an ordinary space", " "),
     "!": _Hint("write `not`"),
     "?": _CONDITIONAL,
     ":": _CONDITIONAL,
@@ -410,8 +410,8 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _SAME.i
     "else": _CONDITIONAL,
     "is": _Hint("compare with `==`"),
     "in": _Hint("compare with `<` and `>`, joined by `and`"),
-    "lambda": _Hint("there are no functions of one's own; name the value under `signals`"),
-    "[": _Hint("a component is named: `v.x`"),
+    "lambda": _Hint("user-defined functions are not supported; define the value under `signals`"),
+    "[": _Hint("components have names: `v.x`"),
     "{": _Hint("a vector is written `0 0 1 m`, or `vector(a, b, c)`"),
     '"': _NO_TEXT,
     "'": _NO_TEXT,
@@ -419,9 +419,9 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _SAME.i
     "..": _Hint("a range stands alone or in a function such as `clamp(x, low .. high)`"),
     "//": _Hint("write `/`; a comment begins with ` # `"),
     "%": _Hint("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
-    ",": _Hint("a comma only parts the arguments of a function; decimals take a point"),
-    "+-": _Hint("`normal(mean +- deviation)` is a draw; elsewhere put a space between the signs"),
-    "|": _Hint("`abs(x)` is a value without its sign, `choice(a | b)` is a draw; for conditions write `or`"),
+    ",": _Hint("a comma separates the arguments of a function; decimals have a point"),
+    "+-": _Hint("`normal(mean +- std)` is a draw; elsewhere put a space between the signs"),
+    "|": _Hint("write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"),
     "->": _Hint("a schedule belongs in the settings of `train`"),
 }
 
@@ -432,7 +432,7 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
     shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
     help, text = _HINTS.get(token.text, (None, None))
     if token.kind == "END":
-        return "the expression breaks off", _missing_end(tokens) if at else None, None
+        return "the expression is incomplete", _missing_end(tokens) if at else None, None
     if token.text == "=":
         return "`=` in an expression", *_about_equals(tokens, at)
     if token.kind == "STRANGE" or (token.kind == "NAME" and help):
@@ -443,15 +443,15 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
     if missing:
         return f"a value is missing before `{shown}`", help, None
     if token.text == ")":
-        return "a parenthesis that was never opened", None, None
+        return "a closing parenthesis without an opening one", None, None
     if token.text == ",":
         return _about_comma(tokens, at)
     if token.kind == "SIGN" and token.text != "(":
-        return f"`{shown}` in an odd place", help, None
+        return f"unexpected `{shown}`", help, None
     if token.text == "(" and before.kind == "NAME":
-        help = "functions are called by their plain names, such as `abs(x)`; to multiply, write `*`"
+        help = "call a function by its name, as in `abs(x)`; to multiply, write `*`"
     elif token.kind == before.kind == "NUMBER":
-        help = "a vector within a larger expression is written `vector(a, b, c)`"
+        help = "inside an expression, write a vector as `vector(a, b, c)`"
     elif token.kind == "NAME" and tokens[at + 1].kind == "END":
         help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
     return f"an operator is missing before `{shown}`", help, None
@@ -469,11 +469,11 @@ def _unclosed(tokens: list[Token]) -> Token | None:
 
 def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Meant | None]:
     if tokens[at + 1].kind == "END":
-        return "a comma at the end", "a line ends without one", Meant("", safe=True)
+        return "a comma at the end", "remove it", Meant("", safe=True)
     whole, comma, part = tokens[at - 1 : at + 2]
     if whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start:
-        return "a comma in a number", f"decimals take a point: `{whole.text}.{part.text}`", Meant(".", safe=False)
-    return "`,` in an odd place", _HINTS[","].help, None
+        return "a comma in a number", f"write a decimal point: `{whole.text}.{part.text}`", Meant(".", safe=False)
+    return "unexpected `,`", _HINTS[","].help, None
 
 
 def _missing_end(tokens: list[Token]) -> str | None:
@@ -481,12 +481,12 @@ def _missing_end(tokens: list[Token]) -> str | None:
     if last.text == ")" or (last.kind != "SIGN" and last.text not in _WANT_VALUE):
         return None
     missing = "a value and the closing `)` are" if _unclosed(tokens) else "a value is"
-    return f"{missing} missing behind `{last.text}`"
+    return f"{missing} missing after `{last.text}`"
 
 
 def _about_equals(tokens: list[Token], at: int) -> tuple[str, Meant | None]:
     if at and tokens[at - 1].text in ("+", "-", "*", "/"):
-        return "leave it out: an entry says what a value is, and the terms of a reward are added up", None
+        return "remove it: an entry defines a value, and the terms of a reward are summed", None
     if at >= 2 and tokens[at - 1].kind == "NAME" and tokens[at - 2].text in ("(", ","):
-        return "arguments are given in order, without their names", None
+        return "pass arguments in order, without names", None
     return "compare with `==`", Meant("==", safe=True)

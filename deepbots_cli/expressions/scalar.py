@@ -1,8 +1,8 @@
-"""Scalar expressions: the single numbers of an expression, when units, vectors and names are settled.
+"""Scalar expressions: the single numbers of an expression, without units and vectors.
 
-Every value is one plain number in SI units or one truth value. A vector expression lowers to one tree
-per component. These trees stand in the compiled scenario (frozen, comparable, JSON-able); the
-generated Python is printed from them and from nothing else.
+Every value is one plain number in SI units or one truth value. A vector expression is lowered to one tree
+per component. These trees are part of the compiled scenario (frozen, comparable, serialisable as JSON), and the
+generated Python is printed from them.
 
 They are named tuples: rules make and look up so many that frozen dataclasses took 4 % of the time of linting. No two kinds
 are equal: they differ in the number of members, or in the type of one of them.
@@ -76,7 +76,7 @@ class State(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """A random draw: `uniform` (low, high), `integer` (low, high), `normal` (mean, deviation), `choice` (options).
+    """A random draw: `uniform` (low, high), `integer` (low, high), `normal` (mean, standard deviation), `choice` (options).
 
     `stream` names its own random stream, so that a new draw changes no other.
     """

@@ -137,12 +137,12 @@ class Range(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """`mean +- deviation`."""
+    """`mean +- std`."""
 
     start: int
     end: int
     mean: Node
-    deviation: Node
+    std: Node
 
 
 class Options(NamedTuple):

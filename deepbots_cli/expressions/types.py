@@ -292,9 +292,11 @@ def children(node: Typed) -> tuple[Typed, ...]:
 
 def walk(node: Typed) -> Iterator[Typed]:
     """Every node, each before its children."""
-    yield node
-    for child in children(node):
-        yield from walk(child)
+    waiting = [node]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        waiting += reversed(children(node))
 
 
 def bare(value: Typed) -> bool:

@@ -69,12 +69,18 @@ def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = Fal
     wrong = [value for value in values if value.type.picture] or [value for value in values if value.type.boolean != boolean]
     for value in wrong:
         if value.type.picture:
-            fault(report, "DB404", value, "a picture where a single value belongs", "pictures are sent and observed as they are")
+            fault(
+                report,
+                "DB404",
+                value,
+                "a picture where a single value belongs",
+                "a picture can be sent and observed, but not used in an expression",
+            )
         elif boolean:
             fault(report, "DB403", value, "a number where a truth value belongs", "compare it, as in `x > 0`")
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
-            help = f"make it a number with `where({name}, 1, 0)`, or write what a whole value is then: `5 when {name}`"
+            help = f"make it a number with `where({name}, 1, 0)`, or write the value under the condition: `5 when {name}`"
             fault(report, "DB403", value, "a truth value where a number belongs", help)
     if wrong:
         raise Stop
@@ -91,7 +97,7 @@ def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimen
             continue
         if bare(value):
             raise missing_unit(value, first.type.dimension, report)
-        help = "both sides must measure the same; divide by a unit where a plain number is meant"
+        help = "both sides need the same dimension; divide by a unit to get a plain number"
         raise fault(report, "DB503", place, f"{first.type.words} meets {value.type.words}", _plain_name(first, value) or help)
     return first.type.dimension
 
@@ -126,7 +132,7 @@ def _plain_name(*values: Typed) -> str | None:
     for value in values:
         if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
             known = " ".join(f"{number:g}" for number in value.symbol.value)
-            return f"`{value.symbol.name}` is {known}, a plain number; if it has a unit, write it where it is defined"
+            return f"`{value.symbol.name}` is {known}, a plain number; if it has a unit, write the unit in its definition"
     return None
 
 
@@ -136,13 +142,13 @@ def _remedy(value: Typed, needed: Dimension) -> str:
     if needed == NUMBER:
         unit = str(given)
         divisor = f"({unit})" if "/" in unit or "*" in unit else unit
-        return "leave out its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {divisor}`"
+        return "remove its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {divisor}`"
     if given == NUMBER:
         return f"give one of its numbers a unit, as in `{needed.example}`"
     if given / needed == ANGLE:
-        return "the angle cancels only on division: `/ rad`"
+        return "divide by the angle: `/ rad`"
     if needed / given == ANGLE:
-        return "the angle is missing: `* rad`"
+        return "multiply by the angle: `* rad`"
     return f"one of its units is wrong, or a factor in {needed / given} is missing"
 
 
@@ -156,9 +162,9 @@ def components_of(values: Sequence[Typed], place: Place, report: Report) -> Comp
 
 
 def _differing(first: Components, second: Components, place: Place, report: Report) -> Stop:
-    help = "components are paired by name; pick those that match, as in `v.x`"
+    help = "components are matched by name; select the ones that match, as in `v.x`"
     if set(first) == set(second):
-        help = "the names are the same in another order; give both groups one order"
+        help = "the names are the same in another order; write both groups in one order"
     return fault(report, "DB404", place, f"a vector of {shown(first)} meets one of {shown(second)}", help)
 
 

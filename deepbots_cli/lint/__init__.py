@@ -1,65 +1,63 @@
 """Lint: rules about scenarios that compile and are probably not what their author means, fixes, and project settings.
 
-A static rule is a generator from a `Context` to findings; a measured rule is one from a `Simulation`. A rule knows no other rule. Each
-module of rules lists both kinds, `RULES` and `MEASURED`; the docstring of a rule begins with its code, and the docstring of a static rule
-is its page in the reference.
+A static rule is a generator from a `Context` to findings, a simulated rule one from a `Simulation`. No rule uses another rule. Each
+module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The docstring of a rule begins with its code; the docstring
+of a static rule is its page in the reference.
 
-names.py         unused definitions, equality of measurements, angles that jump      DB205, DB411, DB506
-robots.py        commands, actuators                                                 DB312 to DB315
-world.py         objects out of scale, worlds that cannot be simulated               DB309, DB507
-rays.py          rays that pass over everything                                      DB615
-observations.py  what the policy sees; saturation.py values at the end of their range   DB6
-rewards.py       the size of the reward; shaping.py its direction                    DB7, DB810
-endings.py       when episodes end, goals that cannot be reached                     DB8
-resets.py        how episodes begin                                                  DB310, DB809, DB812
+names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
+robots.py        commands, actuators, rays that pass over everything                         DB312 to DB315, DB615
+world.py         objects out of scale, worlds that cannot be simulated, how episodes begin   DB309, DB310, DB507, DB809, DB812
+observations.py  what the policy sees; saturation.py values at the end of their range        DB6
+rewards.py       the size of the reward; shaping.py its direction                            DB7, DB810
+endings.py       when episodes end, goals that cannot be reached                             DB8
 
-context.py       a scenario as rules see it; findings that follow from others
-analysis.py      definitions, equal quantities, rewards per step, thresholds; ranges.py interval analysis
+analysis.py      what rules ask about a program: definitions, equal quantities, thresholds; ranges.py interval analysis
 simulation.py    plan, process and report of a simulation; child.py and rollouts.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how; pages.py the page of each finding
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import MAX_FINDINGS, Finding, shielded
-from deepbots_cli.diagnostics import RULES as CATALOGUE
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Source, Span, shielded
 from deepbots_cli.diagnostics.findings import fault
 from deepbots_cli.diagnostics.suppress import suppress
-from deepbots_cli.lint import endings, names, observations, rays, resets, rewards, robots, saturation, shaping, world
-from deepbots_cli.lint.context import CascadeFilter, Context, Rule
+from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world
+from deepbots_cli.lint.analysis import Context, StaticRule, names_in
 from deepbots_cli.lint.simulation import Limits, Simulation, measure
 
-MeasuredRule = Callable[[Simulation], Iterator[Finding]]
+SimulatedRule = Callable[[Simulation], Iterator[Finding]]
 
-RULES: tuple[Rule, ...] = (
-    *names.RULES,
-    *robots.RULES,
-    *world.RULES,
-    *rays.RULES,
-    *observations.RULES,
-    *saturation.RULES,
-    *rewards.RULES,
-    *shaping.RULES,
-    *endings.RULES,
-    *resets.RULES,
+STATIC_RULES: tuple[StaticRule, ...] = (
+    *names.STATIC_RULES,
+    *robots.STATIC_RULES,
+    *world.STATIC_RULES,
+    *observations.STATIC_RULES,
+    *saturation.STATIC_RULES,
+    *rewards.STATIC_RULES,
+    *shaping.STATIC_RULES,
+    *endings.STATIC_RULES,
 )
-MEASURED: tuple[MeasuredRule, ...] = (
-    *world.MEASURED,
-    *resets.MEASURED,
-    *robots.MEASURED,
-    *rays.MEASURED,
-    *observations.MEASURED,
-    *rewards.MEASURED,
-    *endings.MEASURED,
+SIMULATED_RULES: tuple[SimulatedRule, ...] = (
+    *world.SIMULATED_RULES,
+    *robots.SIMULATED_RULES,
+    *observations.SIMULATED_RULES,
+    *rewards.SIMULATED_RULES,
+    *endings.SIMULATED_RULES,
 )
 
 _CAUSES = frozenset({"DB315"})
 """Warnings that may explain an error: an arm that cannot reach its target contorts."""
+
+
+_DOUBTFUL = frozenset({"DB304", "DB504", "DB505"})
+"""Findings about a value that is probably wrong, such as `fall_angle: 15 rad`."""
 
 
 def code_of(rule: Callable[..., Iterator[Finding]]) -> str:
@@ -75,10 +73,10 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
     if checked.findings.errors or checked.program is None or checked.namespace is None:
         return
     context, cascade, source = Context(checked, checked.program, checked.namespace), CascadeFilter(checked), checked.document.source
-    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [(code_of(rule), partial(rule, context)) for rule in RULES]
-    checks += [(rule.code, partial(rule.check, checked)) for rule in CATALOGUE.added.values() if rule.check is not None]
+    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [(code_of(rule), partial(rule, context)) for rule in STATIC_RULES]
+    checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.added.values() if rule.check is not None]
     for code, check in checks:
-        if preview or not CATALOGUE[code].preview:
+        if preview or not RULES[code].preview:
             found = shielded(f"the rule {code}", source, partial(_found, check))
             yield from (finding for finding in found if not cascade.drops(finding))
 
@@ -113,7 +111,7 @@ def _limited(found: list[Finding]) -> list[Finding]:
     if len(found) > limit:
         by_weight = sorted(found, key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key))
         *kept, last = by_weight[:limit]
-        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - limit:_} more findings are not told"))]
+        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - limit:_} more findings are not shown"))]
     return sorted(found, key=lambda finding: finding.sort_key)
 
 
@@ -126,7 +124,7 @@ class Simulated:
 
 
 def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits()) -> Simulated:  # noqa: B008  # immutable
-    """Simulate a scenario without errors in a process of its own, and apply the measured rules.
+    """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behaviour would follow from the errors. A rule that raises an
     exception is reported as DB903, and so is a fault of deepbots in the simulation.
@@ -138,11 +136,68 @@ def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits
     if report.fault is not None:
         return Simulated([fault("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
-    rules = [(code_of(rule), rule) for rule in MEASURED]
-    active = [(code, rule) for code, rule in rules if preview or not CATALOGUE[code].deep_preview]
+    rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
+    active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
     found = [finding for code, rule in active for finding in shielded(f"the rule {code}", source, partial(rule, simulation))]
     errors = [finding for finding in found if finding.severity == "error"]
     if not all(finding.is_fault for finding in errors):
         found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
     return Simulated(found, f"{simulation.when()}, after {halt.what}" if halt is not None and halt.kind == "slow" else None)
+
+
+# Findings that follow from others
+
+
+class CascadeFilter:
+    """Drops warnings that follow from a doubtful value: an ending never holds because of `fall_angle: 15 rad`.
+
+    A value whose finding is suppressed by a comment is not doubtful.
+    """
+
+    def __init__(self, checked: Checked) -> None:
+        doubtful = [finding for finding in checked.findings if finding.code in _DOUBTFUL]
+        spans = [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
+        self._texts = _Texts(_depending_on(checked, spans) if spans else ())
+
+    def drops(self, finding: Finding) -> bool:
+        places = (finding.span, *(label.span for label in finding.also))
+        return finding.severity == "warning" and any(map(self._texts.around, places))
+
+
+class _Texts:
+    """Pieces of sources that do not overlap."""
+
+    def __init__(self, spans: Iterable[Span]) -> None:
+        self._spans: dict[Source, list[Span]] = defaultdict(list)
+        for span in sorted(set(spans), key=lambda span: span.start):
+            self._spans[span.source].append(span)
+
+    def around(self, place: Span) -> Span | None:
+        """The piece that holds `place`."""
+        spans = self._spans.get(place.source, ())
+        at = bisect_right(spans, place.start, key=lambda span: span.start) - 1
+        return spans[at] if at >= 0 and place.end <= spans[at].end else None
+
+
+def _depending_on(checked: Checked, doubtful: list[Span]) -> set[Span]:
+    """The texts of the doubtful values, and all texts that refer to names that these define, however indirectly."""
+    assert checked.namespace is not None  # the scenario has no errors
+    values = checked.namespace.values
+    users: dict[str, set[Span]] = defaultdict(set)
+    for reading in values.readings:
+        for name in {name for tree in reading.trees for name in names_in(tree)}:
+            users[name].add(reading.text.span)
+    defined: dict[Span, list[str]] = defaultdict(list)
+    for definition in checked.namespace.definitions.values():
+        defined[values.span(definition.path)].append(definition.name)
+    texts, definitions = _Texts(reading.text.span for reading in values.readings), _Texts(defined)
+    found: set[Span] = set()
+    waiting = [text for span in doubtful if (text := texts.around(span))]
+    while waiting:
+        text = waiting.pop()
+        place = definitions.around(text)
+        if text not in found:
+            found.add(text)
+            waiting += [user for name in (defined[place] if place else ()) for user in users.pop(name, ())]
+    return found

@@ -12,8 +12,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, has_choice, thresholds, total
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, has_choice, thresholds, total
 from deepbots_cli.lint.ranges import Ranges, between, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
@@ -32,8 +31,8 @@ _MAX_SEEDS = 8
 def never_true(context: Context) -> Iterator[Finding]:
     """DB801: an ending can never hold.
 
-    The joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in radians. Episodes
-    then run to the time limit.
+    For example, the joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in
+    radians. Episodes then run to the time limit.
 
     Example::
 
@@ -50,7 +49,7 @@ def never_true(context: Context) -> Iterator[Finding]:
         if all(ending.value.name in names for names in silent):
             headline = f"`{ending.value.name}` can never hold"
             notes = tuple(_reasons(context.analysis, ending))
-            yield Finding("DB801", ending.value.span, headline, help="give a limit that can be met, or take it out", notes=notes)
+            yield Finding("DB801", ending.value.span, headline, help="write a limit that can be reached, or remove the ending", notes=notes)
 
 
 def _ever(analysis: Analysis, ending: Ending) -> Interval:
@@ -73,7 +72,7 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
     intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
     if not never and not intangible and isinstance(meaning := analysis.meaning(node), Op) and meaning.op == "and":
-        yield "its parts exclude each other"
+        yield "its parts never hold together"
 
 
 def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
@@ -85,7 +84,7 @@ def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, s
 
 
 def always_true(context: Context) -> Iterator[Finding]:
-    """DB802: an ending holds in every step, so that no episode can run.
+    """DB802: an ending holds in every step, so that each episode ends at once.
 
     Example::
 
@@ -98,15 +97,15 @@ def always_true(context: Context) -> Iterator[Finding]:
     for ending in context.program.endings:
         if _ever(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
-            yield Finding("DB802", ending.value.span, headline, help="give a limit that an episode can keep within")
+            yield Finding("DB802", ending.value.span, headline, help="write a limit that an episode can respect")
 
 
 def shadowed_limit(context: Context) -> Iterator[Finding]:
     """DB804: one of two limits always comes first, so the other has no effect.
 
-    For example `max_time` comes after `max_steps`; or an ending can hold only after the truncation or after another ending, or is
-    certain to hold before the truncation. The CartPole of the original collection ends an episode once its score exceeds 195: its best
-    episode lasts 197 steps of the 200 that are allowed.
+    For example, `max_time` comes after `max_steps`, an ending can hold only after the truncation or after another ending, or an ending
+    always holds before the truncation. The CartPole of the original collection ends an episode once its score exceeds 195: its best
+    episode lasts 197 of 200 allowed steps.
 
     Example::
 
@@ -124,16 +123,16 @@ def shadowed_limit(context: Context) -> Iterator[Finding]:
         if _ever(analysis, ending).single or ending.foreign:
             continue  # DB801, DB802
         (node,) = analysis.scalars(ending.value)
-        limit = f"an episode is cut short, after {last} steps"
+        limit = f"the truncation after {last} steps"
         if _with_return(analysis, 0, last).of(node) == NEVER:
             headline = f"`{ending.value.name}` cannot hold before {limit}"
-            help = "raise the limit under `truncation`, or take the ending out"
+            help = "raise the limit under `truncation`, or remove the ending"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "cut short here"),)
+                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "the truncation"),)
             )
         elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
-            headline = f"`{ending.value.name}` is sure to hold before {limit}"
-            help = "take it out: the limit under `truncation` ends an episode, and `solved` says what a good one is"
+            headline = f"`{ending.value.name}` always holds before {limit}"
+            help = "remove it: `truncation` ends an episode, and `solved` defines a good one"
             yield Finding(
                 "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
             )
@@ -157,9 +156,9 @@ def _later_limit(context: Context) -> Iterator[Finding]:
     later = {_later(analysis.program) for analysis in context.versions}
     if len(later) == 1 and (name := later.pop()):
         other = "max_steps" if name == "max_time" else "max_time"
-        headline = f"`{name}` comes after `{other}`, which always ends an episode before"
-        also = (Label(context.values.span(("truncation", other)), "comes first"),)
-        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="keep the one that is meant", also=also)
+        headline = f"`{name}` has no effect: `{other}` always ends the episode first"
+        also = (Label(context.values.span(("truncation", other)), "ends the episode first"),)
+        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="remove one of the two", also=also)
 
 
 def _later(program: Program) -> str:
@@ -176,9 +175,9 @@ def _later_ending(context: Context) -> Iterator[Finding]:
     later = [{late.value.name for late in analysis.shadowed} for analysis in context.versions] if found else []
     for late, first in found.items():
         if all(late.value.name in names for names in later):
-            headline = f"`{late.value.name}` comes after `{first.value.name}`, which always ends an episode before"
-            help = "give it a limit that is met first" if late.outcome != first.outcome else "keep the one that is meant"
-            yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "comes first"),))
+            headline = f"`{late.value.name}` has no effect: `{first.value.name}` always ends the episode first"
+            help = "write a limit that is reached first" if late.outcome != first.outcome else "remove one of the two"
+            yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "ends the episode first"),))
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
@@ -190,10 +189,10 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
 
 
 def timeout_as_termination(context: Context) -> Iterator[Finding]:
-    """DB805: an ending depends on the time alone, which the agent cannot see.
+    """DB805: an ending depends only on the time, which the agent does not observe.
 
-    A time limit is no part of the task: the world would have gone on. After a truncation the learner estimates the return that would
-    have followed; after an ending it learns that states are worthless for no visible reason. A limit that the policy sees
+    A time limit is not part of the task, because the world would continue. After a truncation the learner estimates the return that
+    would have followed; after an ending it learns that the state is worthless, for no visible reason. A limit that the policy observes
     (`observation: {time: 0 .. 10 s}`) is part of the task, and is not reported.
 
     Example::
@@ -211,9 +210,9 @@ def timeout_as_termination(context: Context) -> Iterator[Finding]:
     for ending in context.program.endings if not shown & _CLOCK else ():
         names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
         if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).single:
-            headline = f"`{ending.value.name}` ends the task by the clock, which the policy does not see"
+            headline = f"`{ending.value.name}` depends only on the time, which the policy does not observe"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
-            yield Finding("DB805", ending.value.span, headline, help=f"let `truncation` cut the episode short: {kept}")
+            yield Finding("DB805", ending.value.span, headline, help=f"limit the episode under `truncation`: {kept}")
 
 
 def ends_at_reset(context: Context) -> Iterator[Finding]:
@@ -233,19 +232,19 @@ def ends_at_reset(context: Context) -> Iterator[Finding]:
             headline = f"`{ending.value.name}` already holds when an episode begins"
             sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.finite)
-            help = "let the episode begin clear of it, under `reset`, widen it, or turn its comparison round"
+            help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
 
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
-    """DB806: an ending holds when an episode begins, with some seeds at least."""
+    """DB806: an ending holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
         seeds = simulation.report.early.get(ending.value.name, [])
         if seeds:
             headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
             notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
-            help = "let the episode begin clear of it, under `reset`, or widen it"
+            help = "change the initial state under `reset`, or widen the limit"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
 
@@ -253,18 +252,18 @@ def breaks_off(simulation: Simulation) -> Iterator[Finding]:
     """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
-        help = "keep it defined everywhere, as `x / max(y, 1 cm)` does"
+        help = "write an expression that is always defined, such as `x / max(y, 1 cm)`"
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
         span = simulation.values.key_span(("reset",) if simulation.report.where.doing == "reset" else ("robots",))
-        yield Finding("DB808", span, "an episode breaks off", notes=(simulation.when(), str(stop.get("text", ""))))
+        yield Finding("DB808", span, "an episode cannot continue", notes=(simulation.when(), str(stop.get("text", ""))))
 
 
 def after_the_end(context: Context) -> Iterator[Finding]:
-    """DB811: a push, a reading or a message would come only after every episode has ended.
+    """DB811: a push, a reading or a message would come only after the end of every episode.
 
     The rule checks the first push of a disturbance, the second reading of a sensor and the first message after that of the reset
-    against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. Most often a time is in the wrong unit.
+    against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. The usual cause is a wrong unit.
 
     Example::
 
@@ -281,7 +280,7 @@ def after_the_end(context: Context) -> Iterator[Finding]:
     for what, time, path in _delays(context.analysis):
         if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
-            yield Finding("DB811", context.values.span(path), headline, help="let it come earlier, or episodes last longer")
+            yield Finding("DB811", context.values.span(path), headline, help="write an earlier time, or longer episodes under `truncation`")
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:
@@ -362,7 +361,7 @@ def unreachable_goal(context: Context) -> Iterator[Finding]:
             reason = next((reason for reason in (_unreachable(analysis, threshold) for threshold in asked) if reason is not None), None)
             if reason is not None:
                 words, help = reason
-                also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` is made of it"),)
+                also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` depends on it"),)
                 yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, also=also)
                 break
 
@@ -379,11 +378,11 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
     touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
     if limit < _TOLERANCE * touching:
         apart = with_unit(round(touching, 4), LENGTH)
-        words = f"asks for {with_unit(limit, LENGTH)} between origins that are {apart} apart when `{a}` and `{b}` touch"
-        return words, "ask for more than that, or for the `gap` between surfaces"
+        words = f"requires {with_unit(limit, LENGTH)} between the origins of `{a}` and `{b}`, which are {apart} apart when the two touch"
+        return words, "require a larger distance, or use the `gap` between surfaces"
     outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
     if outside and any(robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots):
-        words = f"asks to come to `{outside}`, which lies beyond the walls of the arena"
+        words = f"requires the robot to reach `{outside}`, which lies outside the walls of the arena"
         return words, f"place `{outside}` within the walls, or make the arena larger"
     return None
 
@@ -460,5 +459,5 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     return False
 
 
-RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
-MEASURED = (sometimes_ends_at_reset, breaks_off)
+STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
+SIMULATED_RULES = (sometimes_ends_at_reset, breaks_off)

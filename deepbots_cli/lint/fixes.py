@@ -1,8 +1,8 @@
 """Fixes, for `deepbots lint --fix` and for editors.
 
 As in ruff, all fixes that do not overlap are applied at once and the scenario is linted again, until no fix is left. Fixes that
-together bring a new error are halved until the harmful ones are found and left out. An error within an edited entry is accepted: it
-was hidden as long as the entry could not be read.
+together cause a new error are halved until the harmful ones are found and left out. An error within an edited entry is accepted:
+the entry could not be read before, which hid the error.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ class Fixer:
         if path not in self._originals:
             data = files.read(path)
             if files.decode(data, source.name, Findings())[0].text != source.text:
-                raise UsageError(f"{source.name} was changed by someone else meanwhile")
+                raise UsageError(f"{source.name} was changed by another program in the meantime")
             self._originals[path] = data
         return _BOM if self._originals[path].startswith(_BOM) else b""
 

@@ -11,13 +11,12 @@ from deepbots_cli.document.layout import removing
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import Op, Scalar, World
 from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, walk
-from deepbots_cli.lint.analysis import Analysis
-from deepbots_cli.lint.context import Context, names_in
+from deepbots_cli.lint.analysis import Analysis, Context, names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
 
-# ---- names.py
+# Unused definitions
 
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
@@ -54,7 +53,7 @@ def _unused_names(context: Context) -> Iterator[Finding]:
         if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removing(context.values.root, definition.path)
-            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it or take it out", fix=fix)
+            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it, or remove it", fix=fix)
 
 
 def _unused_parts(context: Context) -> Iterator[Finding]:
@@ -71,7 +70,7 @@ def _unused_parts(context: Context) -> Iterator[Finding]:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in names_in(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         unused = [
-            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or take it out")
+            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or remove it")
             for sensor in robot.sensors
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
         ]
@@ -106,7 +105,7 @@ def _computed(program: Program) -> Iterator[Expression]:
         yield from robot.receive
 
 
-# ---- equality.py
+# Equality of measurements
 
 _MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
 _SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
@@ -170,7 +169,7 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
     return known[number]
 
 
-# ---- turns.py
+# Angles that jump
 
 _WRAPPING = frozenset({"yaw", "bearing", "atan2", "wrap"})
 """Functions that go from 180 deg to -180 deg within a step."""
@@ -203,7 +202,9 @@ def angle_jumps(context: Context) -> Iterator[Finding]:
         for node in _Wrapping(context.analysis, on, known).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
             written, place = text.text[node.start : node.end], text.part(node.start, node.end)
-            yield Finding("DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"go the short way round: `wrap({written})`")
+            yield Finding(
+                "DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"take the shorter way round: `wrap({written})`"
+            )
 
 
 class _Wrapping:
@@ -260,4 +261,4 @@ class _Wrapping:
         return self._known[name]
 
 
-RULES = (unused_definition, equality_of_measures, angle_jumps)
+STATIC_RULES = (unused_definition, equality_of_measures, angle_jumps)

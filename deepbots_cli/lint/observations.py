@@ -16,15 +16,12 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
-from deepbots_cli.lint.analysis import Analysis
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Context
 from deepbots_cli.lint.ranges import between, range_text, with_unit
 from deepbots_cli.lint.simulation import MeasuredNumber, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
-
-# ---- observation.py
 
 _ROUNDING = 1e-6
 """Relative difference that rounding alone may cause."""
@@ -89,8 +86,8 @@ def replace_range(context: Context, number: RangedNumber, wide: Interval, dimens
 def privileged_observation(context: Context) -> Iterator[Finding]:
     """DB609: the policy sees a signal or a parameter that `augment` does not grant.
 
-    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. Granting a value says that this
-    is intended. Values that robots send, their age, the actions of the agent and the time need no grant.
+    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. A grant
+    declares that this is intended. Values that robots send, their age, the actions of the agent and the time need no grant.
 
     Example::
 
@@ -109,7 +106,7 @@ def privileged_observation(context: Context) -> Iterator[Finding]:
             origin = context.namespace.origin(head)
             helps = "move it to `augment`" if origin is Origin.SIGNAL else f"grant it: `augment: [{head}]`"
             what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
-            headline = f"the policy sees `{observed.value.name}`, {what} that it is not granted"
+            headline = f"the observation holds `{observed.value.name}`, {what} that `augment` does not grant"
             yield Finding("DB609", observed.value.span, headline, help=helps)
 
 
@@ -164,9 +161,9 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
     for entry in program.policy.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
-            headline = f"`{entry.value.name}` tells of the goal, which hindsight replaces in `desired` alone"
-            help = "take it out: the policy sees `achieved` and `desired` beside the observation"
-            also = (Label(program.policy.goal.desired.span, f"made of `{min(shared)}` too"),)
+            headline = f"`{entry.value.name}` depends on the goal, which hindsight replaces only in `desired`"
+            help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
+            also = (Label(program.policy.goal.desired.span, f"also depends on `{min(shared)}`"),)
             yield Finding("DB614", entry.value.span, headline, help=help, also=also)
 
 
@@ -191,8 +188,8 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
     """DB616: a value has noise, and the policy sees the exact value elsewhere.
 
     The policy reads the exact value there, for example in `achieved_goal`, and learns nothing about noise. Two values are the same if
-    they differ by a constant factor and a constant offset. An exact value whose range covers less than a quarter of the noisy one is
-    not reported: it may be that of a sensor of short reach.
+    they differ by a constant factor and a constant offset. An exact value whose range covers less than a quarter of the range of the
+    noisy value is not reported: it may come from a sensor with a short range.
 
     Example::
 
@@ -221,8 +218,8 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
         if shown is not None and id(noises[0]) not in reported:
             reported.add(id(noises[0]))
             headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
-            help = "give the value its noise once, under `augment`, as `{value: ..., noise: ...}`, and use that name in both places"
-            also = (Label(shown.span, "seen exactly"),)
+            help = "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this name in both places"
+            also = (Label(shown.span, "exact value"),)
             yield Finding("DB616", noises[0].std.span, headline, help=help, also=also)
 
 
@@ -303,10 +300,10 @@ def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) 
 
 
 def observation_unbounded(context: Context) -> Iterator[Finding]:
-    """DB601: an entry of the observation is not clipped, and nothing bounds it.
+    """DB601: an entry of the observation has no bounds and is not clipped.
 
-    The output of a network that was trained on numbers around 1 is arbitrary for 1000, which occurs when a robot is thrown, in a
-    collision, or when the physics becomes unstable for a step. Clipping costs one comparison.
+    A network that was trained on numbers around 1 gives arbitrary outputs for 1000. Such values occur when a robot is thrown, in a
+    collision, or when the physics is unstable for a step. Clipping costs one comparison.
 
     Example::
 
@@ -319,17 +316,17 @@ def observation_unbounded(context: Context) -> Iterator[Finding]:
     analysis = context.analysis
     loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).finite]
     for entry in {id(number.entry): number.entry for number in loose}.values():
-        headline = f"`{entry.value.name}` is not clipped, and nothing bounds it"
+        headline = f"`{entry.value.name}` has no bounds and is not clipped"
         fix = removing(context.values.root, ("observation", entry.value.name, "clip"))
-        help = "take `clip: false` out, or `clamp` the value under `augment`"
+        help = "remove `clip: false`, or `clamp` the value under `augment`"
         yield Finding("DB601", context.range_span(entry), headline, help=help, fix=fix)
 
 
 def bounds_mismatch(context: Context) -> Iterator[Finding]:
     """DB602: a value never lies within its range in the observation.
 
-    It is clipped to one end of the range in every step, so the policy sees a constant. Most often the range is in another unit, lacks a
-    sign, or belongs to another value.
+    The value is clipped to one end of the range in every step, so the policy sees a constant. The usual causes are a range in another
+    unit, a missing sign, and the range of another value.
 
     Example::
 
@@ -343,9 +340,9 @@ def bounds_mismatch(context: Context) -> Iterator[Finding]:
     for number in clipped_once(analysis):
         known = analysis.ranges.of(number.node)
         if number.is_outside(known):
-            headline = f"`{number.name}` is {between(known, number.dimension)}, and never within its range"
+            headline = f"`{number.name}` is {between(known, number.dimension)}, never within its range"
             is_known = known.finite and not known.single
-            help = "give the range that it has" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
+            help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
             fix = replace_range(context, number, known, number.dimension) if is_known else None
             yield Finding("DB602", context.range_span(number.entry), headline, help=help, fix=fix)
 
@@ -361,15 +358,17 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
             names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
-                yield Finding("DB607", entry.value.span, headline, help="`clamp` it, or let it be clipped", notes=(simulation.when(),))
+                yield Finding(
+                    "DB607", entry.value.span, headline, help="`clamp` the value, or remove `clip: false`", notes=(simulation.when(),)
+                )
     failed = simulation.failed
     if failed is not None and failed.section == "observation":
-        help = "keep it defined everywhere, as `x / max(y, 1 cm)` does"
-        yield Finding("DB607", failed.span, f"`{failed.name}`, which the policy sees, has no value", help=help, notes=failed.notes)
+        help = "write an expression that is always defined, such as `x / max(y, 1 cm)`"
+        yield Finding("DB607", failed.span, f"`{failed.name}` in the observation has no value", help=help, notes=failed.notes)
 
 
 def constant_observation(simulation: Simulation) -> Iterator[Finding]:
-    """DB608: a number was the same in every step. A number at an end of its range is not reported: a sonar may have met nothing."""
+    """DB608: a number was the same in every step. A number at an end of its range is not reported: a sonar may meet nothing."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     still = [
@@ -383,12 +382,12 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         name = entry.value.name if is_whole and parts > 1 else ", ".join(number.name for number in numbers)
         value = with_unit(_in_units(simulation, numbers[0]), entry.value.typed.type.dimension)
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
-        help = ("take it out" if is_whole else "show the other components alone") + ", or add a script that changes it under `scripts`"
+        help = ("remove it" if is_whole else "observe only the other components") + ", or add a script under `scripts` that changes it"
         yield Finding("DB608", entry.value.span, headline, help=help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.policy.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.numbers)):
         if place in simulation.report.still:
-            help = "look at where its camera stands and what it sees, or add a script that changes it under `scripts`"
+            help = "check the place and the view of its camera, or add a script under `scripts` that changes it"
             yield Finding(
                 "DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help=help, notes=(simulation.summary,)
             )
@@ -423,16 +422,16 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
                 at = with_unit(end, entry.value.typed.type.dimension)
                 headline = f"`{number.name}` is at the end of its range, {at}, in at least {100 * min(shares.values()):.0f} % of all steps"
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
-                help = "widen its range, until it holds what is ordinary"
+                help = "widen the range to the ordinary values"
                 yield Finding("DB611", simulation.range_span(entry), headline, help=help, notes=notes)
                 break
 
 
-RULES = (
+STATIC_RULES = (
     noise_without_effect,
     observation_unbounded,
     bounds_mismatch,
     privileged_observation,
     goal_in_observation,
 )
-MEASURED = (outside_space, constant_observation, often_saturated)
+SIMULATED_RULES = (outside_space, constant_observation, often_saturated)

@@ -1,6 +1,6 @@
 """The page of each finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
 
-The page of a static rule is the docstring of its function. The pages of the compiler's findings and of measured rules are in `pages.yaml`.
+The page of a static rule is the docstring of its function. The pages of the compiler's findings and of simulated rules are in `pages.yaml`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from textwrap import dedent, fill, indent
 from deepbots_cli.diagnostics import RULES, Findings, Source
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.lint import RULES as LINT_RULES
+from deepbots_cli.lint import STATIC_RULES
 
 FILE = Path(__file__).with_name("pages.yaml")
 
@@ -24,7 +24,7 @@ FILE = Path(__file__).with_name("pages.yaml")
 class Page:
     """`about` holds paragraphs with blank lines between; `example` and `instead` are both given or both empty.
 
-    A `deep` page is about a measured rule.
+    A `deep` page is about a simulated rule.
     """
 
     code: str
@@ -56,7 +56,7 @@ class Page:
 @cache
 def every_page() -> tuple[Page, ...]:
     """All pages in the order of their codes; of two pages of a code, the one about static analysis comes first."""
-    return tuple(sorted([*(_of_rule(rule.__doc__) for rule in LINT_RULES), *_of_file()], key=lambda page: page.code))
+    return tuple(sorted([*(_of_rule(rule.__doc__) for rule in STATIC_RULES), *_of_file()], key=lambda page: page.code))
 
 
 def pages_of(code: str) -> tuple[Page, ...]:

@@ -62,7 +62,9 @@ class Ranges:
             known = self._known[id(node)] = (node, self._of(node))  # a tree that is kept keeps its id
         return known[1]
 
-    def _of(self, node: Scalar) -> Interval:  # one case per kind of node
+    def _of(self, node: Scalar) -> Interval:
+        if isinstance(node, Const):
+            return exact(float(node.value))
         if self._base is not None and self.analysis.names_behind(node).isdisjoint(self.given):
             return self._base.of(node)  # worked out once for all steps
         if self._kept is not None and self.analysis.identity(node) == self._kept[0]:
@@ -70,8 +72,6 @@ class Ranges:
         match node:
             case Op(op, args):
                 return self._op(op, args)
-            case Const(value):
-                return exact(float(value))
             case Name():
                 return self._name(node)
             case World():

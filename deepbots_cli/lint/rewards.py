@@ -11,8 +11,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, Threshold, is_clock, thresholds, total
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Context, RewardTerms, Threshold, is_clock, thresholds, total
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
 from deepbots_cli.program.task import Ending
@@ -41,10 +40,10 @@ class Pole(NamedTuple):
 
 
 def reward_unbounded(context: Context) -> Iterator[Finding]:
-    """DB701: a term of the reward grows without bound: it divides by what may be zero, or takes the exponential of a large value.
+    """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an unbounded value.
 
-    One step in which a distance is a thousandth then outweighs all others, and so does its effect on the learned values. At zero there
-    is no reward at all, and the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
+    A single step with a very small divisor outweighs all other steps, also in the learned values. At zero the reward is undefined and
+    the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
 
     Example::
 
@@ -67,12 +66,14 @@ def reward_unbounded(context: Context) -> Iterator[Finding]:
 def _unbounded(context: Context, term: Expression, found: Pole) -> Finding:
     text = context.text(found.value.owner)
     place, part = text.part(found.node.start, found.node.end), text.text[found.node.start : found.node.end]
-    also = () if found.value is term else (Label(term.span, f"`{term.name}` is made of it"),)
+    also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if found.is_divisor:
-        headline = f"`{term.name}` grows without bound as `{part}` comes near zero"
-        return Finding("DB701", place, headline, help="keep it away from zero, as in `max(x, 1 cm)`, or take `exp(-x / 10 cm)`", also=also)
-    headline = f"`{term.name}` grows as the exponential of `{part}`, which nothing bounds"
-    return Finding("DB701", place, headline, help="keep it below, as in `min(x, 3)`", also=also)
+        headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
+        return Finding(
+            "DB701", place, headline, help="bound the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", also=also
+        )
+    headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
+    return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", also=also)
 
 
 class _PoleSearch:
@@ -128,8 +129,8 @@ class _PoleSearch:
 def term_dominates(context: Context) -> Iterator[Finding]:
     """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
 
-    The agent cannot learn to reach the goal or to avoid failure: in the return, both are noise beside that term. The rule uses the
-    smallest sum of the term over an episode that runs to its limit; a term that is the same in every step, such as `alive: 1`, is not
+    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return. The rule uses the
+    smallest sum of the term over an episode that runs to its limit. A term that is the same in every step, such as `alive: 1`, is not
     reported.
 
     Example::
@@ -152,9 +153,9 @@ def term_dominates(context: Context) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINATES * prize:
-            headline = f"`{term.name}` adds up to {low:.4g} or more over an episode, and the most that an ending pays is {prize:.4g}"
+            headline = f"`{term.name}` adds up to at least {low:.4g} over an episode, and an ending pays at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or let the endings pay more", also=also)
+            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or increase what the endings pay", also=also)
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
@@ -188,15 +189,15 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
             notes.append(f"{by}: {size:.3g} in an episode, all others {others:.3g}" + (f", an ending {prize:.3g}" if prize else ""))
         if min(ratios) > _DOMINATES:
-            headline = f"`{term.name}` adds up to {min(ratios):.3g} times all other terms together, or more"
-            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the others up", notes=tuple(notes))
+            headline = f"`{term.name}` adds up to at least {min(ratios):.3g} times all other terms together"
+            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
 
 
 def inactive_term(context: Context) -> Iterator[Finding]:
     """DB704: a term of the reward is zero in every step.
 
     Its condition never holds, it is a difference of constants, or it has a factor of zero. A term that is written as 0, or is
-    multiplied by a parameter of 0, is switched off on purpose, and is not reported.
+    multiplied by a parameter of 0, is disabled on purpose, and is not reported.
 
     Example::
 
@@ -210,7 +211,7 @@ def inactive_term(context: Context) -> Iterator[Finding]:
     for term in context.program.policy.reward:
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
             headline = f"`{term.name}` is zero in every step"
-            yield Finding("DB704", term.span, headline, help="take it out, or mend its condition")
+            yield Finding("DB704", term.span, headline, help="remove the term, or correct its condition")
 
 
 def _always_zero(analysis: Analysis) -> set[str]:
@@ -252,8 +253,8 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
         if place not in simulation.report.silent or term.name in final or term.foreign is not None:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
-            headline = f"`{term.name}` was zero in all {simulation.steps} steps that were simulated"
-            help = "mend its condition, or add a script that is paid it under `scripts`"
+            headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
+            help = "correct the term, or add a script under `scripts` that earns it"
             yield Finding("DB704", term.span, headline, help=help, notes=(simulation.summary,))
 
 
@@ -272,7 +273,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """DB707: a term is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = "keep it away from zero, as `1 / max(x, 1 cm)` does, and from overflow, as `exp(min(x, 3))`"
+        help = "avoid a division by zero, as in `1 / max(x, 1 cm)`, and an overflow, as in `exp(min(x, 3))`"
         yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
 
 
@@ -280,11 +281,11 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 
 
 def rewards_early_death(context: Context) -> Iterator[Finding]:
-    """DB705: every step costs, nothing is gained at the end, and failing costs less than going on.
+    """DB705: every step costs, no ending pays, and a failure costs less than the remaining steps.
 
-    The best policy is to fail at once, and the agent learns it first. Let success pay, let each good step pay, or let failing cost more
-    than all the steps that are left. In a task with a goal the steps short of the goal count: where each of them costs, as with `-1
-    when not goal_reached`, a failure that ends the episode ends these costs.
+    The best policy is to fail at once, and the agent learns it first. Pay for success, pay for each good step, or make a failure cost
+    more than all remaining steps. In a task with a goal, the rule considers the steps in which the goal is not reached: if each of them
+    costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these costs.
 
     Example::
 
@@ -313,13 +314,15 @@ def rewards_early_death(context: Context) -> Iterator[Finding]:
     if ending is None:
         return
     price = "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
-    headline = f"an episode that goes on costs {-ahead:.3g} or more, and `{ending.value.name}` {price}"
-    help = "let a good step pay instead, such as `alive: 1`, or let failing cost more than all steps together"
+    headline = f"continuing an episode costs at least {-ahead:.3g}, and `{ending.value.name}` {price}"
+    help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
     if program.policy.goal is not None:
-        headline = f"an episode short of the goal costs {-ahead:.3g} or more, and one that ends by `{ending.value.name}` {price} or less"
-        help = f"pay for the goal instead, as `1 when goal_reached` does, or take `{ending.value.name}` out"
+        headline = (
+            f"an episode that misses the goal costs at least {-ahead:.3g}, and one that ends by `{ending.value.name}` {price} or less"
+        )
+        help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
     dearest = min(ordinary, key=lambda term: running.of(term[1]).high)[0]
-    yield Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the way out"),))
+    yield Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the cheaper ending"),))
 
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
@@ -345,10 +348,10 @@ class Staying(Ranges):
 
 
 def hovering_pays(context: Context) -> Iterator[Finding]:
-    """DB708: every step just outside of the goal pays so much that reaching the goal, which ends the episode, is worth less.
+    """DB708: staying just outside of the goal pays more than reaching the goal, which ends the episode.
 
     The agent learns to stay there. The arm of the original collection earned more at 5 to 10 mm from its target than by touching it.
-    Pay for coming nearer (`-10 * delta(distance) / m`), or pay more for the end than the rest of an episode could.
+    Pay for progress (`-10 * delta(distance) / m`), or pay more for the success than the rest of an episode can pay.
 
     Example::
 
@@ -382,9 +385,11 @@ def hovering_pays(context: Context) -> Iterator[Finding]:
             pay = total(reward.terms, _staying_outside(running, asked)).low
             prize = total(reward.terms, _staying_outside(reward.at(success), asked)).high if pay > 0.0 else INF
             if pay * discounted_ticks(reward) > prize:
-                headline = f"staying just short of `{success.value.name}` pays {pay:.3g} in every step, and reaching it {prize:.3g} once"
+                headline = f"staying just outside of `{success.value.name}` pays {pay:.3g} per step, and reaching it pays {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
-                yield Finding("DB708", best.span, headline, help=_PAY_FOR_PROGRESS, also=(Label(success.value.span, "ends what pays"),))
+                yield Finding(
+                    "DB708", best.span, headline, help=_PAY_FOR_PROGRESS, also=(Label(success.value.span, "ends these payments"),)
+                )
                 return
 
 
@@ -396,7 +401,7 @@ def _staying_outside(ranges: Ranges, asked: Threshold) -> Ranges:
 
 
 def discounted_ticks(reward: RewardTerms) -> float:
-    """The timesteps that count: half an episode, or as far as the discount of the training reaches."""
+    """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
     training = reward.program.policy.training
     found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
     gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
@@ -405,22 +410,24 @@ def discounted_ticks(reward: RewardTerms) -> float:
 
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """DB708: another behaviour pays more over a whole episode than the success that was seen, or that could be."""
+    """DB708: another behaviour pays more over a whole episode than success."""
     successes = [ending for ending in simulation.program.endings if ending.outcome == "success"]
     if not successes or not simulation.is_complete:
         return
     found = _better_than_success(simulation.report.episodes)
     if found:
         best, success = found
-        also = (Label(successes[0].value.span, "ends what pays"),)
-        headline = f"{best.by} to the time limit is worth {best.worth:.3g}, and the success by {success.by} {success.worth:.3g}"
-        notes = (f"discounted returns, both in the episode with seed {best.seed}",)
+        also = (Label(successes[0].value.span, "ends these payments"),)
+        headline = (
+            f"the return of {best.by} to the time limit is {best.worth:.3g}, and that of the success by {success.by} {success.worth:.3g}"
+        )
+        notes = (f"both are discounted returns of the episode with seed {best.seed}",)
         yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
     elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
         yield from _idle_pays(simulation, successes[0])
 
 
-_PAY_FOR_PROGRESS = "pay for coming nearer, as `-10 * delta(distance) / m` does, or let the success pay more than the steps that it ends"
+_PAY_FOR_PROGRESS = "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than for the steps that it ends"
 
 
 def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | None:
@@ -449,9 +456,11 @@ def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
     prize = total(reward.terms, reward.at(success)).high
     ticks = discounted_ticks(reward)
     if pay > 0.0 and pay * ticks > prize:
-        headline = f"doing nothing is paid {pay:.3g} in every step, and `{success.value.name}` {prize:.3g} once"
-        notes = (f"in {row.steps} steps; some {ticks:.0f} steps count, by the discount of the training and the time limit",)
-        also = (Label(success.value.span, "ends what pays"),)
+        headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
+        notes = (
+            f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
+        )
+        also = (Label(success.value.span, "ends these payments"),)
         yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
 
 
@@ -464,11 +473,11 @@ def _most_paid(simulation: Simulation, by: str) -> Expression:
 
 
 def nothing_to_learn(context: Context) -> Iterator[Finding]:
-    """DB711: every episode is worth the same, whatever the policy does.
+    """DB711: every episode has the same return, whatever the policy does.
 
     The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
-    such as `alive: 1` pays for lasting, where a failure ends the episode; a constant cost such as `time: -1` pays for being quick,
-    where a success does. Scenarios without `train` are not reported.
+    such as `alive: 1` needs a failure that ends bad episodes early; a constant cost such as `time: -1` needs a success that ends good
+    episodes early. Scenarios without `train` are not reported.
 
     Example::
 
@@ -483,20 +492,20 @@ def nothing_to_learn(context: Context) -> Iterator[Finding]:
     if context.program.policy.training is None or not all(_worth(analysis).single for analysis in context.versions):
         return
     worth = _worth(context.analysis).low
-    headline = f"every episode is worth {worth:.4g}, whatever the policy does"
-    help = "pay for the goal, as `1 when goal_reached` does" if context.program.policy.goal else "pay for what the policy shall do"
+    headline = f"every episode has the return {worth:.4g}, whatever the policy does"
+    help = "pay for the goal, as in `1 when goal_reached`" if context.program.policy.goal else "pay for the intended behaviour"
     if worth > 0.0:
-        help += ", or let a failure end a bad episode early"
+        help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
-        help += ", or let a success end a good episode early"
+        help += ", or add a success that ends a good episode early"
     yield Finding("DB711", context.program.policy.reward[0].span, headline, help=help)
 
 
 def return_out_of_reach(context: Context) -> Iterator[Finding]:
     """DB810: no episode can reach the required mean return, or every episode does.
 
-    Training then never stops early and nothing counts as solved, or everything does at once; a stage of a curriculum never ends, or
-    ends at once. The return is bounded by what steps and ends pay: 200 steps of `alive: 1` give 200.
+    Training then never stops early and no policy counts as solved, or every policy does; a stage of a curriculum never ends, or ends at
+    once. The steps and the ends bound the return: 200 steps of `alive: 1` give 200.
 
     Example::
 
@@ -509,10 +518,10 @@ def return_out_of_reach(context: Context) -> Iterator[Finding]:
     for analysis, wanted, path in _wanted_returns(context):
         known = _worth(analysis)
         if wanted > known.high + _ROUNDING * abs(known.high):
-            headline, help = f"no episode is worth {wanted:g}: it comes to {known.high:.4g} at most", "ask for less"
+            headline, help = f"no episode reaches the return {wanted:g}: the maximum is {known.high:.4g}", "require a smaller return"
             yield Finding("DB810", context.values.span(path), headline, help=help)
         elif wanted <= known.low:
-            headline, help = f"every episode is worth {wanted:g}: it comes to {known.low:.4g} at least", "ask for more"
+            headline, help = f"every episode reaches the return {wanted:g}: the minimum is {known.low:.4g}", "require a larger return"
             yield Finding("DB810", context.values.span(path), headline, help=help)
 
 
@@ -541,7 +550,7 @@ def _worth(analysis: Analysis) -> Interval:
     return Interval(low, high)
 
 
-RULES = (
+STATIC_RULES = (
     reward_unbounded,
     term_dominates,
     inactive_term,
@@ -550,4 +559,4 @@ RULES = (
     nothing_to_learn,
     return_out_of_reach,
 )
-MEASURED = (dominating_term, silent_term, non_finite_reward, other_policy_pays_more)
+SIMULATED_RULES = (dominating_term, silent_term, non_finite_reward, other_policy_pays_more)

@@ -1,28 +1,28 @@
-"""Commands and actuators of robots (DB312 to DB315)."""
+"""Robots: commands and actuators (DB312 to DB315), and rays that pass over everything (DB615)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import ceil, degrees, inf, radians
+from math import ceil, degrees, hypot, inf, pi, radians
 from typing import TypeGuard
 
-from deepbots_cli import frames
+from deepbots_cli import footprint, frames
 from deepbots_cli.compiler.robots import carries, joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label, Span
-from deepbots_cli.expressions.dimensions import TIME
+from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.footprint import link_frames
-from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.lint.analysis import Analysis
-from deepbots_cli.lint.context import Context
-from deepbots_cli.lint.ranges import range_text, with_unit
-from deepbots_cli.lint.simulation import Miss, Simulation, Where
+from deepbots_cli.frames import Frame, Triple, quaternion
+from deepbots_cli.lint.analysis import Analysis, Context
+from deepbots_cli.lint.ranges import is_level, range_text, with_unit
+from deepbots_cli.lint.simulation import ARENA, SINK, Clearance, Miss, Simulation, Where, casts_rays
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
-from deepbots_cli.program.world import RobotBody
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.inertia import matrix
-from deepbots_cli.robots.model import Joint, RobotModel
+from deepbots_cli.robots.meshes import extent
+from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
 _KNOWN_WITHIN = 0.2
 """rad or m; the initial position of a joint counts as known if it is drawn from no more."""
@@ -32,14 +32,27 @@ _OFTEN = 0.1
 """Share of the commands of an episode: a script may pass over what is out of reach on its way."""
 _SLIGHT_DISTANCE, _SLIGHT_ANGLE = 0.001, radians(0.5)
 """m, rad; a finding mentions a smaller miss only by the other measure."""
+_SAME = 1e-4
+"""m; heights that differ by less are equal."""
+_FOOT = 0.005
+"""m; wheels and casters that end within so much of the lowest one carry the robot."""
+_NEAR = 0.05
+"""m; a robot that is placed so close to its resting height comes to rest there."""
+_ATTITUDES = 12
+"""Positions of all joints together that are tried."""
+_ROOM = 1.2
+_LOWEST, _HIGHEST = 0, 1
+
+
+# Commands and actuators
 
 
 def command_cut_off(context: Context) -> Iterator[Finding]:
     """DB312: an actuator cuts off most of the commands that the agent can give, so that most actions have the same effect.
 
-    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where less
-    than a quarter of the range of commands can be followed, the agent has to find the few actions that make a difference, and the noise
-    of its exploration makes none. Commands that depend on sensors are not reported.
+    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where the
+    actuator can follow less than a quarter of the range of commands, few actions make a difference, and the noise of exploration has
+    no effect. Commands that depend on sensors are not reported.
 
     Example::
 
@@ -62,8 +75,8 @@ def command_cut_off(context: Context) -> Iterator[Finding]:
             done = min(asked.high, limits.high) - max(asked.low, limits.low)
             if asked.finite and not asked.single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
-                able = f"is asked for {range_text(asked, dimension)}, and can do {range_text(limits, dimension)}"
-                help = "let the action, or what multiplies it, go as far as the actuator does"
+                able = f"receives commands of {range_text(asked, dimension)}, and its limits are {range_text(limits, dimension)}"
+                help = "scale the action to the limits of the actuator"
                 yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help=help)
 
 
@@ -99,8 +112,8 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
 def joint_driven_twice(context: Context) -> Iterator[Finding]:
     """DB313: two actuators drive the motor of the same joint, so that the command of the first is lost.
 
-    A joint has one motor, and the last command counts. Most often a line was copied, and nothing moves the joint on the other side. A
-    torque or a spring (`stiffness`) beside a motor adds to it, and is not reported.
+    A joint has one motor, and the last command counts. The usual cause is a copied line, so that no actuator drives the joint on the
+    other side. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
 
     Example::
 
@@ -127,7 +140,7 @@ def joint_driven_twice(context: Context) -> Iterator[Finding]:
             shared = next((joint for joint in joints if joint in driving), None)
             if shared is not None:
                 first, second = (_joints_span(context.values, robot.name, called) for called in (driving[shared], name))
-                headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` drives already"
+                headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
                 yield Finding("DB313", second, headline, help="give each joint one motor", also=(Label(first, "driven here"),))
             driving |= dict.fromkeys(joints, name)
 
@@ -199,10 +212,12 @@ def limp_at_start(context: Context) -> Iterator[Finding]:
             sunk = _sunk(body, positions, joints, program.world.gravity, wait)
             if sunk is not None:
                 by = with_unit(sunk[1], joint_dimension(sunk[0]))
-                headline = f"`{motor.name}` exerts nothing for the first {with_unit(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
-                help = "hold the joint with a `position_motor`, or let the first command come sooner"
+                headline = (
+                    f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
+                )
+                help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
-                also = (Label(values.span(late), "what it waits for"),) if values.stands(late) else ()
+                also = (Label(values.span(late), "delays the first command"),) if values.stands(late) else ()
                 yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
 
 
@@ -281,9 +296,11 @@ def _missed(simulation: Simulation, miss: Miss) -> Finding:
     notes = [simulation.when(Where(miss.by, miss.seed, miss.step))]
     for name, limit in miss.at_limit.items():
         notes.append(f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}")
-    notes += [f"{miss.out} of {miss.commands} commands in that episode are out of reach"] if miss.commands > 1 else []
-    remedy = "choose another `rpy`, or leave it out if any attitude will do" if is_turned else "command positions that the arm reaches"
-    headline = f"`{miss.actuator}` is commanded to a pose that the inverse kinematics misses by {by}"
+    notes += [f"{miss.out} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
+    remedy = (
+        "write another `rpy`, or leave it out if any attitude is allowed" if is_turned else "command positions within the reach of the arm"
+    )
+    headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
     help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
     return Finding("DB315", span, headline, help=help, notes=tuple(notes))
 
@@ -294,10 +311,232 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    help = f"write `rpy: {start} deg`, which is about the attitude at the start, or let the arm start in another pose"
+    help = f"write `rpy: {start} deg`, about the initial attitude, or start the arm in another pose"
     notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the arm contorts itself, and may swing far on its way")
     return Finding("DB315", span, headline, help=help, notes=notes)
 
 
-RULES = (command_cut_off, joint_driven_twice, limp_at_start)
-MEASURED = (pose_out_of_reach,)
+# Rays
+
+
+def rays_meet_nothing(context: Context) -> Iterator[Finding]:
+    """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
+
+    Rays above all bodies never meet one: every reading is the far end of the range, and the policy learns nothing from it. The
+    walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
+    robot that stands level on flat ground or has a fixed base, and a sensor that no joint raises or tilts; rays that meet the ground
+    within their range are not reported.
+
+    Example::
+
+        world: {arena: {size: 12 2 m}}
+        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}, emit: [pole_angle, ahead]}}
+        observation: {cart.ahead: auto}
+
+    Instead::
+
+        world: {arena: {size: 12 2 m, wall_height: 50 cm}}
+        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}, emit: [pole_angle, ahead]}}
+        observation: {cart.ahead: auto}
+    """
+    here, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
+    for robot in context.program.robots:
+        for sensor in robot.sensors:
+            clearance = here.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
+            if clearance is not None and all(variant.clearance(robot.name, sensor.name) for variant in variants):
+                yield _passing_over(context.values, robot.name, sensor.name, clearance)
+
+
+def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
+    """DB615: the same for robots whose height does not follow from the scenario."""
+    heights = Heights(simulation.analysis)
+    for (robot, sensor), clearance in simulation.report.clearances.items() if simulation.is_complete else ():
+        if heights.needs_simulation(robot, sensor):
+            yield _passing_over(simulation.values, robot, sensor, clearance, notes=(simulation.summary,))
+
+
+class Heights:
+    """The heights of rays and of all solid bodies, as far as a scenario tells."""
+
+    def __init__(self, analysis: Analysis) -> None:
+        self._analysis = analysis
+        self._program = analysis.program
+        self._world = analysis.program.world
+
+    def clearance(self, robot: str, sensor: str) -> Clearance | None:
+        """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a body, or that is unknown."""
+        gravity = self._world.gravity
+        if self._world.ground is None or gravity[0] or gravity[1] or gravity[2] >= 0.0:
+            return None
+        lowest = self._lowest(robot, sensor)
+        if lowest is None:
+            return None
+        tallest, highest = "", -inf
+        for name, top in self._tops(robot):
+            if top + SINK >= lowest:
+                return None  # before the meshes of other robots are read
+            if top > highest:
+                tallest, highest = name, top
+        return Clearance(lowest, highest, tallest) if tallest else None
+
+    def needs_simulation(self, robot: str, sensor: str) -> bool:
+        """Whether the text does not tell the height of the rays, and no robot flies or may lift an object above them later."""
+        loose = any(thing.solid and not kind.fixed for thing in self._world.objects for kind in (thing.variants or (thing,)))
+        return not (self._flies or (loose and _can_lift(self._world))) and self._lowest(robot, sensor) is None
+
+    @property
+    def _flies(self) -> bool:
+        return any(isinstance(command.actuator, Thrust) for robot in self._program.robots for command in robot.commands)
+
+    def _lowest(self, robot: str, name: str) -> float | None:
+        """The lowest point of any ray within its range, m above the ground; None where it is unknown or a ray meets the ground."""
+        sensors = next((each.sensors for each in self._program.robots if each.name == robot), ())
+        sensor = next((sensor for sensor in sensors if sensor.name == name), None)
+        body = self._analysis.body(robot)
+        root = self._root(body)
+        if root is None or sensor is None or sensor.beams is None:
+            return None
+        mount = frames.frame(sensor.mount)
+        rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
+        tried: list[list[tuple[float, float]]] = []
+        """The height at which each ray begins, and its rise per m, in each attitude."""
+        for positions in _attitudes(body.model):
+            link = frames.inside(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
+            placed = [frames.inside(link, ray) for ray in rays]
+            tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in placed])
+        for other in tried[1:]:
+            for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
+                if abs(height - known) > _SAME or abs(slope - known_slope) > _SAME:
+                    return None
+        lowest = min(height + min(0.0, slope * sensor.beams.reach) for height, slope in tried[0])
+        return lowest if lowest > 0.0 else None
+
+    def _root(self, body: RobotBody) -> Frame | None:
+        """The frame of a robot's root, without yaw: of a fixed base, or of a robot that stands level on the ground."""
+        if self._flies:
+            return None
+        height = None if body.fixed_base else _standing_height(body.model)
+        found: set[Frame] = set()
+        for place, pose in self._analysis.start.poses(body.name):
+            known = [pose[key] for key in ("z", "roll", "pitch")]
+            if body.fixed_base and all(interval.single for interval in known):
+                found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
+            elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
+                found.add(((0.0, 0.0, height), frames.UPRIGHT))
+            else:
+                return None
+        return found.pop() if len(found) == 1 else None
+
+    def _tops(self, robot: str) -> Iterator[tuple[str, float]]:
+        """The name and the top of everything solid except the robot, m; infinite where it is unknown."""
+        if self._world.arena is not None:
+            yield ARENA, self._world.arena.wall_height
+        may_be_lifted = _can_lift(self._world)
+        for thing in self._world.objects:
+            if thing.solid:
+                yield thing.name, self._top(thing, may_be_lifted=may_be_lifted)
+        for other in self._world.robots:
+            if other.name != robot or self._program.policy.copies is not None:
+                yield other.name, self._top_of_robot(other)
+
+    def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
+        """The top of an object; of a movable one with its longest side upright."""
+        kinds = [(kind.shape, kind.fixed) for kind in thing.variants] or [(thing.shape, thing.fixed)]
+        if any((isinstance(shape, Mesh) and extent(shape) is None) or (may_be_lifted and not fixed) for shape, fixed in kinds):
+            return inf
+        poses = list(self._analysis.start.poses(thing.name))
+        top = -inf
+        for shape, fixed in kinds:
+            box = footprint.bounds_of_shape(shape)
+            size, high = footprint.sides(box), box[1][2]
+            top = max(top, -inf if fixed else max(size))
+            if not poses:  # a wall
+                top = max(top, size[2], thing.pose.xyz[2] + high)
+            for place, pose in poses:
+                if place.velocity is not None or place.angular_velocity is not None or (fixed and not is_level(pose)):
+                    return inf  # it may fly, or robots may drive up on it
+                half = high if is_level(pose) else hypot(*size)
+                top = max(top, (size[2] if is_level(pose) else half) if place.rests else pose["z"].high + half)
+        return top
+
+    def _top_of_robot(self, body: RobotBody) -> float:
+        root = self._root(body)
+        if root is None or root[1] != frames.UPRIGHT or not _keeps(body.model, _HIGHEST):
+            return inf
+        return root[0][2] + footprint.bounds(body.model)[1][2]
+
+
+def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
+    """All joints at 0, then at positions that differ from joint to joint, spread evenly over their ranges (golden ratio)."""
+    yield {}
+    for number in range(1, _ATTITUDES):
+        yield {joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0) for index, joint in enumerate(model.moving_joints)}
+
+
+def _position(joint: Joint, share: float) -> float:
+    low = -pi if joint.limit.lower is None or joint.type == "continuous" else joint.limit.lower
+    high = pi if joint.limit.upper is None or joint.type == "continuous" else joint.limit.upper
+    return low + share * (high - low)
+
+
+def _keeps(model: RobotModel, end: int) -> bool:
+    """Whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs move both, arms the highest.
+
+    Meshes do not count.
+    """
+    plain = footprint.without_meshes(model)
+    known, *others = [footprint.bounds(plain, positions)[end][2] for positions in _attitudes(model)]
+    return all(abs(other - known) <= _SAME for other in others)
+
+
+def _can_lift(world: WorldModel) -> bool:
+    return not all(_keeps(robot.model, _HIGHEST) for robot in world.robots)
+
+
+def _standing_height(model: RobotModel) -> float | None:
+    """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to balance."""
+    feet, centre = footprint.feet(model, _FOOT), _centre_of_mass(model)
+    stands = feet and all(min(foot[axis] for foot in feet) < centre[axis] < max(foot[axis] for foot in feet) for axis in (0, 1))
+    return footprint.resting(model) if stands and _keeps(model, _LOWEST) else None
+
+
+def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
+    """(x, y) in the frame of the root, m, with all joints at 0."""
+    where = footprint.link_frames(model)
+    inertials = [(link.name, link.inertial) for link in model.links if link.inertial]
+    known = [(inertial.mass, frames.inside(where[name], frames.frame(inertial.origin))[0]) for name, inertial in inertials]
+    mass = sum(weight for weight, _ in known)
+    if mass <= 0.0:
+        return 0.0, 0.0
+    return sum(weight * at[0] for weight, at in known) / mass, sum(weight * at[1] for weight, at in known) / mass
+
+
+def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()) -> Finding:
+    base = clearance.tallest.partition("#")[0]
+    height, top, lower = (with_unit(length, LENGTH) for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top))
+    help = f"lower the `pose` of the sensor by more than {lower}"
+    if clearance.tallest == ARENA:
+        named, place = "the walls of the arena", ("world", "arena", "wall_height")
+        span = values.span(place) if values.stands(place) else values.key_span(place[:2])
+        help = f"write `wall_height: {with_unit(float(f'{_ROOM * clearance.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
+    else:
+        wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
+        places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
+        named, span = f"`{wall or base}`", values.key_span(next((place for place in places if values.stands(place)), ("world",)))
+    also = (Label(span, f"{top} high"),)
+    headline = (
+        f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
+    )
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, also=also)
+
+
+STATIC_RULES = (
+    command_cut_off,
+    joint_driven_twice,
+    limp_at_start,
+    rays_meet_nothing,
+)
+SIMULATED_RULES = (
+    pose_out_of_reach,
+    measured_rays_meet_nothing,
+)

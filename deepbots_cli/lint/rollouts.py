@@ -425,9 +425,9 @@ class SpeedWatch:
             if velocity > self._fastest * _GROWN:
                 self._fastest, self.news = velocity, [watched.body, velocity]
             if velocity > _MAX_SPEED + self._fall * time:
-                return {"body": watched.body, "what": "velocity", "figure": velocity}
+                return {"body": watched.body, "what": "velocity", "value": velocity}
             if spin > _MAX_SPIN and spin * self._substep > _HALF_TURN:
-                return {"body": watched.body, "what": "spin", "figure": spin}
+                return {"body": watched.body, "what": "spin", "value": spin}
             found = self._joint(watched)
             if found:
                 return found
@@ -440,7 +440,7 @@ class SpeedWatch:
             if not math.isfinite(state[0] + speed):
                 return {"body": watched.body, "joint": name, "what": "nan"}
             if speed > (max(_MAX_SPIN, _HALF_TURN / self._substep) if turns else _MAX_SPEED):
-                return {"body": watched.body, "joint": name, "what": "joint", "figure": speed}
+                return {"body": watched.body, "joint": name, "what": "joint", "value": speed}
         return {}
 
     def lost(self) -> list[str]:

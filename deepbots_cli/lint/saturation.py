@@ -12,8 +12,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
-from deepbots_cli.lint.analysis import Analysis, Comparison, Threshold, thresholds
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, thresholds
 from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
 from deepbots_cli.lint.ranges import Ranges, between, range_text, with_unit
 from deepbots_cli.program.values import Expression
@@ -30,9 +29,9 @@ _HALVINGS = 40
 def saturates_before_termination(context: Context) -> Iterator[Finding]:
     """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
 
-    Between the end of the range and the limit the policy sees a constant, just where it has to act. The CartPole of the original
-    collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. Values that depend on the quantity count as well, such as
-    a clamped share of it; one entry that changes up to the limit is enough.
+    Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The CartPole of the original
+    collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. The rule also checks values that depend on the quantity,
+    such as a clamped fraction of it. One entry that changes up to the limit is enough.
 
     Example::
 
@@ -134,32 +133,32 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
 
 def _unseen(context: Context, analysis: Analysis, view: View, ending: Expression, comparison: Comparison) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
-    help, fix = "let it go on beyond the limit: widen its range, or what it is clamped to", None
+    help, fix = "widen its range, or the range of its `clamp`, beyond the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
-        headline = f"`{name}` is seen no further than {with_unit(view.edge, number.dimension)}, and the episode fails"
+        headline = f"the range of `{name}` ends at {with_unit(view.edge, number.dimension)}, and the episode fails"
         headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_ROOM - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         other = -beyond if number.low == -number.high else beyond
         wide = Interval(min(number.low, beyond, other), max(number.high, beyond, other))
-        help = f"let its range go beyond the limit, as `{range_text(wide, number.dimension)}` does"
+        help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
-        headline = f"`{name}` stays the same from {with_unit(view.edge, dimension)} on, and the episode fails"
+        headline = f"`{name}` is constant from {with_unit(view.edge, dimension)} on, and the episode fails"
         headline += f" at {with_unit(limit, dimension)}"
     else:
-        headline = f"`{name}` stays the same for some way before `{ending.name}` ends the episode"
+        headline = f"`{name}` is constant for some distance before `{ending.name}` ends the episode"
     place = ending.span
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
-    also = (Label(place, f"`{ending.name}` ends it here"),)
+    also = (Label(place, f"`{ending.name}` ends the episode here"),)
     return Finding("DB603", context.range_span(number.entry), headline, help=help, also=also, fix=fix)
 
 
 def observation_saturates(context: Context) -> Iterator[Finding]:
     """DB611: a value is at the end of its range in ordinary operation: an accelerometer at rest, or a start beyond the range.
 
-    An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below that, the axis is constant as long as
-    the robot stands. The same is true of a value that begins beyond its range.
+    An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below this value, the axis is constant while
+    the robot stands. A value that begins outside its range is constant as well.
 
     Example::
 
@@ -188,7 +187,7 @@ def _saturated_at_start(context: Context) -> Iterator[Finding]:
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             headline = f"`{number.name}` begins beyond its range: it is {between(first, number.dimension)}"
-            yield Finding("DB611", context.range_span(number.entry), headline, help="widen its range, or let the episode begin within it")
+            yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start the episode within it")
 
 
 def _goal_out_of_range(context: Context) -> Iterator[Finding]:
@@ -203,7 +202,9 @@ def _goal_out_of_range(context: Context) -> Iterator[Finding]:
         slack = _ROUNDING * (high - low)
         if drawn is not None and drawn.finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = f"`desired` begins beyond its range: it is {between(drawn, goal.desired.typed.type.dimension)}"
-            yield Finding("DB611", context.values.span(("goal", "range")), headline, help="widen it, or draw from less")
+            yield Finding(
+                "DB611", context.values.span(("goal", "range")), headline, help="widen the range of the goal, or draw from a smaller one"
+            )
             return
 
 
@@ -218,9 +219,9 @@ def _saturated_by_gravity(context: Context) -> Iterator[Finding]:
         axis = leaf.component if isinstance(leaf, Name) else ""
         size = abs(reading) * _ROOM
         wide = Interval(min(number.low, -size), max(number.high, size))
-        headline = f"`{number.name}` ends at {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-        headline += f", and at rest its {axis} is {with_unit(reading, ACCELERATION)}"
-        help = f"let its range hold gravity, as `{range_text(wide, ACCELERATION)}` does"
+        headline = f"the range of `{number.name}` ends at {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
+        headline += f", and its {axis} at rest is {with_unit(reading, ACCELERATION)}"
+        help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)
         yield Finding("DB611", context.range_span(number.entry), headline, help=help, fix=fix)
 
@@ -241,4 +242,4 @@ def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
 
 
-RULES = (saturates_before_termination, observation_saturates)
+STATIC_RULES = (saturates_before_termination, observation_saturates)

@@ -75,7 +75,7 @@ def _read(path: Path) -> bytes:
     except OSError as error:
         raise UsageError(f"{files.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
     if len(data) > _MAX_BYTES:
-        raise UsageError(f"{files.display(path)} is larger than {_MAX_BYTES >> 10} KiB, and is not read")
+        raise UsageError(f"{files.display(path)} is larger than the limit of {_MAX_BYTES >> 10} KiB")
     return data
 
 
@@ -95,7 +95,7 @@ def _table(data: bytes, name: str, keys: Sequence[str]) -> dict[str, object] | N
             _check_keys(table, keys, name)
         table = table.get(key)
     if table is not None and not isinstance(table, dict):
-        raise UsageError(f"{name}: '{'.'.join(keys)}' is a table of settings")
+        raise UsageError(f"{name}: '{'.'.join(keys)}' must be a table of settings")
     return table
 
 
@@ -103,7 +103,7 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
     _check_keys(table, [field.name.replace("_", "-") for field in fields(Settings) if field.name != "root"], source.name)
     preview = table.get("preview")
     if preview is not None and not isinstance(preview, bool):
-        raise UsageError(f"{source.name}: 'preview' is true or false")
+        raise UsageError(f"{source.name}: 'preview' must be true or false")
     given = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
     lists = {key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table}
     words = {key: Words(lists[key], source) for key in ("select", "ignore") if key in lists}
@@ -131,7 +131,7 @@ def _list(value: object, key: str, name: str) -> tuple[str, ...]:
         raise UsageError(f"{name}: '{key}' has {len(value):_} entries, more than {_MAX_WORDS:_}")
     if isinstance(value, list) and all(isinstance(item, str) for item in value):
         return tuple(value)
-    raise UsageError(f"{name}: '{key}' is a list of {'patterns' if key == 'exclude' else 'codes'} in quotes")
+    raise UsageError(f"{name}: '{key}' must be a list of {'patterns' if key == 'exclude' else 'codes'} in quotes")
 
 
 # Scenarios in folders
@@ -167,7 +167,7 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
             if is_scenario(file.read(_SEARCHED)):
                 found.append(path)
     if not found and not excluded:
-        raise UsageError(f"there is no scenario in {folder}: no .yaml or .yml file there has a `deepbots:` key")
+        raise UsageError(f"there is no scenario in {folder}: no .yaml or .yml file in it has a `deepbots:` key")
     return sorted(found)
 
 

@@ -9,8 +9,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
 from deepbots_cli.expressions.unification import negated
-from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, Terms, Threshold, is_clock, thresholds
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, Context, RewardTerms, Terms, Threshold, is_clock, thresholds
 from deepbots_cli.lint.ranges import Ranges, with_unit
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
@@ -27,10 +26,10 @@ _RATES = frozenset({"velocity", "angular_velocity"})
 
 
 def suspicious_sign(context: Context) -> Iterator[Finding]:
-    """DB703: a reward has the wrong sign: failing pays, success costs, or coming nearer to success costs.
+    """DB703: a reward has the wrong sign: a failure pays, a success costs, or progress towards success costs.
 
-    The agent learns what is written: with the reward that the paper prints for its pit, whose sign is wrong, it learns to sit still at
-    the bottom.
+    The agent learns the reward as it is written. With the reward that the paper prints for its pit, whose sign is wrong, it learns to
+    stay at the bottom.
 
     A term pays for the opposite of success if it falls as the quantity approaches what the success requires, and no other term rises.
     All measures of the distance between two bodies count as one quantity.
@@ -71,7 +70,7 @@ def suspicious_sign(context: Context) -> Iterator[Finding]:
 def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
     turned = negated(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, turned, safe=False)
-    help = f"turn the sign round: `{turned}`" if len(turned) <= _MAX_SHOWN else "turn the sign round"
+    help = f"reverse the sign: `{turned}`" if len(turned) <= _MAX_SHOWN else "reverse the sign"
     return Finding("DB703", term.span, headline, help=help, also=also, fix=fix)
 
 
@@ -89,8 +88,8 @@ def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> 
         if all(known in (wrong, 0.0) for known in slopes) and wrong in slopes:
             for (term, _), known in zip(ordinary, slopes, strict=True):
                 if known == wrong:
-                    headline = f"`{term.name}` pays less the nearer `{ending.value.name}` comes"
-                    yield _wrong_sign(term, headline, (Label(ending.value.span, "success asks for the opposite"),))
+                    headline = f"`{term.name}` pays less as the episode approaches `{ending.value.name}`"
+                    yield _wrong_sign(term, headline, (Label(ending.value.span, "success requires the opposite"),))
             return
 
 
@@ -176,10 +175,10 @@ def _sum(slopes: list[float | None]) -> float | None:
 
 
 def hidden_state_reward(context: Context) -> Iterator[Finding]:
-    """DB706: the reward depends on something that differs between episodes, and that the observation does not show.
+    """DB706: the reward depends on a value that differs between episodes and that the policy does not observe.
 
-    This is a drawn parameter, such as a target or a command, or a body that no entry of the observation concerns and no observed sensor
-    can perceive. The agent can only act for the average. Shaping by values that only the supervisor knows, such as a path around
+    The value is a drawn parameter, such as a target or a command, or the place of a body that no entry of the observation and no sensor
+    shows. The agent can only act for the average. Shaping by values that only the supervisor knows, such as a path around
     obstacles to a visible target, is not reported.
 
     Example::
@@ -208,17 +207,17 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
         hidden = sorted((analysis.sources(node) - seen) & (drawn | bodies))
         if hidden:
             what = f"`{hidden[0]}`, {'a parameter that is drawn' if hidden[0] in drawn else 'a body'}"
-            help = "let the policy see it: compute what it needs under `augment`"
-            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, and nothing that is seen tells of it", help=help)
+            help = "add it to the observation, by a value under `augment`"
+            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help=help)
 
 
 def pays_towards_failure(context: Context) -> Iterator[Finding]:
-    """DB710: a term pays more the farther a quantity is from its middle, and too far is a failure.
+    """DB710: a term pays more as the episode approaches a failure.
 
-    The agent learns to stay at the edge of failing, or beyond: most often a sign is missing. The rule concerns lengths and angles that
-    count from a middle (`abs(x)`, `tilt(robot)`, a distance) with a failure above a limit, where the term certainly pays more just
-    before that limit than in the middle, and no other term and no success concerns the same. Tasks that reward the highest allowed
-    speed, or coming near without touching, are not reported.
+    The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
+    that are measured from a middle (`abs(x)`, `tilt(robot)`, a distance) with a failure above a limit, where the term always pays more
+    just before this limit than in the middle, and no other term and no success uses the same quantity. Tasks that reward the highest
+    allowed speed, or an approach without contact, are not reported.
 
     Example::
 
@@ -239,15 +238,15 @@ def pays_towards_failure(context: Context) -> Iterator[Finding]:
         if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
             continue
         asked = next(thresholds(compared[0], reward.running()), None)
-        if asked is None or not _is_deviation(reward, asked):
+        if asked is None or not _counts_from_middle(reward, asked):
             continue
         for term in _towards(reward, asked, ordinary):
-            headline = f"`{term.name}` pays the more the nearer `{ending.value.name}` comes"
+            headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
             yield Finding("DB710", term.span, headline, help=_opposite(compared[0], asked), also=also)
 
 
-def _is_deviation(reward: RewardTerms, asked: Threshold) -> bool:
+def _counts_from_middle(reward: RewardTerms, asked: Threshold) -> bool:
     """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
     known = reward.running().of(asked.quantity)
     is_place = asked.dimension in (LENGTH, ANGLE) and asked.above and known.low == 0.0 < asked.bound.low
@@ -289,8 +288,8 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
 def _opposite(compared: Comparison, asked: Threshold) -> str:
     side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
     quantity = compared.value.text[side.start : side.end]
-    assert asked.dimension is not None  # it is that of a deviation
-    return f"pay for the opposite, as in `exp(-{quantity} / {with_unit(asked.bound.low / 2, asked.dimension)})`"
+    assert asked.dimension is not None  # a length or an angle
+    return f"reward the opposite, as in `exp(-{quantity} / {with_unit(asked.bound.low / 2, asked.dimension)})`"
 
 
-RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)
+STATIC_RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)

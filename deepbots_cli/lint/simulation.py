@@ -26,7 +26,7 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.expressions.scalar import Name, walk
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Context
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices, Observation
@@ -418,7 +418,7 @@ Section = Literal["observation", "reward", "other"]
 
 
 class FailedExpression(NamedTuple):
-    """The definition that had no value when an episode broke off, and the section that needs it."""
+    """The definition that had no value when an episode stopped, and the section that needs it."""
 
     name: str
     span: Span
@@ -494,13 +494,13 @@ class Simulation(Context):
     def summary(self) -> str:
         """How much was simulated, for a note."""
         parts = [f"{found.steps} steps of {by}" for by, found in self.measured.items()]
-        return f"looked at: {', '.join(parts)}"
+        return f"simulated: {', '.join(parts)}"
 
     # Expressions without a value
 
     @cached_property
     def failed(self) -> FailedExpression | None:
-        """The expression for which an episode broke off; None where none did, or where it is unknown."""
+        """The expression that stopped an episode; None where none did, or where it is unknown."""
         stop = self.report.stop or {}
         if stop.get("kind") != "value":
             return None

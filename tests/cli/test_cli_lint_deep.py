@@ -43,7 +43,7 @@ def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
 
 def test_one_that_is_selected_by_itself_without_a_simulation_is_told(deepbots, files):
     (found,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
-    assert (found["code"], found["message"]) == ("DB902", "DB608 asks a simulation, and does not run")
+    assert (found["code"], found["message"]) == ("DB902", "DB608 needs a simulation and does not run")
 
 
 def test_a_scenario_with_errors_is_not_simulated_and_that_is_said(deepbots, files):

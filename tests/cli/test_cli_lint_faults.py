@@ -12,7 +12,7 @@ import pytest
 
 from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding, Source
-from deepbots_cli.lint.context import Context
+from deepbots_cli.lint.analysis import Context
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.lsp.diagnostics import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyse
@@ -35,7 +35,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two scenarios, each with a warning; a rule fails on the first."""
     (tmp_path / "a.yaml").write_text(scenario("Broken"))
     (tmp_path / "b.yaml").write_text(scenario("Whole"))
-    monkeypatch.setattr(lint, "RULES", (breaking, *lint.RULES))
+    monkeypatch.setattr(lint, "STATIC_RULES", (breaking, *lint.STATIC_RULES))
     return tmp_path
 
 
@@ -106,7 +106,7 @@ def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) ->
 
 @pytest.mark.slow
 def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(deepbots, folder, monkeypatch) -> None:
-    monkeypatch.setattr(lint, "MEASURED", (breaking_too, *lint.MEASURED))
+    monkeypatch.setattr(lint, "SIMULATED_RULES", (breaking_too, *lint.SIMULATED_RULES))
     ran = deepbots("lint", "b.yaml", "--deep", "--preview", "--set", "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}")
     assert ran.code == 3
     assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out

@@ -9,13 +9,12 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.compiler import check
-from deepbots_cli.diagnostics import RULES as CATALOGUE
-from deepbots_cli.diagnostics import Findings
+from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import MEASURED, RULES, code_of, run, simulate
-from deepbots_cli.lint.context import Rule
+from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, code_of, run, simulate
+from deepbots_cli.lint.analysis import StaticRule
 from deepbots_cli.lint.pages import Page, every_page
 from deepbots_cli.robots.reader import read
 from tests.few import few
@@ -40,8 +39,8 @@ def codes(text: str, page: Page, folder: Path) -> set[str]:
     return {finding.code for finding in (*kept, *unused)}
 
 
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
-def test_the_docstring_of_a_rule_is_a_page(rule: Rule) -> None:
+@pytest.mark.parametrize("rule", STATIC_RULES, ids=lambda rule: rule.__name__)
+def test_the_docstring_of_a_rule_is_a_page(rule: StaticRule) -> None:
     assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
 
 
@@ -59,7 +58,7 @@ def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not
     assert page.code in codes(page.example, page, tmp_path)
     found = codes(page.instead, page, tmp_path)
     assert page.code not in found
-    assert not {code for code in found if CATALOGUE[code].severity == "error"}
+    assert not {code for code in found if RULES[code].severity == "error"}
 
 
 def test_every_finding_has_a_page_and_all_but_three_an_example() -> None:
@@ -67,19 +66,19 @@ def test_every_finding_has_a_page_and_all_but_three_an_example() -> None:
 
     What text and a simulation tell has a second page.
     """
-    assert [page.code for page in every_page() if not page.deep or CATALOGUE[page.code].deep == "only"] == list(CATALOGUE)
+    assert [page.code for page in every_page() if not page.deep or RULES[page.code].deep == "only"] == list(RULES)
     assert [page.code for page in every_page() if not page.example] == ["DB410", "DB902", "DB903"]
 
 
 def test_a_rule_is_in_the_catalogue_under_the_name_of_its_function() -> None:
-    for rule in RULES:
+    for rule in STATIC_RULES:
         name = rule.__name__.replace("_", "-")
-        assert CATALOGUE[code_of(rule)].name == name
+        assert RULES[code_of(rule)].name == name
 
 
 def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
-    deep = {code for code, entry in CATALOGUE.items() if entry.deep != "no"}
-    assert deep == set(map(code_of, MEASURED)) == {page.code for page in every_page() if page.deep}
+    deep = {code for code, entry in RULES.items() if entry.deep != "no"}
+    assert deep == set(map(code_of, SIMULATED_RULES)) == {page.code for page in every_page() if page.deep}
 
 
 def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:
@@ -89,7 +88,7 @@ def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none(
 
 
 def test_a_retired_code_is_never_given_again() -> None:
-    assert not {"DB604", "DB605", "DB606", "DB610"} & set(CATALOGUE)
+    assert not {"DB604", "DB605", "DB606", "DB610"} & set(RULES)
 
 
 def test_a_comment_about_a_rule_in_preview_is_of_use_where_previews_do_not_run() -> None:

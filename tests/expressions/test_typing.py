@@ -248,11 +248,11 @@ def test_every_function_is_documented_in_one_sentence():
 @pytest.mark.parametrize(
     ("text", "help"),
     [
-        ("0,5 when flag", "decimals take a point: `0.5`"),
-        ("delta(", "a value and the closing `)` are missing behind `(`"),
-        ("1 +", "a value is missing behind `+`"),
-        ("1 when", "a value is missing behind `when`"),
-        ("random()", "a draw is `uniform(low .. high)`, or `normal(mean +- deviation)`"),
+        ("0,5 when flag", "write a decimal point: `0.5`"),
+        ("delta(", "a value and the closing `)` are missing after `(`"),
+        ("1 +", "a value is missing after `+`"),
+        ("1 when", "a value is missing after `when`"),
+        ("random()", "a draw is `uniform(low .. high)`, or `normal(mean +- std)`"),
         ("clip(x, 0 m, 1 m)", "write `clamp(x, low .. high)`"),
     ],
 )
@@ -266,4 +266,4 @@ def test_a_component_without_its_robot_or_as_a_piece_of_a_name_is_known(bench):
 
 
 def test_a_message_to_a_robot_that_nobody_sends_is_told_where_actions_are_named(bench):
-    assert "named under `action`" in bench.only("engine * 2", Context.APPLY).help
+    assert "defined under `action`" in bench.only("engine * 2", Context.APPLY).help

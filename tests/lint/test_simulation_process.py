@@ -72,7 +72,7 @@ def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None
 
 def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:
     found = only(simulate(checked("hang"), limits=TIGHT))
-    assert found.headline == "a step does not come back within 2 s of CPU time"
+    assert found.headline == "a step does not return within 2 s of CPU time"
     assert found.notes[0].startswith("in step 3 ")
 
 

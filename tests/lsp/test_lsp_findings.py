@@ -175,7 +175,7 @@ def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without
         own.change(uri, own.texts[uri] + "\n")
         own.findings(uri)
         assert len(own.logged) == 1
-        assert "'ignore' is a list of codes" in own.logged[0]
+        assert "'ignore' must be a list of codes" in own.logged[0]
 
 
 def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
