@@ -41,7 +41,7 @@ Tables = Dictionary[str, Row | list[Row]]
 
 _DIGITS = 6
 """Of a pose: um and udeg."""
-_FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
+_FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 
 def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables:

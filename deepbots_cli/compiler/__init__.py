@@ -41,6 +41,7 @@ from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Agent, Evaluation
 from deepbots_cli.scenario.base import visit
+from deepbots_cli.scenario.renamed import with_new_names
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
 
@@ -94,12 +95,14 @@ def _with_cases(document: Document) -> Checked:
         return checked
     from deepbots_cli.compiler.variants import with_cases  # brings the back end, which most linting does without
 
-    variants, program = with_cases(document, checked.spec, checked.program, checked.findings, _check)
+    variants, program = with_cases(checked.document, checked.spec, checked.program, checked.findings, _check)
     return replace(checked, program=None if checked.findings.errors else program, variants=variants)
 
 
 def _check(document: Document) -> Checked:
     findings = document.findings
+    if document.root is not None:
+        document = replace(document, root=with_new_names(document.root, findings))
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return Checked(document, findings)

@@ -175,7 +175,7 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
 
 
 def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
-    """The value for every piece of a wall, joined: the least gap, whether any is touched or seen."""
+    """The value for every piece of a wall, joined: the least clearance, whether any is touched or seen."""
     read = function.tree or (lambda *bodies: World(function.name, bodies))
     found = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
     return found[0] if len(found) == 1 else op(function.of_pieces, *found)

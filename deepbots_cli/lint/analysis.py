@@ -35,7 +35,7 @@ _MARGIN = 0.02
 """By this share of its limit another ending has to hold first: a value may pass both limits within a step."""
 _MAX_ENDINGS = 32
 """With more endings, not all pairs are compared."""
-_GRADUAL = frozenset({"position", "orientation", "joint_position", "gap", "beside", "along"})
+_GRADUAL = frozenset({"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"})
 """Facts that do not jump, unlike speeds and forces when bodies collide."""
 
 
@@ -294,7 +294,7 @@ class Analysis:
     def pair(self, node: Scalar) -> frozenset[str] | None:
         """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along a path."""
         match self.meaning(node):
-            case World("gap" | "path_distance", subjects):
+            case World("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
             case Op("hypot", args):
                 pairs = {self._offset(arg) for arg in args}

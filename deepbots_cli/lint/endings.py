@@ -331,7 +331,7 @@ def unreachable_goal(context: Context) -> Iterator[Finding]:
     """DB807: a success requires an impossible distance: bodies touch before their origins meet, or one lies beyond the walls.
 
     `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
-    than 11 cm. `gap` is measured between surfaces.
+    than 11 cm. `clearance` is measured between surfaces.
 
     Example::
 
@@ -345,7 +345,7 @@ def unreachable_goal(context: Context) -> Iterator[Finding]:
 
         objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
         augment:
-          left: gap(cart, ball)
+          left: clearance(cart, ball)
         observation: {left: 0 .. 1 m}
         termination: {success: {there: left < 2 cm}}
     """
@@ -378,7 +378,7 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
     if limit < _TOLERANCE * touching:
         apart = with_unit(round(touching, 4), LENGTH)
         words = f"asks for {with_unit(limit, LENGTH)} between origins that are {apart} apart when `{a}` and `{b}` touch"
-        return words, "ask for more than that, or for the `gap` between surfaces"
+        return words, "ask for more than that, or for the `clearance` between surfaces"
     outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
     if outside and any(robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots):
         words = f"asks to come to `{outside}`, which lies beyond the walls of the arena"

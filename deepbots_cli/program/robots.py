@@ -46,7 +46,7 @@ class NoiseModel:
     drift: tuple[float, ...] = ()
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
-    quantise: tuple[float, ...] = ()
+    resolution: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.port import (
     STILL,
     CameraReader,
+    ClearanceReader,
     ContactReader,
     Engine,
     ForceReader,
-    GapReader,
     JointReader,
     Kinematics,
     MotionReader,
@@ -166,8 +166,8 @@ class Share:
     def contact_force(self, one: Part) -> ForceReader:
         return self._engine.contact_force(self._at(one))
 
-    def gap(self, one: Part, other: Part) -> GapReader:
-        return self._engine.gap(self._at(one), self._at(other))
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
+        return self._engine.clearance(self._at(one), self._at(other))
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
         return self._engine.rays(self._at(part), rays, reach)

@@ -81,7 +81,7 @@ class Sensor(Section):
     """Constant error in an episode."""
     drift: Annotated[Scalar, Quantity("any", stage="episode")] = 0
     """Growth of the bias per second."""
-    quantise: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
+    resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Step between two readings that can be told apart."""
     range: Annotated[str, Range("reading")] | None = None
     """Measurable range; readings are clipped to it."""

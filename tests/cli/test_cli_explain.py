@@ -104,7 +104,7 @@ def test_a_key_is_explained_with_where_it_stands_its_unit_and_an_example(deepbot
 
 
 def test_a_function_is_explained_with_its_arguments_and_an_example(deepbots):
-    assert deepbots("explain", "beside").out.splitlines()[0] == "beside(body, line): a function"
+    assert deepbots("explain", "cross_track_error").out.splitlines()[0] == "cross_track_error(body, line): a function"
 
 
 def test_a_word_that_is_key_and_function_is_explained_as_both(deepbots):

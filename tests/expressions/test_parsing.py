@@ -56,7 +56,7 @@ where(max(proximity) > 150, -0.5, 0.6 - whim - 0.2 * sin(threat)) * speed
 0.01 when visible(epuck.camera, ball)
 running_max(norm(position(roller).xy))
 hold(where(reach < radius, 0.5 * reach / radius, 0.5 + 0.5 * (time_limit - time) / time_limit), reach > previous(reach))
--0.05 when min(gap(epuck, obstacle)) < 8 mm
+-0.05 when min(clearance(epuck, obstacle)) < 8 mm
 integer(1 .. 3)
 choice(0 deg | 90 deg)
 accumulate(dl * increment, -top .. top, 0 rad/s)

@@ -134,7 +134,7 @@ def test_a_joint_is_bounded_by_its_limits(bench):
         ("position(cart).x", Context.REQUIRE, []),
         ("delta(x)", Context.REQUIRE, ["DB407"]),
         ("delta(x)", Context.EMIT, []),
-        ("gap(cart, ball)", Context.EMIT, ["DB407"]),
+        ("clearance(cart, ball)", Context.EMIT, ["DB407"]),
         ("abs(x)", Context.FIXED, []),
     ],
 )

@@ -145,7 +145,7 @@ def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Smal
     """Contacts of the whole tick, and the way along a line."""
     world = "world.lines={stripe: {through: [-1 0 m, 1 0 m], width: 20 mm}}"
     ball = "objects={ball: {shape: sphere, radius: 5 cm, pose: {x: 0.4 m}}}"
-    way = "way: {drive: {forward: 'along(cart, stripe) > 0.05 m', backward: true}}"
+    way = "way: {drive: {forward: 'arc_length(cart, stripe) > 0.05 m', backward: true}}"
     sets = [world, ball, f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}"]
     with closing(api.make("cartpole", sets=sets)) as environment:
         environment.reset(seed=0)
@@ -179,7 +179,7 @@ def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
 
 
 def test_asking_changes_nothing() -> None:
-    sets = ["scripts={go: {both: {apart: 'gap(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"]
+    sets = ["scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"]
 
     def episode(*, asking: bool) -> list[bytes]:
         with closing(api.make(DATA / "pair.yaml", sets=sets)) as environment:

@@ -112,8 +112,8 @@ robots:
     apply: {wheels: gas * 5 rad/s}
 action: {gas: 0 .. 1}
 augment:
-  offset: beside(rover, track)
-  driven: along(rover, track)
+  offset: cross_track_error(rover, track)
+  driven: arc_length(rover, track)
 observation:
   offset: -1 .. 1 m
   driven: 0 m .. length(track)

@@ -32,9 +32,9 @@ robots:
     pose: {x: 5 m}
 action: {idle: -1 .. 1}
 augment:
-  to_bay:   gap(puck, bay)
-  to_nook:  gap(nook, puck)
-  to_arena: gap(puck, arena)
+  to_bay:   clearance(puck, bay)
+  to_nook:  clearance(nook, puck)
+  to_arena: clearance(puck, arena)
   middle:   position(bay)
   touched:  contact(puck, bay)
   bumped:   collided(bay)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from deepbots_cli.engines.pybullet.library import pybullet as p
 
 if TYPE_CHECKING:
-    from deepbots_cli.port import ContactReader, ForceReader, GapReader
+    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader
 
 ANY = -2  # PyBullet's number for all links of a body
 FAR = 1e6  # m; the distance between surfaces is asked for up to here
@@ -109,7 +109,7 @@ def force(client: int, body: int, link: int) -> ForceReader:
     return lambda: sum(point[9] for point in read())
 
 
-def gap(client: int, one: Place, other: Place) -> GapReader:
+def clearance(client: int, one: Place, other: Place) -> ClearanceReader:
     read = partial(p.getClosestPoints, one[0], other[0], FAR, one[1], other[1], physicsClientId=client)
 
     def distance() -> float:

@@ -1,0 +1,45 @@
+"""Renamed words of the language. The finding DB109, its fix, `deepbots upgrade`, `explain` and the documentation read this table."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Rename(NamedTuple):
+    """A renamed key, word or function.
+
+    Attributes:
+        reason: Where the new name comes from.
+        section: The class of the section (`scenario`) that has the key, or whose `key` takes the word; empty for a function.
+        key: The key that takes the word; empty for a key or a function.
+    """
+
+    old: str
+    new: str
+    reason: str
+    section: str = ""
+    key: str = ""
+
+    @property
+    def what(self) -> str:
+        return "word" if self.key else "key" if self.section else "function"
+
+
+RENAMES = (
+    Rename("quantise", "resolution", "the term of data sheets of sensors", "Sensor"),
+    Rename("beside", "cross_track_error", "the term of path following"),
+    Rename("along", "arc_length", "the term of path following"),
+    Rename("gap", "clearance", "the term of motion planning, and the key of a placement that means the same"),
+)
+
+FUNCTIONS = {rename.old: rename for rename in RENAMES if rename.what == "function"}
+KEYS_AND_WORDS = frozenset(rename.old for rename in RENAMES if rename.section)
+
+
+def former(word: str) -> tuple[Rename, ...]:
+    """The renames of an old word."""
+    return tuple(rename for rename in RENAMES if rename.old == word)
+
+
+def headline(rename: Rename) -> str:
+    return f"the {rename.what} `{rename.old}` is called `{rename.new}` now"
