@@ -30,6 +30,10 @@ RENAMES = (
     Rename("beside", "cross_track_error", "the term of path following"),
     Rename("along", "arc_length", "the term of path following"),
     Rename("gap", "clearance", "the term of motion planning, and the key of a placement that means the same"),
+    Rename("smooth", "low_pass", "the term of signal processing"),
+    Rename("rising", "rising_edge", "the term of signal processing"),
+    Rename("fresh", "message_received", "says what has arrived"),
+    Rename("local", "to_body_frame", "the term of simulators for velocities and errors"),
 )
 
 FUNCTIONS = {rename.old: rename for rename in RENAMES if rename.what == "function"}

@@ -33,7 +33,7 @@ _ITEM = {
 }
 """Where a fact stands in what its reader returns, or returns for a joint."""
 _XYZ = "xyzw"
-ARRIVALS = ("age", "fresh")
+ARRIVALS = ("age", "message_received")
 """What the channel tells, and no engine."""
 _SINGLE = {
     "clearance": "engine.clearance({0}, {1})",

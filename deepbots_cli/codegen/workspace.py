@@ -175,7 +175,7 @@ class Workspace:
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.from_{robot.name}.{leaf.function}"
-        if leaf.function == "fresh":
+        if leaf.function == "message_received":
             return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "paper"
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"

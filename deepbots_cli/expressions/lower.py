@@ -126,7 +126,7 @@ class Lowering:
     def _world(self, value: Invocation, function: Function) -> Scalars:
         components = value.type.components
         names = [_named(subject, function) for subject in value.subjects]
-        if value.args:  # `local`: the transposed rotation matrix times the vector
+        if value.args:  # `to_body_frame`: the transposed rotation matrix times the vector
             vector, body = self.scalars(value.args[0]), names[0][0]
             rows = [[op("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
             return tuple(op("add", *row) for row in rows)

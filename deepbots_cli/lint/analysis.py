@@ -28,7 +28,7 @@ from deepbots_cli.robots.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")
-FOLLOWING = frozenset({"running_max", "running_min", "smooth", "hold"})
+FOLLOWING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """Functions with a memory that rise with their argument."""
 _CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
 _MARGIN = 0.02

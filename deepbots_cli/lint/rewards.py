@@ -25,7 +25,7 @@ _DISCOUNT = 0.99
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
-_PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising", "hold"})
+_PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
 """Functions that pay for getting somewhere, and nothing for staying."""
 
 
@@ -336,7 +336,7 @@ class Staying(Ranges):
 
     def _state(self, node: State) -> Interval:
         match node.function:
-            case "delta" | "rising":
+            case "delta" | "rising_edge":
                 return NEVER
             case "previous":
                 return self.of(node.args[0])

@@ -91,7 +91,7 @@ def test_beyond_its_range_a_robot_hears_nothing(make: Make) -> None:
 
 # What the supervisor knows of it
 
-TOLD = "signals: {stale: age(cart), came: fresh(cart)}\n"
+TOLD = "signals: {stale: age(cart), came: message_received(cart)}\n"
 GRANT = "augment: {shown: velocity(cart.cart).x * s / m}"
 SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
 
@@ -129,7 +129,7 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
     ("signal", "codes"),
     [
         ("age(cart) / s", []),
-        ("where(fresh(cart), cart.place / m, previous(drive) + time / s)", []),
+        ("where(message_received(cart), cart.place / m, previous(drive) + time / s)", []),
         ("limit * step * inner", []),
         ("wind * cart.place / m", ["DB609"]),
         ("position(cart.cart).x / m", ["DB609"]),

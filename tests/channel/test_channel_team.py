@@ -138,7 +138,7 @@ def test_draws_are_each_copys_own_and_parameters_are_shared(team: Make) -> None:
 def test_channels_of_copies_share_no_draw(team: Make) -> None:
     environment = team(
         "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50 %}}",
-        "reward={a: 1 when fresh(cart)}",
+        "reward={a: 1 when message_received(cart)}",
     )
     environment.reset(seed=0)
     heard = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])
