@@ -316,7 +316,7 @@ def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
     """One row for each part that an actuator drives; all have the same columns."""
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
-    answers: Row = {"strength": strength, "delay_s": response.delay or None, "lag_s": response.lag or None}
+    answers: Row = {"strength": strength, "delay_s": response.delay or None, "time_constant_s": response.time_constant or None}
     if isinstance(actuator, Thrust):
         known: Row = {"robot": robot, "actuator": actuator.name, "type": "thrust"}
         limits: Row = {"max_torque": None, "max_velocity": None, "thrust": [actuator.low, actuator.high]}

@@ -245,7 +245,7 @@ _SETTERS: Mapping[str, Setter] = {
     "restitution": _friction("restitution"),
     "joint_damping": lambda of, values: f"self.engine.set_joint_damping({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
     "joint_friction": lambda of, values: f"self.engine.set_joint_friction({quoted(of[0])}, {quoted(of[1])}, {values[0]})",
-    **{f"actuator_{name}": _response(name) for name in ("delay", "lag")},
+    **{f"actuator_{name}": _response(name) for name in ("delay", "time_constant")},
     "gravity": lambda _of, values: f"self.engine.set_gravity(({', '.join(values)}))",
     "light": _engine("set_light"),
     "walls_friction": _walls,

@@ -204,19 +204,19 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     """The frames of rays by their names, "" for a single ray without a name; None after a finding."""
     values = namespace.values
     if isinstance(spec.rays, dict):
-        if spec.fan is not None:
-            span, headline = values.key_span((*spec.path, "fan")), "a fan, where the rays are given by name"
+        if spec.angle_range is not None:
+            span, headline = values.key_span((*spec.path, "angle_range")), "a fan, where the rays are given by name"
             values.findings.add("DB101", span, headline, help="give their number under `rays`")
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
-    if spec.fan is None:
+    if spec.angle_range is None:
         if count > 1:
             headline = f"{count} rays without their directions"
-            help = "add `fan: 90 .. -90 deg`, or give them by name"
+            help = "add `angle_range: 90 .. -90 deg`, or give them by name"
             values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}
-    ends = namespace.ends(spec, "fan", what="the fan", falling=True)
+    ends = namespace.ends(spec, "angle_range", what="the fan", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high

@@ -136,15 +136,15 @@ MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
 
 @dataclass(frozen=True)
 class Response:
-    """How an actuator answers its commands; `delay` and `lag` in s.
+    """How an actuator answers its commands; `delay` and `time_constant` in s.
 
     Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect `delay` after
-    it was given, and is followed with the time constant `lag`.
+    it was given, and is followed with the `time_constant`.
     """
 
     strength: float = 1.0
     delay: float = 0.0
-    lag: float = 0.0
+    time_constant: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -175,14 +175,14 @@ class Motor:
 class Thrust:
     """Links that are pushed along their z axis with `low` to `high` N, as by a rotor.
 
-    Each is turned about that axis with `drag` (m) times thrust times its `spin`.
+    Each is turned about that axis with `moment_constant` (m) times thrust times its `spin`.
     """
 
     name: str
     links: tuple[str, ...]
     low: float
     high: float
-    drag: float
+    moment_constant: float
     spin: tuple[float, ...]
     response: Response = Response()
 

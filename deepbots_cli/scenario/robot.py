@@ -34,7 +34,7 @@ class LinkOverride(Section):
     """Mass, kg; the inertia goes with it. `urdf * 1.2` scales that of the robot file."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """In place of `mass`: mass, centre and inertia of a homogeneous body of the shape of the link."""
-    stretch: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
+    scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
     """Factors along x, y and z on shapes, centre of mass and child joints; mass goes with the volume."""
     friction: Annotated[Scalar, Quantity("number", stage="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""

@@ -292,7 +292,7 @@ class RayScan(LinkSensor):
 
     rays: Annotated[NamedRays | Annotated[int, Whole(1, 4096)], FORMS] | None = None
     """Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one."""
-    fan: Annotated[str, Range("angle")] | None = None
+    angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
 
 

@@ -16,7 +16,12 @@ from deepbots_cli.runtime.actuation.forces import Push
 
 DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
 MASS, TICK = 0.02572680943 + 4 * 0.0005, 0.01
-ALONE = ("world.gravity=0 0 0 m/s^2", "parameters.hover=0 N", "reset={place: {drone: {z: 1 m}}}", "robots.drone.actuators.rotors.lag=0 ms")
+ALONE = (
+    "world.gravity=0 0 0 m/s^2",
+    "parameters.hover=0 N",
+    "reset={place: {drone: {z: 1 m}}}",
+    "robots.drone.actuators.rotors.time_constant=0 ms",
+)
 Make = Callable[..., Supervisor]
 
 

@@ -56,10 +56,10 @@ SENSORS = (
     ("touch, two links", "{type: touch, links: [bumper_left, bumper_right]}"),
     ("force, one link", "{type: force, link: bumper_left}"),
     ("laser, one ray", f"{{type: laser, {HERE}, range: 0 .. 1 m}}"),
-    ("sonar, 13 rays", f"{{type: sonar, {HERE}, rays: 13, fan: 90 .. -90 deg, range: 0 .. 1 m}}"),
-    ("infrared, 8 rays with look-up and noise", f"{{type: infrared, {HERE}, rays: 8, fan: 90 .. -90 deg, lookup: {LOOKUP}}}"),
-    ("lidar, 180 rays", f"{{type: lidar, {HERE}, rays: 180, fan: 90 .. -90 deg, range: 0 .. 3 m}}"),
-    ("reflectance, 5 rays", f"{{type: reflectance, {HERE}, rays: 5, fan: 20 .. -20 deg}}"),
+    ("sonar, 13 rays", f"{{type: sonar, {HERE}, rays: 13, angle_range: 90 .. -90 deg, range: 0 .. 1 m}}"),
+    ("infrared, 8 rays with look-up and noise", f"{{type: infrared, {HERE}, rays: 8, angle_range: 90 .. -90 deg, lookup: {LOOKUP}}}"),
+    ("lidar, 180 rays", f"{{type: lidar, {HERE}, rays: 180, angle_range: 90 .. -90 deg, range: 0 .. 3 m}}"),
+    ("reflectance, 5 rays", f"{{type: reflectance, {HERE}, rays: 5, angle_range: 20 .. -20 deg}}"),
     ("camera, 84 x 84 rgb", f"{{type: camera, {HERE}, resolution: 84 84}}"),
 )
 

@@ -143,7 +143,7 @@ def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, 
 
 def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Small) -> None:
     """Contacts of the whole tick, and the way along a line."""
-    world = "world.lines={stripe: {through: [-1 0 m, 1 0 m], width: 20 mm}}"
+    world = "world.lines={stripe: {points: [-1 0 m, 1 0 m], width: 20 mm}}"
     ball = "objects={ball: {shape: sphere, radius: 5 cm, pose: {x: 0.4 m}}}"
     way = "way: {drive: {forward: 'arc_length(cart, stripe) > 0.05 m', backward: true}}"
     sets = [world, ball, f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}"]

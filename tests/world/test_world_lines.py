@@ -103,7 +103,7 @@ parameters: {width: 20 mm}
 world:
   timestep: 32 ms
   lines:
-    track: {through: [0 0 m, 1 0 m, 1 1 m, 0 1 m], closed: true, width: width}
+    track: {points: [0 0 m, 1 0 m, 1 1 m, 0 1 m], closed: true, width: width}
 robots:
   rover:
     urdf: epuck

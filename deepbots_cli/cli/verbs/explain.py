@@ -39,7 +39,7 @@ def command(
       deepbots explain DB603
       deepbots explain saturates-before-termination
       deepbots explain DB7
-      deepbots explain through
+      deepbots explain clearance
       deepbots explain gyro
       deepbots explain HER
       deepbots explain

@@ -20,7 +20,7 @@ class ControlLaw(NamedTuple):
     """How an actuator answers its commands.
 
     `act` is called before every engine step, from the first command on. It gets the command in SI units, one value per joint, after
-    delay and lag, and returns the torque (N m) or force (N) on each joint; strength and `max_torque` are applied to what it returns.
+    delay and time constant, and returns the torque (N m) or force (N) on each joint; strength and `max_torque` are applied to it.
     `restart` begins an episode. `rest` gives the command that keeps the joints where they are until the first one; without it the
     actuator exerts nothing until then.
     """
@@ -68,7 +68,7 @@ class CustomMotor(Motor):
             strength=response.strength,
             substep=site.substep,
             delay=response.delay,
-            lag=response.lag,
+            time_constant=response.time_constant,
         )
 
     def reset(self) -> None:

@@ -11,13 +11,13 @@ from deepbots_cli.port import STILL, Engine, Part, Pusher
 from deepbots_cli.runtime.actuation.motors import Response
 
 Rotor = tuple[str, Triple, Triple, float]
-"""The link that carries it, its place and axis in the frame of that link, and its drag (m), negative for the other sense."""
+"""The link that carries it, its place and axis in the frame of that link, and its moment constant (m), negative for the other sense."""
 
 
 class Thrust:
     """Pushes links in every substep; called with one thrust (N) per rotor.
 
-    A thrust t along the axis comes with a torque drag * t (N m) about it, which is what the air does to the link:
+    A thrust t along the axis comes with a torque moment_constant * t (N m) about it, which is what the air does to the link:
     positive for a rotor that turns clockwise seen from the tip of the axis. `strength` multiplies both, and is in force
     from the next `reset`. Until the first command takes effect rotors stand still.
 
@@ -33,13 +33,13 @@ class Thrust:
         *,
         strength: float | Sequence[float] = 1.0,
         delay: float = 0.0,
-        lag: float = 0.0,
+        time_constant: float = 0.0,
     ) -> None:
         """`substep` is the length of one, s."""
         self.strength = strength
         self._rotors = rotors
         self._push = {carrier: engine.pusher((robot, carrier), "link") for carrier, _, _, _ in rotors}
-        self.response = Response(substep, lambda: [0.0] * len(rotors), delay, lag)
+        self.response = Response(substep, lambda: [0.0] * len(rotors), delay, time_constant)
         self.reset()
         engine.before_substep(self._act)
 
@@ -80,9 +80,9 @@ class Thrust:
 
 def _effect(rotor: Rotor, strength: float) -> tuple[str, Triple, Triple]:
     """Force and torque on its link per thrust that is commanded."""
-    carrier, place, axis, drag = rotor
+    carrier, place, axis, moment_constant = rotor
     force = frames.scaled(axis, strength)
-    return carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, drag))
+    return carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, moment_constant))
 
 
 Draw = Callable[[], tuple[Triple, Triple, float, float]]

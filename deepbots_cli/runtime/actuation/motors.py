@@ -20,17 +20,17 @@ class Response:
     """What of its commands an actuator follows, from substep to substep.
 
     A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
-    followed approaches it: in a substep of h seconds by the share 1 - exp(-h / lag) of what is left, which is a lag of
+    followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what is left, a lag of
     first order exactly, and by at most `rate` * h. It starts from what `origin` says when the first command takes effect.
 
-    `delay` and `lag` are in s, `rates` in units of the command per s, one per component; they are in force from the
+    `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are in force from the
     next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
     """
 
-    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, lag: float = 0.0, rates: Sequence[float] = ()) -> None:
+    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()) -> None:
         """`substep` is the length of one, s; without `rates` a command may jump."""
         self.delay = delay
-        self.lag = lag
+        self.time_constant = time_constant
         self._substep = substep
         self._origin = origin
         self._most = [rate * substep for rate in rates]
@@ -42,7 +42,7 @@ class Response:
         self._sent.clear()
         self._now = 0
         self._wait = max(0, ceil(self.delay / self._substep - _EARLY))
-        self._share = 1.0 - exp(-self._substep / self.lag) if self.lag > 0.0 else 1.0
+        self._share = 1.0 - exp(-self._substep / self.time_constant) if self.time_constant > 0.0 else 1.0
         self._jumps = self._share == 1.0 and not self._most
         self._goal: Sequence[float] = ()
         self._value: Sequence[float] | None = None
@@ -100,7 +100,7 @@ class Motor:
         strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
-        lag: float = 0.0,
+        time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
         """`rates` bounds how fast targets change, in their unit per s.
@@ -114,7 +114,7 @@ class Motor:
         self._engine, self._kind, self._robot, self._joints = engine, kind, robot, joints
         self._states = engine.joint_states(robot, joints)
         self._bound: object = None
-        self.response = None if substep is None else Response(substep, self._rest, delay, lag, rates)
+        self.response = None if substep is None else Response(substep, self._rest, delay, time_constant, rates)
         self.reset()
         if self.response is not None:
             engine.before_substep(self._act)
@@ -181,7 +181,7 @@ class Cartesian(Motor):
     """Brings the origin of a link to a position (m, world frame); called with x, y and z.
 
     Joint positions are computed once per command, from where the joints are and within their ranges; what is out of
-    reach is approached. The engine's servo then drives the joints there, with the delay, lag and rates of a `Motor`.
+    reach is approached. The engine's servo then drives the joints there, with the delay, time constant and rates of a `Motor`.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class Cartesian(Motor):
         strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
-        lag: float = 0.0,
+        time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
         """`rpy` (rad) is the attitude that the link keeps; without, it may have any."""
@@ -205,7 +205,16 @@ class Cartesian(Motor):
         self.watch: Callable[[Triple, Sequence[float]], object] | None = None
         """Called with the position of each command (m, world frame) and the joint positions computed for it (rad or m)."""
         super().__init__(
-            engine, "position_motor", robot, joints, max_torque, strength=strength, substep=substep, delay=delay, lag=lag, rates=rates
+            engine,
+            "position_motor",
+            robot,
+            joints,
+            max_torque,
+            strength=strength,
+            substep=substep,
+            delay=delay,
+            time_constant=time_constant,
+            rates=rates,
         )
 
     def __call__(self, targets: Sequence[float]) -> None:
