@@ -23,8 +23,8 @@ def interface(ir: Program) -> dict[str, str]:
     if ir.goal is not None:
         for component, low, high in zip(ir.goal.components or ("",), ir.goal.low, ir.goal.high, strict=True):
             items[f"goal.{component}".rstrip(".")] = _range(low, high, ir.goal.unit)
-    if ir.agent.stack > 1:
-        items["agent.stack"] = f"{ir.agent.stack} observations in a row"
+    if ir.agent.frame_stack > 1:
+        items["agent.frame_stack"] = f"{ir.agent.frame_stack} observations in a row"
     for part in ir.action:
         items[f"action.{part.name}"] = _action(part)
     for robot in ir.robots:
@@ -57,7 +57,7 @@ def other_conditions(run: Program, scenario: Program) -> list[str]:
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
-        ("repeat", str(run.agent.repeat), str(scenario.agent.repeat)),
+        ("action_repeat", str(run.agent.action_repeat), str(scenario.agent.action_repeat)),
     )
     return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
 

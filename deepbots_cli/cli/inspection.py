@@ -46,7 +46,7 @@ _FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables:
     """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out."""
-    goal = {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range", "noise")}
+    goal = {key: wording(root, "goal", key) for key in ("achieved", "desired", "tolerance", "range", "noise")}
     return _filled(
         {
             "run": _run(run) if run else {},
@@ -237,7 +237,7 @@ def _scenario(scenario: Program) -> Row:
 
 
 def _view(scenario: Program) -> str:
-    numbers = len(viewed(scenario.numbers, scenario.agent.stack))
+    numbers = len(viewed(scenario.numbers, scenario.agent.frame_stack))
     parts = [f"Box({numbers})"] if numbers or not scenario.images else []
     parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.images]
     if scenario.goal is not None:
@@ -247,7 +247,7 @@ def _view(scenario: Program) -> str:
 
 def _sides(entry: ImageObservation, scenario: Program) -> str:
     rows, columns, channels = entry.shape
-    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.agent.stack))}"
+    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.agent.frame_stack))}"
 
 
 def _space(scenario: Program) -> str:
@@ -453,7 +453,7 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.numbers[index], ago) for index, ago in viewed(scenario.numbers, scenario.agent.stack)]
+    seen = [(scenario.numbers[index], ago) for index, ago in viewed(scenario.numbers, scenario.agent.frame_stack)]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = [
         {

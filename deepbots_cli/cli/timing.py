@@ -23,7 +23,7 @@ def timing(scenario: Program) -> list[Row]:
     have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
     the supervisor.
     """
-    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.agent.repeat
+    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.agent.action_repeat
     rows: list[Row] = []
     for part in scenario.action:
         named = set(part.variables) if isinstance(part, Choices) else {part.name}

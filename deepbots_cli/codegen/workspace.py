@@ -53,12 +53,12 @@ class Workspace:
     @property
     def repeats(self) -> bool:
         """Whether a step of the agent has several ticks, which are then a method of their own."""
-        return self.scenario.agent.repeat > 1
+        return self.scenario.agent.action_repeat > 1
 
     @property
     def remembers(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
-        return self.scenario.agent.stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
+        return self.scenario.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.scenario.observation)
 
     @property
     def shares(self) -> bool:

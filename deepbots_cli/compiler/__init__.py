@@ -131,7 +131,7 @@ def _program(spec: Scenario, namespace: Namespace) -> Program:
     tick = bare.timestep
     reset, walls = arrangement(spec, namespace, bare)
     limits, action, rewards = truncation(spec, namespace), actions.parts(), reward_terms(spec, namespace)
-    agent = Agent(spec.agent.repeat, spec.agent.stack, copies(spec, namespace))
+    agent = Agent(spec.agent.action_repeat, spec.agent.frame_stack, copies(spec, namespace))
     routes = route(spec, "to_robot", namespace), route(spec, "from_robot", namespace)
     robots = tuple(controller.finish(tick, action, routes) for controller in controllers)
     poses = {controller.scene.name: controller.poses for controller in controllers}

@@ -66,7 +66,7 @@ def training(spec: Scenario, values: Values, action: Action, agent: Agent, limit
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and limits != Truncation():
         rows = spec.train.environments * (agent.each.count if agent.each else 1)
-        longest = rows * limits.last_step(tick * agent.repeat)
+        longest = rows * limits.last_step(tick * agent.action_repeat)
         if starts < longest:
             headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")

@@ -93,7 +93,7 @@ class Analysis:
         self._identities: dict[int, tuple[Scalar, int]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._ranges: dict[tuple[float, float], Ranges] = {}
-        self.period = program.world.timestep * program.agent.repeat
+        self.period = program.world.timestep * program.agent.action_repeat
         """Seconds between two actions."""
         self.last = program.truncation.last_step(self.period)
         """The step at which an episode is truncated at the latest."""
@@ -343,14 +343,14 @@ def _held_for(node: Operation) -> Typed | None:
 
 def _goal_reached(goal: Goal) -> Expression:
     """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its owner is empty."""
-    distance_text, limit = "norm(achieved - desired)", f"{goal.within:g} {goal.achieved.typed.type.dimension}".strip()
+    distance_text, limit = "norm(achieved - desired)", f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{distance_text} <= {limit}", len(distance_text)
     size = Type(goal.achieved.typed.type.dimension, stage=Stage.STEP)
     whole = size._replace(components=goal.achieved.typed.type.components)
     sides = tuple(Reference(whole, 0, end, Symbol(name, whole)) for name in ("achieved", "desired"))
     difference = Operation(whole, 0, end, "sub", sides)
     distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (difference,))
-    within = Constant(size, end + 4, len(text), (goal.within,))
+    within = Constant(size, end + 4, len(text), (goal.tolerance,))
     typed = Operation(Type(boolean=True, stage=Stage.STEP), 0, len(text), "less_equal", (distance, within))
     return Expression("goal_reached", goal.achieved.span, text, typed, "")
 

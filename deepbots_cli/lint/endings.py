@@ -143,7 +143,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
     step = total(reward.terms, reward.running())
-    ticks = float((last - bool(first)) * analysis.program.agent.repeat)
+    ticks = float((last - bool(first)) * analysis.program.agent.action_repeat)
     known = Interval()
     if reward.is_complete and not first:
         known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
@@ -166,7 +166,7 @@ def _later(program: Program) -> str:
     limits, timestep = program.truncation, program.world.timestep
     if limits.max_steps is None or limits.max_time is None:
         return ""
-    steps, time = limits.max_steps * program.agent.repeat, ceil(limits.max_time / timestep - 1e-9)
+    steps, time = limits.max_steps * program.agent.action_repeat, ceil(limits.max_time / timestep - 1e-9)
     return "max_time" if time > steps else "max_steps" if steps > time else ""
 
 
@@ -267,12 +267,12 @@ def after_the_end(context: Context) -> Iterator[Finding]:
     Example::
 
         disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 20 s, lasts: 50 ms}
+          knock: {body: cart, force: 5 0 0 N, at: 20 s, duration: 50 ms}
 
     Instead::
 
         disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 2 s, lasts: 50 ms}
+          knock: {body: cart, force: 5 0 0 N, at: 2 s, duration: 50 ms}
     """
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
     end = max(analysis.last * analysis.period for analysis in context.versions)  # s

@@ -137,7 +137,7 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
     Example::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         augment: {left: mark - x}
         observation: {left: -0.8 .. 0.8 m}
         reward: {alive: 1 when goal_reached}
@@ -146,7 +146,7 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
     Instead::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         reward: {alive: 1 when goal_reached}
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
     """
@@ -197,7 +197,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
     Example::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         observation: {x: {range: -0.4 .. 0.4 m, noise: 5 mm}}
         reward: {alive: 1 when goal_reached}
 
@@ -205,7 +205,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
         augment: {x: {value: position(cart).x, noise: 5 mm}}
-        goal: {achieved: x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         reward: {alive: 1 when goal_reached}
     """
     program, analysis = context.program, context.analysis

@@ -254,7 +254,7 @@ class Counter:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        ages = viewed(program.numbers, program.agent.stack)
+        ages = viewed(program.numbers, program.agent.frame_stack)
         self._columns = [ages.index((place, 0)) for place in range(len(program.numbers))]
         self._pictures = [entry.key for entry in program.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
@@ -353,7 +353,9 @@ def _discount(program: Program) -> float:
 def _outside(environment: Supervisor, observation: Any) -> list[str]:
     """The numbers of an observation that are outside of its space, by name."""
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
-    entries = [environment.scenario.numbers[place] for place, _ in viewed(environment.scenario.numbers, environment.scenario.agent.stack)]
+    entries = [
+        environment.scenario.numbers[place] for place, _ in viewed(environment.scenario.numbers, environment.scenario.agent.frame_stack)
+    ]
     return [
         entry.full_name
         for entry, column in zip(entries, numbers.T, strict=True)

@@ -115,7 +115,7 @@ class Program:
     @property
     def period(self) -> float:
         """Simulated time of a whole step of the agent, in s."""
-        return self.world.timestep * self.agent.repeat
+        return self.world.timestep * self.agent.action_repeat
 
     @property
     def defines_success(self) -> bool:

@@ -234,7 +234,7 @@ class Disturbance:
     """Pushes of a link at its origin (`link` None is the root link, or an object), in the axes of the world.
 
     The first push begins `first` s into the episode (by default after one interval), each further one `every` s after the one
-    before; without `every` there is one. Force (N), torque (N m), `lasts` (s) and `every` are computed anew for each push.
+    before; without `every` there is one. Force (N), torque (N m), `duration` (s) and `every` are computed anew for each push.
     """
 
     name: str
@@ -244,7 +244,7 @@ class Disturbance:
     torque: Expression | None
     first: Expression | None
     every: Expression | None
-    lasts: Expression
+    duration: Expression
 
     @property
     def begins(self) -> Scalar:

@@ -87,12 +87,12 @@ class RobotCopies:
 class Agent:
     """How the policy is joined to the scenario.
 
-    One action of the agent is held for `repeat` control ticks, which make one step; the policy sees `stack`
+    One action of the agent is held for `action_repeat` control ticks, which make one step; the policy sees `frame_stack`
     observations in a row. `each` lets it act for every copy of a robot.
     """
 
-    repeat: int = 1
-    stack: int = 1
+    action_repeat: int = 1
+    frame_stack: int = 1
     each: RobotCopies | None = None
 
 
@@ -202,14 +202,14 @@ class Goal:
 
     The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and `desired`
     mean the clipped values, so that a reward can be recomputed from an observation. The goal is reached when the two are
-    `within` of each other. The noise on what is achieved is added before the mapping.
+    within `tolerance` of each other. The noise on what is achieved is added before the mapping.
     """
 
     achieved: Expression
     desired: Expression
     low: tuple[float, ...]
     high: tuple[float, ...]
-    within: float
+    tolerance: float
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -230,9 +230,9 @@ class Goal:
 
     @property
     def reached(self) -> Scalar:
-        """Whether the two are `within` of each other."""
+        """Whether the two are within `tolerance` of each other."""
         apart = tuple(Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True))
-        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.within)))
+        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.tolerance)))
 
 
 @dataclass(frozen=True, eq=False)

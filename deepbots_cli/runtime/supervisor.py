@@ -81,7 +81,9 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.streams = Streams(None)
         self.views = views(scenario)
         self.depth = len(self.views)
-        self.frame_stacks = {entry.key: FrameStack(entry.shape, entry.ages(scenario.agent.stack), self.depth) for entry in scenario.images}
+        self.frame_stacks = {
+            entry.key: FrameStack(entry.shape, entry.ages(scenario.agent.frame_stack), self.depth) for entry in scenario.images
+        }
         self.frames = np.zeros(self.depth * len(scenario.numbers), np.float32)
         self._buffer = self.frames.data
         self._width = 4 * len(scenario.numbers)

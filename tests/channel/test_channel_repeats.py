@@ -14,7 +14,7 @@ from deepbots_cli.runtime import Supervisor
 
 Make = Callable[..., Supervisor]
 TICK = 0.02
-THREE = "agent.repeat=3"
+THREE = "agent.action_repeat=3"
 
 
 def episode(environment: Supervisor, steps: int, drive: float = 0.5, seed: int = 0) -> list[tuple[float, bool, bool, dict[str, float]]]:

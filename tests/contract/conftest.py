@@ -30,7 +30,7 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("drawn", ()),
     ("drawn", ("messages.timing=paper",)),
     ("pair", ()),
-    ("pair", ("agent={repeat: 3}",)),
+    ("pair", ("agent={action_repeat: 3}",)),
     ("../../channel/radio", ()),
     ("../../world/hills", ()),
     ("drone", ()),

@@ -131,7 +131,7 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     """The numbers of the observation that never change; a bumper may well touch nothing in so short a time."""
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
-    entries = [scenario.numbers[index] for index, _ in viewed(scenario.numbers, scenario.agent.stack)]
+    entries = [scenario.numbers[index] for index, _ in viewed(scenario.numbers, scenario.agent.frame_stack)]
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
     return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.truth}
 

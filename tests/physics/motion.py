@@ -128,7 +128,7 @@ def pushed(changes: str, disturbance: str, ticks: int = 30) -> tuple[float, floa
         {"v": ("velocity(subject).x", "m/s"), "w": ("angular_velocity(subject).z", "rad/s")},
         world=FLOATING,
         robot=f"{BRICK}, {changes}" if changes else BRICK,
-        disturbances=f"push: {{body: subject, {disturbance}, at: 0 s, lasts: 0.1 s}}",
+        disturbances=f"push: {{body: subject, {disturbance}, at: 0 s, duration: 0.1 s}}",
         files={"brick.urdf": robots.BRICK},
     ) as world:
         v, w = world.run(ticks)[-1]

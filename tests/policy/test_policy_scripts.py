@@ -132,7 +132,7 @@ def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Smal
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, repeat: int) -> None:
     sections = "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive: episode_return}}\n"
-    environment = small(sections, f"agent.repeat={repeat}")
+    environment = small(sections, f"agent.action_repeat={repeat}")
     environment.reset(seed=0)
     rewards = [0.0]
     for _ in range(4):

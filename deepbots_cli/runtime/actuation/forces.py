@@ -116,8 +116,8 @@ class Push:
 
     def _act(self) -> None:
         if self._now >= self._due:
-            self._force, self._torque, lasts, until_next = self._draw()
-            self._left = lasts / self._substep
+            self._force, self._torque, duration, until_next = self._draw()
+            self._left = duration / self._substep
             self._due += until_next / self._substep
         self._now += 1
         left = self._left
