@@ -40,6 +40,12 @@ RENAMES = (
     Rename("stack", "frame_stack", "the term of environments, as in Gymnasium", "Agent"),
     Rename("within", "tolerance", "the term of goals in ROS", "Goal"),
     Rename("lasts", "duration", "the noun, as in other keys", "Disturbance"),
+    Rename(
+        "inclinometer", "projected_gravity", "the term of tasks for legged robots; an inclinometer measures angles", "LinkSensor", "type"
+    ),
+    Rename("grey", "grayscale", "the term of Gymnasium", "Camera", "channels"),
+    Rename("mask", "segmentation", "the term of simulators", "Camera", "channels"),
+    Rename("paper", "delayed", "says what it does", "Messages", "timing"),
     Rename("smooth", "low_pass", "the term of signal processing"),
     Rename("rising", "rising_edge", "the term of signal processing"),
     Rename("fresh", "message_received", "says what has arrived"),

@@ -19,7 +19,7 @@ def timing(scenario: Program) -> list[Row]:
     """For step n of the agent, from 0: the physics step from which its action acts, and after which each observation is measured.
 
     Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value that it is computed from:
-    routes, `timing: paper`, the latency of sensors and `previous` add to its age. Other functions with a memory (`delta`, `low_pass`)
+    routes, `timing: delayed`, the latency of sensors and `previous` add to its age. Other functions with a memory (`delta`, `low_pass`)
     have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
     the supervisor.
     """
@@ -82,7 +82,7 @@ def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
     """Ticks that the slowest route takes, 0 without one; infinite where that varies."""
     if scenario.format == "none":
         return 0
-    late = 1 if scenario.timing == "paper" else 0
+    late = 1 if scenario.timing == "delayed" else 0
     ticks = [0.0]
     for route in routes:
         latency = route.latency.scalar if route.latency else Const(0.0)

@@ -202,7 +202,7 @@ def _ranged(space: Workspace) -> list[str]:
 
 def _delivers_in_ticks(space: Workspace, robot: Robot) -> bool:
     """Whether a message to this robot may arrive in another tick than the one that follows its sending."""
-    late = space.scenario.timing == "paper" and space.repeats
+    late = space.scenario.timing == "delayed" and space.repeats
     return space.scenario.format != "none" and (late or not robot.to_route.perfect)
 
 

@@ -71,7 +71,7 @@ class Workspace:
         return "self.tick_count" if self.repeats else "self.step_count"
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
-        """Whether each message arrives in the tick in which it is sent: `paper` timing makes either direction a tick longer."""
+        """Whether each message arrives in the tick in which it is sent: `delayed` timing makes either direction a tick longer."""
         route = robot.to_route if direction == "to_robot" else robot.from_route
         return self.scenario.format == "none" or (route.perfect and self.scenario.timing == "immediate")
 
@@ -177,7 +177,7 @@ class Workspace:
             return f"self.from_{robot.name}.{leaf.function}"
         if leaf.function == "message_received":
             return "True"
-        late = self.scenario.format != "none" and self.scenario.timing == "paper"
+        late = self.scenario.format != "none" and self.scenario.timing == "delayed"
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
 
 

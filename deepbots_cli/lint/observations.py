@@ -234,7 +234,7 @@ def may_be_noisy(program: Program) -> tuple[Expression, ...]:
 def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
     """The numbers of the observation and of the goal, without those from messages that may be late."""
     program = analysis.program
-    is_late = program.timing == "paper" or any(robot.from_route.settings for robot in program.robots)
+    is_late = program.timing == "delayed" or any(robot.from_route.settings for robot in program.robots)
     found = [
         SeenNumber(number.name, number.entry.value.span, number.node, Interval(number.low, number.high), number.entry.noise)
         for number in ranged_numbers(analysis)

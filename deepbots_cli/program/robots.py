@@ -25,7 +25,7 @@ MIN_RESOLUTION = 1e-12
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
 Combined = Literal["each", "nearest", "mean"]
-Channels = Literal["rgb", "grey", "depth", "mask"]
+Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ Actuator = Motor | Thrust | Cartesian | CustomActuator
 
 # Messages
 
-Timing = Literal["immediate", "paper"]
+Timing = Literal["immediate", "delayed"]
 Direction = Literal["to_robot", "from_robot"]
 Order = Literal["sent", "arrival", "newest"]
 OnLoss = Literal["hold", "zero", "skip"]

@@ -125,7 +125,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             f"{name}.{direction}",
             route,
             self.scenario.world.timestep,
-            1 if self.scenario.timing == "paper" else 0,
+            1 if self.scenario.timing == "delayed" else 0,
             self.engine.pose(name),
             Wire(layout, self.scenario.format, self._rejected),
             first_at_once=not to_robot,

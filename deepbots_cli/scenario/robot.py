@@ -121,8 +121,8 @@ class Messages(Section):
 
     format: Annotated[str, Word(FORMATS)] = "struct"
     """How a message is written; `none` lets the supervisor act on the robot without messages."""
-    timing: Literal["immediate", "paper"] = "immediate"
-    """`immediate`: an action acts in its own tick; `paper`: one tick later, and what the robot sends is one tick old."""
+    timing: Literal["immediate", "delayed"] = "immediate"
+    """`immediate`: an action acts in its own tick; `delayed`: one tick later, and what the robot sends is one tick old."""
     to_robot: Route = Field(default_factory=Route)
     """The way from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)

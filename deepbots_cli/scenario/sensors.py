@@ -176,14 +176,14 @@ class Accelerometer(LinkSensor):
     type: Literal["accelerometer"]
 
 
-class Inclinometer(LinkSensor):
+class ProjectedGravity(LinkSensor):
     """The direction of gravity along its own axes, x y z, of length 1."""
 
     components = SPACE
     interval = iv.SIGNED_UNIT
-    reader = f"{_RUNTIME}.body:inclinometer"
+    reader = f"{_RUNTIME}.body:projected_gravity"
 
-    type: Literal["inclinometer"]
+    type: Literal["projected_gravity"]
 
 
 class Compass(LinkSensor):
@@ -355,7 +355,7 @@ class Camera(LinkSensor):
     """Columns and rows, such as `64 64`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
     """Angle of view from top to bottom."""
-    channels: Literal["rgb", "grey", "depth", "mask"] = "rgb"
+    channels: Literal["rgb", "grayscale", "depth", "segmentation"] = "rgb"
     """Content of a pixel."""
 
 
@@ -378,7 +378,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
 
 _OURS = (
     *(JointPosition, JointVelocity, JointTorque),
-    *(Gyro, Accelerometer, Inclinometer, Compass, Position, Velocity, Orientation, AngularVelocity),
+    *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
     *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
 )
 SENSORS: Table[type[Sensor]] = Table("deepbots.sensors", {kind_of(model): model for model in _OURS}, _read)

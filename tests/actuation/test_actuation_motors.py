@@ -155,7 +155,7 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
 
 @pytest.mark.parametrize("target", ["1 m/s", "1 m"], ids=["velocity", "position"])
 @pytest.mark.parametrize(
-    "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=paper", "robots.cart.actuators.motor.delay=100 ms"]
+    "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=delayed", "robots.cart.actuators.motor.delay=100 ms"]
 )
 def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: str, late: str):
     command = (f"robots.cart.apply.motor=drive * {target}", "reset={set: {cart.hinge: 45 deg, cart.slider: 0.3 m}}")

@@ -52,7 +52,7 @@ SENSORS = (
     ("compass", f"{{type: compass, {HERE}}}"),
     ("gyro", f"{{type: gyro, {HERE}}}"),
     ("accelerometer", f"{{type: accelerometer, {HERE}}}"),
-    ("inclinometer", f"{{type: inclinometer, {HERE}}}"),
+    ("inclinometer", f"{{type: projected_gravity, {HERE}}}"),
     ("touch, two links", "{type: touch, links: [bumper_left, bumper_right]}"),
     ("force, one link", "{type: force, link: bumper_left}"),
     ("laser, one ray", f"{{type: laser, {HERE}, range: 0 .. 1 m}}"),

@@ -116,7 +116,7 @@ def test_what_a_robot_applies_advances_per_message_and_not_per_tick(make: Make) 
 
 
 def test_paper_timing_is_a_tick_late_and_not_a_step(make: Make) -> None:
-    environment = make(THREE, "messages.timing=paper", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}")
+    environment = make(THREE, "messages.timing=delayed", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}")
     assert [row[0] for row in episode(environment, 2, drive=1.0)] == pytest.approx([2.0, 3.0], abs=1e-3)
 
 

@@ -70,7 +70,7 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
 @pytest.mark.parametrize(
     "sets",
-    [(), ("messages.format=csv", "messages.timing=paper"), ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}")],
+    [(), ("messages.format=csv", "messages.timing=delayed"), ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}")],
 )
 def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, sets: tuple[str, ...]) -> None:
     together, alone = (

@@ -104,7 +104,7 @@ def test_immediate_actions_act_at_once_and_every_observation_is_fresh(deepbots):
 
 
 def test_paper_timing_ages_actions_and_messages_by_a_tick_but_not_what_the_supervisor_adds(deepbots):
-    timing = {row["name"]: row for row in inspected(deepbots, "--set", "messages.timing=paper")["timing"]}
+    timing = {row["name"]: row for row in inspected(deepbots, "--set", "messages.timing=delayed")["timing"]}
     assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 5", 0.032)
     assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("4n", 0.032)
     assert (timing["x"]["physics_step"], timing["x"]["age_s"]) == ("4n + 4", 0)

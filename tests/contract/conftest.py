@@ -26,9 +26,9 @@ DATA = Path(__file__).parents[1] / "data" / "scenarios"
 MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rail", ()),
     ("rail", ("messages.format=none",)),
-    ("rail", ("messages.timing=paper",)),
+    ("rail", ("messages.timing=delayed",)),
     ("drawn", ()),
-    ("drawn", ("messages.timing=paper",)),
+    ("drawn", ("messages.timing=delayed",)),
     ("pair", ()),
     ("pair", ("agent={action_repeat: 3}",)),
     ("../../channel/radio", ()),
@@ -37,7 +37,7 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("sensed", ()),
 )
 
-FULL = (*WORLDS, "rail-paper", "radio")
+FULL = (*WORLDS, "rail-delayed", "radio")
 
 
 @dataclass(frozen=True)

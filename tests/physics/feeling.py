@@ -13,7 +13,7 @@ from tests.physics.lab import off, trial
 
 G = 9.81
 INERTIAL = (
-    "sensors: {accel: {type: accelerometer, link: brick}, gyro: {type: gyro, link: brick}, down: {type: inclinometer, link: brick}},"
+    "sensors: {accel: {type: accelerometer, link: brick}, gyro: {type: gyro, link: brick}, down: {type: projected_gravity, link: brick}},"
     " emit: [accel, gyro, down]"
 )
 SEEN = {"subject.accel": ("", "m/s^2"), "subject.gyro": ("", "rad/s"), "subject.down": ("", "")}

@@ -108,7 +108,7 @@ def test_every_copy_of_a_robot_follows_the_script_by_what_it_sees_itself() -> No
 
 def test_a_script_sees_what_arrived_and_what_is_true(small: Small) -> None:
     sections = REWARD + "scripts: {told: {drive: cart.place / m}, truth: {drive: joint_position(cart.slider) / m}}\n"
-    environment = small(sections, "messages.timing=paper")
+    environment = small(sections, "messages.timing=delayed")
     environment.reset(seed=0)
     for _ in range(3):
         environment.step(np.array([1.0], np.float32))

@@ -106,7 +106,7 @@ def gyro(site: Site) -> Instrument:
     return Instrument(turning if site.mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
 
 
-def inclinometer(site: Site) -> Instrument:
+def projected_gravity(site: Site) -> Instrument:
     """The direction of gravity along the axes of the sensor, of length 1; nothing where there is no gravity."""
     read = mounted_pose(site)
     down: Triple = (0.0, 0.0, -1.0)
