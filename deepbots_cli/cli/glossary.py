@@ -14,6 +14,7 @@ from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.renames import former
 from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
 from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of
 from deepbots_cli.scenario.fields import article
@@ -57,7 +58,7 @@ def explained(word: str) -> list[str]:
     """Paragraphs and examples about `word`; empty if nothing has this name.
 
     A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only where the language
-    has no such word. The last line lists other entries that contain the word.
+    has no such word. Former names of words come last. The last line lists other entries that contain the word.
     """
     spelt = word if word in _words() else next((other for other in _words() if other.lower() == word.lower()), word)
     blocks = _blocks(spelt)
@@ -66,6 +67,9 @@ def explained(word: str) -> list[str]:
     if not found and not blocks:
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
+    for new, rename in {rename.new: rename for rename in former(spelt)}.items():
+        named = _blocks(new) or _blocks(rename.key)  # a word that is no kind is explained by its key
+        blocks += [[f"{spelt}: the former name of the {rename.what} `{new}`"], *named]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])

@@ -1,7 +1,7 @@
-"""`deepbots upgrade`: files of an older version of the language, a step for each version.
+"""`deepbots upgrade`: files of an older version of the language, a step for each version; and old names (`deepbots_cli.renames`).
 
 A step changes the text and keeps comments and layout. A file that names no version counts as version 0: before version 1 there is only
-a file that has lost its first line, or never had it.
+a file that has lost its first line, or never had it. Old names are replaced by the fixes of DB109, also in included files of the project.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.rewriting import show, write
@@ -22,7 +23,7 @@ from deepbots_cli.document import Mapping as Tree
 from deepbots_cli.document import Scalar, files
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.lint.fixes import Rewrite
+from deepbots_cli.lint.fixes import Fixer, Rewrite
 from deepbots_cli.scenario.scenario import VERSION
 
 Step = Callable[[str, Tree], str]
@@ -38,32 +39,38 @@ def command(
 ) -> None:
     """Bring a scenario file to the current version of the language.
 
-    There has been one version so far, so all that a file may lack is the line `deepbots: 1`, without which lint refuses it. Comments and
-    layout stay. A file of a newer version is refused.
+    Adds the line `deepbots: 1` where it is missing, and replaces the old names of keys, words and functions, also in the files of the
+    project that the scenario includes. Comments and layout stay. A file of a newer version is refused.
 
     \b
       deepbots upgrade old.yaml --diff
       deepbots upgrade old.yaml
     """
     found = upgraded(file)
-    if found.rewrite is None:
+    if not found.rewrites:
         terminal.say(f"{file} is written in version {VERSION} of the language, the current one: nothing to do")
     elif diff:
-        show(found.rewrite)
+        for rewrite in found.rewrites:
+            show(rewrite)
         raise typer.Exit(FAILED)
     else:
-        write(found.rewrite)
-        was = f"version {found.version}" if found.version else "no version"
-        terminal.say(f"{file} is now written in version {VERSION} of the language; it named {was}")
+        for rewrite in found.rewrites:
+            write(rewrite)
+        if found.version != VERSION:
+            was = f"version {found.version}" if found.version else "no version"
+            terminal.say(f"{file} is now written in version {VERSION} of the language; it named {was}")
+        for old, new in found.renamed.items():
+            terminal.say(f"{old} is {new} now")
         terminal.note(f"what is wrong with it otherwise: deepbots lint {quote(str(file))}")
 
 
 @dataclass(frozen=True)
 class Upgraded:
-    """Which version a file was written in, and what it becomes; nothing where it is current."""
+    """Which version a file was written in, what it and the files that it includes become, and the old names with the new ones."""
 
     version: int
-    rewrite: Rewrite | None
+    rewrites: list[Rewrite]
+    renamed: dict[str, str]
 
 
 def upgraded(path: Path) -> Upgraded:
@@ -83,7 +90,13 @@ def upgraded(path: Path) -> Upgraded:
     changed = _tree(path, after)
     if _version(path, changed) != VERSION:
         raise UsageError(f"{path} cannot be upgraded by itself; write `deepbots: {VERSION}` as its first line")
-    return Upgraded(version, None if after == before else Rewrite(path.resolve(), before, after))
+    place = path.resolve()
+    fixer = Fixer([str(place)], api.load, wanted=lambda finding: finding.code == "DB109", drafts={place: after})
+    rewrites = {rewrite.path: rewrite for rewrite in fixer.fix()}
+    if before != (mended := fixer.drafts[place]):
+        rewrites[place] = Rewrite(place, before, mended)
+    edits = [edit for finding in fixer.fixed if finding.fix for edit in finding.fix.edits]
+    return Upgraded(version, list(rewrites.values()), {edit.span.text: edit.text for edit in edits})
 
 
 def _name_the_version(text: str, root: Tree) -> str:
