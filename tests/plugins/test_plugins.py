@@ -111,7 +111,7 @@ def test_the_schema_knows_the_kinds_and_their_parameters(site):
     assert tachometer["properties"]["direction"]["enum"] == ["both", "forward"]
     throttle = schema["$defs"]["acme.actuators.Throttle"]
     assert "without a load" in throttle["properties"]["idle_speed"]["description"]
-    assert {"joint", "joints", "max_torque", "strength", "delay", "lag"} < set(throttle["properties"])
+    assert {"joint", "joints", "max_torque", "strength", "delay", "time_constant"} < set(throttle["properties"])
     text = json.dumps(schema)
     assert "A DC motor whose torque falls" in text
     assert "Counts the pulses of a disc on a joint" in text
