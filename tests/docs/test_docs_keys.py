@@ -74,7 +74,7 @@ def places() -> tuple[Place, ...]:
 
 
 def fitting(key: Key) -> list[Place]:
-    """Where the example of a key may be tried, cheap hosts first: where the key stands already, where nothing excludes it, then anywhere."""
+    """Where an example may be tried, cheap hosts first: where the key stands already, where nothing excludes it, then anywhere."""
     found = [place for place in places() if issubclass(place.part, key.owner) and key.name in fields(place.part)]
 
     def order(place: Place) -> tuple[bool, ...]:
