@@ -67,7 +67,7 @@ def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, settin
     assert code == (0 if group == "cosmetic" else 1)
 
 
-@pytest.mark.parametrize("name", few(shipped.scenario_names()))
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "find_ball")))
 def test_a_scenario_has_no_difference_to_itself(deepbots, name):
     ran = deepbots("diff", name, name)
     assert (ran.code, ran.out) == (0, f"{name} and {name} have the same meaning\n")

@@ -325,7 +325,7 @@ def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, word
 def test_a_quick_bench_measures_less(deepbots):
     figures = json.loads(deepbots("bench", "cartpole", "--quick", "--steps", "100", "--pairs", "1", "--json").out)
     assert (figures["steps"], figures["pairs"]) == (100, 1)
-    assert json.loads(deepbots("bench", "cartpole", "--quick", "--json").out)["pairs"] == 3
+    assert json.loads(deepbots("bench", "cartpole", "--quick", "--steps", "100", "--json").out)["pairs"] == 3
 
 
 def test_bench_tells_how_far_it_is():

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
     from deepbots_cli.engines.pybullet.readers import Moments
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ContactReader, ForceReader, PoseReader, RayReader
+    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, PoseReader, RayReader
 
 # Contacts and gaps
 
