@@ -93,7 +93,7 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (r"reset/(\w+)", r"reset.\1", Group.world),
     (r"(solved)", r"\1", Group.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
-    (r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
+    (r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Group.training),
     (r"training/policy/(\w+)", r"train.policy.\1", Group.training),
     (r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
     (r"scripts/([^/]+)", r"scripts.\1", Group.training),

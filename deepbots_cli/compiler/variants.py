@@ -78,6 +78,8 @@ def training(spec: Scenario, values: Values, action: Action, agent: Agent, limit
         Policy(tuple(spec.train.policy.hidden), spec.train.policy.activation),
         _action_noise(own.get("action_noise")),
         replay,
+        spec.train.normalize,
+        spec.train.device,
     )
 
 

@@ -5,7 +5,7 @@ Each copy sees the engine through a `Share`, in which the name of the robot mean
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -259,6 +259,16 @@ class Team(Supervisor):
     def begin_robots(self) -> None:
         for member in self.members:
             member.begin_robots()
+
+    def random_state(self) -> dict[str, Any]:
+        members = [member.random_state() for member in self.members] if self._divided is self.streams else []
+        return {**super().random_state(), "members": members}
+
+    def set_random_state(self, state: Mapping[str, Any]) -> None:
+        super().set_random_state(state)
+        for number, (member, inner) in enumerate(zip(self.members, state["members"], strict=False), start=1):
+            member.streams = Streams.restored(inner, copy_name(self.copies, number))
+            self._divided = self.streams
 
     def _begin(self) -> None:
         if self._divided is not self.streams:

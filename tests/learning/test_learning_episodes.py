@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import Episode, EpisodeFile, Statistics, Tally
-from deepbots_cli.learning.intervals import mean_interval, student, wilson
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, EpisodeLog, Statistics, mean_interval, student, wilson
 from deepbots_cli.program.task import Solved
 
 
@@ -73,7 +72,7 @@ def test_both_figures_of_solved_must_be_reached() -> None:
 
 
 def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:
-    tally = Tally()
+    tally = EpisodeAccumulator()
     for _ in range(3):
         tally.add(1.5, {"reward_terms": {"alive": 2.0, "cost": -0.5}})
     episode = tally.close({"is_success": True, "ended_by": "goal"})
@@ -84,13 +83,13 @@ def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:
 
 def test_a_reward_that_is_no_number_is_refused_with_the_term_at_fault() -> None:
     with pytest.raises(DeepbotsError, match=r"step 1 .*\(cost\)"):
-        Tally().add(math.nan, {"reward_terms": {"alive": 1.0, "cost": math.nan}})
+        EpisodeAccumulator().add(math.nan, {"reward_terms": {"alive": 1.0, "cost": math.nan}})
 
 
 def test_the_episode_file_is_appended_to_and_keeps_one_header(tmp_path: Path) -> None:
     path, statistics = tmp_path / "monitor.csv", Statistics(0.1, None)
     for _ in range(2):
-        file = EpisodeFile(path, "Pole, long")
+        file = EpisodeLog(path, "Pole, long")
         statistics.add(Episode(1.0, 5, False, 'an "odd", name'))
         file.write(Episode(1.0, 5, False, 'an "odd", name'), statistics)
         file.close()

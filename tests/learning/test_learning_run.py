@@ -29,9 +29,8 @@ def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -
         "resolved.yaml",
         "environment.py",
         "monitor.csv",
-        "checkpoint.npz",
-        "models/best.npz",
-        "models/last.npz",
+        "models/policy/best.zip",
+        "models/policy/last.zip",
         "inputs/tests/learning/stand_in.yaml",
         "inputs/robots/urdf/cartpole.urdf",
     } <= files
@@ -67,7 +66,7 @@ def test_what_is_no_run_is_named_in_one_sentence(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("version", [0, 1, 99])
+@pytest.mark.parametrize("version", [0, 2, 99])
 def test_a_run_of_another_format_is_refused(run_copy: Path, version: int) -> None:
     edit(run_copy, format=version)
     with pytest.raises(RunError, match=f"format {version}"):
@@ -219,7 +218,7 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     assert "does not compile" in refusal(tmp_path / "moved")
 
 
-@pytest.mark.parametrize("name", ["monitor.csv", "models/last.npz", "resolved.yaml"])
+@pytest.mark.parametrize("name", ["monitor.csv", "models/policy/last.zip", "resolved.yaml"])
 def test_a_pipe_in_a_run_is_not_waited_for(run_copy: Path, name: str) -> None:
     (run_copy / name).unlink()
     os.mkfifo(run_copy / name)

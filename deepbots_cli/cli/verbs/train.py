@@ -16,6 +16,7 @@ from deepbots_cli.cli.options import MOST_SEED, AllowCode, AllowPaths, Json, Set
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.run import Run
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
@@ -34,6 +35,13 @@ def command(
     resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Go on with this run instead.")] = None,
     full: Annotated[bool, typer.Option("--full", "--no-stop", help="Go on when the task is solved.")] = False,
     stage: Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Begin in this stage of the curriculum.")] = None,
+    keep_checkpoints: Annotated[
+        int | None,
+        typer.Option("--keep-checkpoints", metavar="N", parser=whole(0, 10_000), help="Keep N models at equal distances of steps."),
+    ] = None,
+    initialize_from: Annotated[
+        Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the best policy of this run, where it fits.")
+    ] = None,
     engine: Annotated[
         str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="The physics: pybullet by default.")
     ] = None,
@@ -45,7 +53,7 @@ def command(
     """Train a policy in a new run directory, and evaluate it.
 
     The run directory keeps the inputs and the results of the training; none is ever overwritten. Training ends when the
-    scenario counts as solved. Ctrl-C ends it early and keeps the policy.
+    scenario counts as solved. Ctrl-C ends it after the roll-out that is under way and keeps the policy.
 
     \b
       deepbots train cartpole
@@ -53,13 +61,16 @@ def command(
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train --resume runs/cartpole-0-1
+      deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
-    Steps are counted over all copies of the environment. A resumed training continues with its networks, optimiser and counts in
-    new episodes; with --timesteps it gets a new goal, counted from the very start.
+    Steps are counted over all copies of the environment. A resumed training becomes the same, to the bit, as one that was never
+    interrupted; with --timesteps it gets a new goal, counted from the very start. --initialize-from takes over the tensors of the policy
+    that have the same names and shapes; everything else begins afresh.
     """
     told = not quiet
     if resume is not None:
-        if scenario is not None or sets or seed is not None or run is not None or stage or engine is not None or allow_paths:
+        made_with = (scenario, sets, seed, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps what it was made with; beside --resume go only --timesteps, --full, --quiet, --allow-code and --json"
             )
@@ -80,6 +91,8 @@ def command(
             total_timesteps=timesteps,
             stop_when_solved=not full,
             stage=stage,
+            keep_checkpoints=keep_checkpoints or 0,
+            initialize_from=initialize_from,
             progress=told,
             command=["deepbots", *sys.argv[1:]],
             engine=engine or "pybullet",
@@ -100,6 +113,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)
+    Run.open(result.run).keep_evaluation(with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
