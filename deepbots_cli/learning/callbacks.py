@@ -193,7 +193,8 @@ class TrainingCallback(BaseCallback):
     def progress(self) -> TrainingProgress:
         s = self.statistics
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
-        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, s.success_rate, s.simulated_hours, stage)
+        success_rate = s.success_rate if self._has_success else None
+        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage)
 
     def _on_training_start(self) -> None:
         if not self._has_success:

@@ -20,7 +20,7 @@ import re
 import shutil
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ import torch
 from pydantic import BaseModel, NonNegativeInt
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.logger import KVWriter, TensorBoardOutputFormat
+from stable_baselines3.common.logger import TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.her import HerReplayBuffer
@@ -195,6 +195,7 @@ class Checkpoints:
                 _flush(path)
             for name in ("last", "best") if self.callback.best is None else ("last",):
                 shutil.copyfile(folder / "model.zip", folder.parent / "model.zip")
+                _flush(folder.parent / "model.zip")
                 os.replace(folder.parent / "model.zip", self.run.models / f"{name}.zip")
             whole = self.run.checkpoints / f"{steps:012d}"
             shutil.rmtree(whole, ignore_errors=True)
@@ -229,7 +230,8 @@ class Checkpoints:
         if isinstance(buffer := getattr(model, "replay_buffer", None), HerReplayBuffer):
             arrays["episode_starts"] = buffer._current_ep_start
         for output in model.logger.output_formats:
-            _flush_output(output)
+            if isinstance(output, TensorBoardOutputFormat):
+                output.writer.flush()
         state = CheckpointState(
             digest=self.run.digest,
             arithmetic=arithmetic(model),
@@ -354,8 +356,8 @@ class Checkpoints:
         return False
 
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
-        """The rows of the ring for steps; one more where each observation is kept once, as it is the next one of the last step."""
-        return (np.arange(first, last + int(buffer.optimize_memory_usage)) - self._offset) % buffer.buffer_size
+        """The rows of the ring for the steps from `first` to before `last`."""
+        return (np.arange(first, last) - self._offset) % buffer.buffer_size
 
     def _refill(self, buffer: ReplayBuffer, state: CheckpointState, added: int, arrays: Arrays, action_space: Any) -> None:
         """Read the segments in their order. A training with another goal may have a buffer of another size."""
@@ -378,7 +380,7 @@ class Checkpoints:
 
     def _find_episodes(self, buffer: HerReplayBuffer, oldest: int, added: int, *, begin_anew: bool) -> None:
         """The length of each episode that ended and is whole; 0 elsewhere, which is not drawn from."""
-        rows = (np.arange(oldest, added) - self._offset) % buffer.buffer_size
+        rows = self._rows(buffer, oldest, added)
         buffer.ep_length[:] = 0
         for row in range(buffer.n_envs):
             first = 0
@@ -522,8 +524,3 @@ def _flush(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _flush_output(output: KVWriter) -> None:
-    flush: Callable[[], None] = output.writer.flush if isinstance(output, TensorBoardOutputFormat) else lambda: None
-    flush()

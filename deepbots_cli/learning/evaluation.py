@@ -8,7 +8,7 @@ every policy, is what `evaluate_policy` of Stable-Baselines3 cannot do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,10 +36,6 @@ ROWS = 8
 
 OnEpisode = Callable[[int, int], None]
 """Is told after each episode how many are done, and of how many."""
-
-
-def _silent(_done: int, _of: int) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -138,8 +134,7 @@ def evaluate(
             worlds.append(make(ir))
             stack.callback(worlds[-1].close)
         policy = load(known, model, worlds[0])
-        told = {} if on_episode is None else {"on_episode": on_episode}
-        done = rollout(policy, worlds, seeds, deterministic=deterministic, **told)
+        done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode)
         if video_to is not None:
             world = stack.enter_context(closing(make(ir, render_mode="rgb_array")))
             filmed = stack.enter_context(video.filmed(world, video_to, 1 / ir.period))
@@ -250,11 +245,16 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
 
 
 def rollout(
-    model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool, on_episode: OnEpisode = _silent
+    model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool, on_episode: OnEpisode | None = None
 ) -> list[Episode]:
     """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one."""
+    on_episode = on_episode or (lambda done, of: None)
     if is_team(worlds[0]):
-        return list(_team_episodes(model, worlds[0], seeds, deterministic=deterministic, on_episode=on_episode))
+        episodes = []
+        for seed in seeds:
+            episodes.append(_team_episode(model, worlds[0], seed, deterministic=deterministic))
+            on_episode(len(episodes), len(seeds))
+        return episodes
     together = min(len(worlds), ROWS) if deterministic else 1
     batch = _Batch(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
@@ -271,14 +271,6 @@ def rollout(
                     on_episode(len(finished), len(seeds))
             running = [lane for lane in running if lane.number not in finished or lane.begin(batch)]
     return [finished[number] for number in range(len(seeds))]
-
-
-def _team_episodes(
-    model: BaseAlgorithm, world: World, seeds: Sequence[int], *, deterministic: bool, on_episode: OnEpisode
-) -> Iterator[Episode]:
-    for number, seed in enumerate(seeds, start=1):
-        yield _team_episode(model, world, seed, deterministic=deterministic)
-        on_episode(number, len(seeds))
 
 
 def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -50,6 +51,8 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
     with atomic(path, RunError) as draft, draft.open("wb") as stream:
         save_to_zip_file(stream, data, model.get_parameters(), dict(_variables(model)))
+        stream.flush()
+        os.fsync(stream.fileno())  # for a power cut
 
 
 def load(path: Path, model: BaseAlgorithm) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from pydantic import BaseModel
 
@@ -145,27 +145,22 @@ def _aligned(rows: Iterable[Row]) -> list[str]:
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a training is; the means are over the recent episodes, None before the first has ended. `stage` is for people to read."""
+    """How far a training is.
+
+    The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario knows no
+    success. `stage` is for people to read.
+    """
 
     steps: int
     total_steps: int
     episodes: int
     mean_return: float | None
     success_rate: float | None
-    simulated_hours: float
     stage: str = ""
 
 
-class Reporter(Protocol):
-    """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure."""
-
-    def start(self, progress: TrainingProgress) -> None: ...
-    def update(self, progress: TrainingProgress) -> None: ...
-    def stop(self) -> None: ...
-
-
-class NullReporter:
-    """Reports nothing."""
+class Reporter:
+    """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This one reports nothing."""
 
     def start(self, progress: TrainingProgress) -> None:
         pass
@@ -177,7 +172,7 @@ class NullReporter:
         pass
 
 
-class ProgressReporter:
+class ProgressReporter(Reporter):
     """A bar on a terminal, a line for every tenth of the way elsewhere."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -200,18 +195,16 @@ def reporter(wish: bool | Reporter) -> Reporter:
     """The reporter meant by `progress=`: none, one of the caller's, or a display on standard error."""
     if not isinstance(wish, bool):
         return wish
-    if not wish:
-        return NullReporter()
-    return ProgressReporter()
+    return ProgressReporter() if wish else Reporter()
 
 
 def progress_text(progress: TrainingProgress) -> str:
-    """`return 182.4  success 40 %  0.21 simulated h`."""
-    parts = [progress.stage] if progress.stage else []
-    parts.append(f"{progress.episodes:,} episodes")
+    """`return 182.4  success 40 %  94 episodes`; what matters most comes first, as a narrow terminal cuts the rest off."""
+    parts = []
     if progress.mean_return is not None:
         parts.append(f"return {progress.mean_return:.1f}")
-    if progress.success_rate:
+    if progress.success_rate is not None:
         parts.append(f"success {progress.success_rate:.0%}")
-    parts.append(f"{progress.simulated_hours:.2f} simulated h")
-    return "  ".join(parts)
+    if progress.stage:
+        parts.append(progress.stage)
+    return "  ".join([*parts, f"{progress.episodes:,} episodes"])

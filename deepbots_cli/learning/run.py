@@ -300,8 +300,11 @@ def run_lock(folder: Path) -> Iterator[None]:
     """
     from filelock import FileLock, Timeout  # of the extra `train`
 
+    path = folder / ".lock"
+    if path.is_symlink():
+        raise RunError(f"{path} is a symbolic link, which no run of ours holds")
     try:
-        lock = FileLock(folder / ".lock", timeout=0).acquire()
+        lock = FileLock(path, timeout=0).acquire()
     except Timeout:
         raise UsageError(f"another training is at work in {folder}; wait for its end, or end it") from None
     except OSError as error:

@@ -233,7 +233,7 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(tmp_path):
     command = [sys.executable, "-m", "deepbots_cli", "train", "cartpole", "--full", "--timesteps", "10000000", "--run", "mine"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
-    while not (tmp_path / "mine" / "checkpoints").exists() and process.poll() is None and time.monotonic() < deadline:
+    while not list((tmp_path / "mine" / "checkpoints").glob("0*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)

@@ -19,6 +19,7 @@ from deepbots_cli import api, canonical
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
+from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run, new_directory
 
 
@@ -193,6 +194,29 @@ def test_a_symbolic_link_in_a_run_is_not_followed(run_copy: Path, tmp_path: Path
     with pytest.raises(RunError, match="symbolic link"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
     assert victim.read_text() == "precious"
+
+
+def test_a_lock_that_is_a_link_is_not_followed(run_copy: Path, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    (run_copy / ".lock").unlink(missing_ok=True)
+    os.symlink(victim, run_copy / ".lock")
+    with pytest.raises(RunError, match="symbolic link"):
+        resume(run_copy, total_timesteps=100_000, build=stand_in.build)
+    assert victim.read_text() == "precious"
+
+
+def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    result = to_json(evaluate(run, episodes=2, build=stand_in.build))
+    first, second = run.keep_evaluation(result), run.keep_evaluation(result)
+    assert first is not None
+    assert second is not None
+    assert [first.name, second.name] == ["0001.json", "0002.json"]
+    assert len(json.loads(first.read_text())["outcomes"]) == 2
+    shutil.rmtree(run.evaluations)
+    run.evaluations.write_text("no folder")
+    assert run.keep_evaluation(result) is None
 
 
 def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path: Path) -> None:
