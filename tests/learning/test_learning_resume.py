@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 import multiprocessing
 import os
 import random
 import shutil
 import signal
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,10 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
+from deepbots_cli.learning.environments import History, VectorEnvironment, fingerprint
 from deepbots_cli.learning.report import TrainingProgress, training_text
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
@@ -237,6 +241,26 @@ def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(t
     assert resume(tmp_path / "parts").inexact == ()
     expected, found = outcome(tmp_path / "whole"), outcome(tmp_path / "parts")
     assert {part for part in expected if found[part] != expected[part]} <= {"checkpoint"}
+
+
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ["find_and_avoid"]))
+def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
+    """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
+    compiled = api.compile(name, allow_code=True)
+    with closing(VectorEnvironment([api.build(compiled.ir, allow_code=True)], [7])) as env:
+        env.reset()
+        env.action_space.seed(1)
+        ended, steps = 0, 0
+        while steps < 12 or (not ended and steps < 3_000):
+            actions = np.array([env.action_space.sample() for _ in range(env.num_envs)])
+            dones = env.step(actions)[2]
+            ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
+        (history,) = env.histories()
+        seen = fingerprint(env.last_observations)
+    kept = History(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
+    with closing(VectorEnvironment([api.build(compiled.ir, allow_code=True)], [8])) as env:
+        env.reset()
+        assert fingerprint(env.repeat([kept])) == seen
 
 
 def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tmp_path: Path) -> None:
