@@ -206,17 +206,22 @@ def test_so_do_many(tmp_path: Path, name: str, trainings: int) -> None:
 
 @pytest.mark.slow
 def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> None:
-    generator, run, kills = random.Random(0), tmp_path / "run", 0
+    generator, run, kills, with_checkpoint = random.Random(0), tmp_path / "run", 0, 0
+    began = time.perf_counter()
+    assert in_a_process("PPO", tmp_path / "whole", 120.0) == 0
+    took = time.perf_counter() - began
     while kills < 200:
-        code = in_a_process("PPO", run, generator.uniform(0.05, 1.0))
+        code = in_a_process("PPO", run, generator.uniform(0.0, took))
         kills += code == -signal.SIGKILL
         if (run / "run.json").exists():
             known = Run.open(run)
             if (last := checkpoints.latest(known)) is not None:
                 checkpoints.read_state(last)
                 assert all(path.is_file() for path in (known.model("best"), known.model("last")))
+                with_checkpoint += 1
         if code == 0:
             shutil.rmtree(run)
+    assert with_checkpoint > 50
 
 
 def test_a_training_that_was_interrupted_becomes_the_same_too(tmp_path: Path) -> None:
