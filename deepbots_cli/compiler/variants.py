@@ -77,6 +77,8 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         Network(tuple(spec.train.policy.hidden), spec.train.policy.activation),
         _action_noise(own.get("action_noise")),
         replay,
+        spec.train.normalize,
+        spec.train.device,
     )
 
 

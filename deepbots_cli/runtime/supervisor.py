@@ -214,6 +214,17 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         terminated, truncated = self.is_done()
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
+    def random_state(self) -> dict[str, Any]:
+        """The states of all random streams, as JSON can hold them.
+
+        An episode that begins from them and takes the same actions is the same.
+        """
+        return self.streams.state()
+
+    def set_random_state(self, state: Mapping[str, Any]) -> None:
+        """Take up what `random_state` gave; the next reset begins from it."""
+        self.streams = Streams.restored(state)
+
     def render(self) -> Any:
         """A picture of the world (uint8, height x width x 3), or None without a render mode."""
         if self.render_mode is None:

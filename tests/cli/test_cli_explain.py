@@ -191,7 +191,7 @@ def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots
         ("checkpoints", "checkpoint"),
         ("resume", "resume"),
         ("record", "video"),
-        ("normalize", "normalisation"),
+        ("normalise", "normalisation"),
         ("mask", "action mask"),
     ],
 )
@@ -207,7 +207,7 @@ def test_a_concept_that_is_a_word_of_the_language_is_followed_by_that(deepbots, 
     assert said in deepbots("explain", word).out
 
 
-@pytest.mark.parametrize("word", ["delay", "environments"])
+@pytest.mark.parametrize("word", ["delay", "environments", "normalize"])
 def test_a_word_of_the_language_goes_before_another_name_of_a_concept_which_is_mentioned(deepbots, word):
     said = deepbots("explain", word).out
     assert said.startswith(f"{word}: a key of")

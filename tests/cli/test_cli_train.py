@@ -147,7 +147,7 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
     known = tables["run"]
     assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "not yet")
     assert known["steps"] >= 600 == known["total_timesteps"]
-    assert known["best_model"] == "mine/models/best.npz"
+    assert known["best_model"] == "mine/models/policy/best.zip"
     assert tables["training"]["evaluation_episodes"] == 4
     assert {row["parameter"]: row["is"] for row in tables["parameters"]}["track"] == "0.39 m"
     assert "abs(cart.pole_angle) > fall_angle" in deepbots("inspect", "mine").out
@@ -238,12 +238,12 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(tmp_path):
     command = [sys.executable, "-m", "deepbots_cli", "train", "cartpole", "--full", "--timesteps", "10000000", "--run", "mine"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
-    while not (tmp_path / "mine" / "checkpoint.npz").exists() and process.poll() is None and time.monotonic() < deadline:
+    while not list((tmp_path / "mine" / "checkpoints").glob("0*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "deepbots train --resume mine" in out
     assert "Traceback" not in err
-    assert (tmp_path / "mine" / "models" / "last.npz").exists()
+    assert (tmp_path / "mine" / "models" / "policy" / "last.zip").exists()
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "interrupted"

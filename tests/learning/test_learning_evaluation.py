@@ -15,10 +15,9 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
-from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.episodes import Episode, Summary
 from deepbots_cli.learning.evaluation import judge
 from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
-from deepbots_cli.learning.summary import Summary
 from deepbots_cli.program.task import Solved
 
 

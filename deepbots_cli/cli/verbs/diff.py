@@ -178,7 +178,7 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (r"reset/(\w+)", r"reset.\1", Group.world),
     (r"(solved)", r"\1", Group.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
-    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
+    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Group.training),
     (_POLICY + r"training/network/(\w+)", r"train.policy.\1", Group.training),
     (_POLICY + r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
     (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Group.training),

@@ -96,6 +96,7 @@ def command(
     with terminal.progress(always=False) as show_episode:
         result = evaluate(known, case=case, video_to=video, on_episode=show_episode, **chosen)
         cases = evaluate_cases(known, on_episode=show_episode, **chosen) if case is None else ()
+    known.keep_evaluation({**with_cases(result, cases), "set": sets or []})
     if as_json:
         terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:
