@@ -22,8 +22,8 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import is_json_serializable, save_to_zip_file
 
-from deepbots_cli.atomic import atomic
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.files import atomic
 
 Tensors = Mapping[str, Mapping[str, Any]]
 """What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""

@@ -33,9 +33,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import deepbots_cli
 from deepbots_cli import api, interface
 from deepbots_cli.api import Compiled
-from deepbots_cli.atomic import atomic
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.files import atomic
 from deepbots_cli.learning.curriculum import StageEnd
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program
