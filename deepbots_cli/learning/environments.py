@@ -99,9 +99,8 @@ class VectorEnvironment(VecEnv):
         super().__init__(len(self._accumulators), space, first[0].action_space)
 
     def _agents(self, world: World) -> Sequence[Any]:
-        """Those that the policy acts for in a world, one for each row."""
-        agents: Sequence[Any] = world.get_wrapper_attr("members") if self._is_team else [world]
-        return agents
+        """The agents of a world, one per row. A world with a single agent is its own agent, so that its wrappers act too."""
+        return list(world.get_wrapper_attr("agents").values()) if self._is_team else [world]
 
     def reset(self) -> VecEnvObs:
         self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
@@ -229,8 +228,8 @@ class VectorEnvironment(VecEnv):
 
 
 def is_team(world: World) -> bool:
-    """Whether several copies of a robot act in the world, each for itself."""
-    return world.has_wrapper_attr("members")
+    """Whether the agents of the world are copies of a robot, and not the world itself."""
+    return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
 
 
 def fingerprint(observations: VecEnvObs) -> str:

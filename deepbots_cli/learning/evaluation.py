@@ -277,7 +277,7 @@ def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministi
     """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
     torch.manual_seed(derive(seed, "policy"))
     observation, _ = world.reset(seed=seed)
-    size, accumulator = len(world.get_wrapper_attr("members")), EpisodeAccumulator()
+    size, accumulator = len(world.get_wrapper_attr("agents")), EpisodeAccumulator()
     memory, starts = None, np.ones(size, dtype=bool)
     heeds_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
     while True:

@@ -97,7 +97,7 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert "the evaluation cannot say whether the task is solved (cannot be told from 2 episodes" in ran.err
     assert "the success rate is 0, below 0.9" in ran.err
     assert deepbots("eval", "mine", "--episodes", "2", "--min-success", "0").code == 0
-    assert "not 0.9" in deepbots("eval", "mine", "--episodes", "2", "--min-success", "90%").err
+    assert "below 0.9" in deepbots("eval", "mine", "--episodes", "2", "--min-success", "90%").err
     refused = deepbots("eval", "mine", "--min-success", "90")
     assert (refused.code, "write 90% for a share in hundredths" in refused.err) == (2, True)
 

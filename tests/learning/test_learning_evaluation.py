@@ -154,9 +154,9 @@ def test_senseless_figures_are_refused(trained: TrainingResult, episodes: int, s
 
 
 def test_an_evaluation_under_another_timing_says_so(trained: TrainingResult) -> None:
-    later = stand_in.altered(stand_in.compiled(), timing="paper")
+    later = stand_in.altered(stand_in.compiled(), timing="delayed")
     result = evaluate(trained.run, episodes=3, scenario=later, build=stand_in.build)
-    assert "trained with timing immediate, evaluated with paper" in evaluation_text(result)
+    assert "trained with timing immediate, evaluated with delayed" in evaluation_text(result)
     assert evaluate(trained.run, episodes=3, build=stand_in.build).notes == ()
 
 

@@ -24,7 +24,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.evaluation import load
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program.task import Hyperparameter, Policy, Schedule, Training
+from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from tests.few import few
 
 BEST = Path("models", "policy", "best.zip")
@@ -94,7 +94,7 @@ print(json.dumps(model.predict(np.load(observations), deterministic=True)[0].tol
 def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, algorithm: str) -> None:
     settings = {} if algorithm in ("PPO", "A2C") else {"learning_starts": 50}
     hyperparameters = (*(Hyperparameter(*pair) for pair in settings.items()), Hyperparameter("learning_rate", Schedule(1e-3, 1e-4)))
-    training = Training(algorithm, 150, 2, hyperparameters, Policy((8,), "relu"))
+    training = Training(algorithm, 150, 2, hyperparameters, Network((8,), "relu"))
     run = train(stand_in.compiled(training=training, continuous=algorithm != "DQN"), run=tmp_path / "run", build=stand_in.build).run
     observations = np.random.default_rng(0).uniform(-1, 1, (1000, 4)).astype(np.float32)
     np.save(tmp_path / "observations.npy", observations)

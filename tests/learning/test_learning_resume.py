@@ -29,10 +29,10 @@ from deepbots_cli.learning.environments import History, VectorEnvironment, finge
 from deepbots_cli.learning.report import TrainingProgress, training_text
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Policy, Schedule, Solved, Training
+from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
 from tests.few import few
 
-SMALL = Policy((16,))
+SMALL = Network((16,))
 TIMES = {"cpu_seconds", "wall_seconds", "simulated_hours", "solved_at"}
 
 
@@ -302,11 +302,11 @@ def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_
     same = train(compiled_of("PPO"), run=tmp_path / "same", total_timesteps=96, initialize_from=first.run, build=stand_in.build)
     assert same.initialized_from == f"{first.run}: 12 of 12 tensors"
     assert "initialized from" in training_text(same)
-    wider = stand_in.compiled(training=Training("PPO", 96, 3, hyper(n_steps=32, batch_size=32), Policy((64, 32))))
+    wider = stand_in.compiled(training=Training("PPO", 96, 3, hyper(n_steps=32, batch_size=32), Network((64, 32))))
     taken = train(wider, run=tmp_path / "wider", initialize_from=first.run, build=stand_in.build).initialized_from
     assert taken is not None
     assert "afresh: " in taken
-    strange = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Policy((7,))))
+    strange = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Network((7,))))
     with pytest.raises(UsageError, match="no tensor"):
         train(strange, run=tmp_path / "other", initialize_from=first.run, build=stand_in.build)
     assert not (tmp_path / "other").exists()
