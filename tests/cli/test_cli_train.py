@@ -99,7 +99,7 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert deepbots("eval", "mine", "--episodes", "2", "--min-success", "0").code == 0
     assert "below 0.9" in deepbots("eval", "mine", "--episodes", "2", "--min-success", "90%").err
     refused = deepbots("eval", "mine", "--min-success", "90")
-    assert (refused.code, "write 90% for a share in hundredths" in refused.err) == (2, True)
+    assert (refused.code, "write 90% for a percentage" in refused.err) == (2, True)
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):
