@@ -234,9 +234,9 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
         return None, f"cannot be told from {episodes} episode{'' if episodes == 1 else 's'}: the scenario asks for {solved.episodes}"
     reasons = []
     if solved.mean_return is not None:
-        reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is asked")
+        reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
     if solved.success_rate is not None:
-        reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is asked")
+        reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
     met = meets(solved, mean_return, success_rate)
     return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"
 

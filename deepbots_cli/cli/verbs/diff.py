@@ -64,8 +64,8 @@ def command(
 ) -> None:
     """Compare the meaning of two scenarios.
 
-    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. Of a run directory it
-    takes the scenario of the training. --set overrides values of the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run directory
+    it uses the scenario of the training. --set overrides values of the second scenario.
 
     The exit code is 0 without differences or with cosmetic ones only, 1 with other differences, and 2 if a scenario cannot be compiled.
 

@@ -52,7 +52,7 @@ def command(
     min_success: Annotated[
         float | None,
         typer.Option(
-            "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower, such as 0.8 or 80%."
+            "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower than RATE, such as 0.8 or 80%."
         ),
     ] = None,
     as_json: Json = False,
@@ -62,10 +62,10 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved and --min-success test the result in the scenario, or in the case that --case names.
+    --require-solved and --min-success apply to the result in the scenario, or in the case given by --case.
 
-    --set overrides values of the scenario of the run, or of the scenario that --scenario names. Its observation, action and messages must
-    be equal to those of the training; its world may differ.
+    --set overrides values of the scenario of the run, or of the scenario that --scenario names. The observation, action and messages of
+    this scenario must be equal to those of the training; its world may differ.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -70,7 +70,7 @@ def command(
       deepbots run pit_escape --script rocking --episodes 100
       deepbots run find_ball_random --stage crowded
 
-    Commas separate actions, and colons the numbers of one action: --actions 0.5:0.5,0.5:-0.5
+    Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
