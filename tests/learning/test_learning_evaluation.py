@@ -78,7 +78,7 @@ def test_a_single_episode_has_no_deviation(trained: TrainingResult) -> None:
 
 def test_the_verdict_follows_the_scenario() -> None:
     solved = Solved(100, mean_return=195.0)
-    assert judge(solved, 100, 199.0, 0.0) == (True, "solved: mean return 199 where 195 is asked")
+    assert judge(solved, 100, 199.0, 0.0) == (True, "solved: mean return 199 where 195 is required")
     assert judge(solved, 100, 190.0, 0.0)[0] is False
     assert judge(solved, 20, 199.0, 0.0)[0] is None
     assert judge(None, 100, 199.0, 0.0)[0] is None

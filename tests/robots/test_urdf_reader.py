@@ -158,15 +158,15 @@ ODDITIES = {
     "zero bytes and blanks": (ARM + "\r\n\0\0 \n", "a zero byte after the end of the document", "\0", (23, 1)),
     "rotation of four": (
         broken('rpy="0.1 0 0"', 'rpy="0.1 0 0 9"'),
-        "'rpy' needs 3 numbers, not 4; the first 3 are read, as PyBullet does", "0.1 0 0 9", (10, 43),
+        "'rpy' needs 3 numbers, not 4; the first 3 are read, as in PyBullet", "0.1 0 0 9", (10, 43),
     ),
     "place of four": (
         broken('xyz="1 0 0"', 'xyz="1 0 0 9"'),
-        "'xyz' needs 3 numbers, not 4; the first 3 are read, as PyBullet does", "1 0 0 9", (16, 18),
+        "'xyz' needs 3 numbers, not 4; the first 3 are read, as in PyBullet", "1 0 0 9", (16, 18),
     ),
-    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; 1 is read, as PyBullet does", "1, 2, 3", (6, 34)),
+    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; 1 is read, as in PyBullet", "1, 2, 3", (6, 34)),
     "a point too many": (
-        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; -1.0 is read, as PyBullet does", "-1.0.", (18, 19),
+        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; -1.0 is read, as in PyBullet", "-1.0.", (18, 19),
     ),
 }  # fmt: skip
 
