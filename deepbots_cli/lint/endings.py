@@ -262,8 +262,8 @@ def breaks_off(simulation: Simulation) -> Iterator[Finding]:
 def after_the_end(context: Context) -> Iterator[Finding]:
     """DB811: a push, a reading or a message would come only after the end of every episode.
 
-    The rule checks the first push of a disturbance, the second reading of a sensor and the first message after that of the reset
-    against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. The usual cause is a wrong unit.
+    The rule checks the first push of a disturbance, the second reading of a sensor, and the first message after the one that is sent at
+    the reset, against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. The usual cause is a wrong unit.
 
     Example::
 

@@ -322,8 +322,8 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
 def rays_meet_nothing(context: Context) -> Iterator[Finding]:
     """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
 
-    Rays above all bodies never meet one: every reading is the far end of the range, and the policy learns nothing from it. The
-    walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
+    Rays that pass above every body never hit one: every reading is the maximum of the range, and the policy learns nothing from it.
+    The walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
     robot that stands level on flat ground or has a fixed base, and a sensor that no joint raises or tilts; rays that meet the ground
     within their range are not reported.
 

@@ -31,7 +31,7 @@ def saturates_before_termination(context: Context) -> Iterator[Finding]:
 
     Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The CartPole of the original
     collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. The rule also checks values that depend on the quantity,
-    such as a clamped fraction of it. One entry that changes up to the limit is enough.
+    such as a clamped fraction of it. The rule reports nothing if at least one entry of the observation still changes up to the limit.
 
     Example::
 
