@@ -237,7 +237,7 @@ def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     if held(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]
-    turn = frames.inside(link, frames.frame(sensor.mount))[1]
+    turn = frames.compose(link, frames.frame(sensor.mount))[1]
     x, y, z = analysis.program.world.gravity
     return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
 
