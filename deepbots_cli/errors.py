@@ -60,10 +60,10 @@ def installing(extra: str, python: tuple[int, int] = sys.version_info[:2], origi
         if python < (3, 12) or extra == "editor"
         else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
     )
-    return f"install it{where} with: pip install '{origin or cloned()}[{extra}]'"
+    return f"install it{where} with: pip install '{origin or install_source()}[{extra}]'"
 
 
-def cloned() -> str:
+def install_source() -> str:
     """The clone that deepbots was installed from if pip knows it and it still exists, else the package name."""
     import json  # imported only for this message
     from importlib.metadata import PackageNotFoundError, distribution

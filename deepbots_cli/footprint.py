@@ -130,7 +130,7 @@ def of_shape(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
         case Cylinder(radius) | Capsule(radius) if roll == pitch == 0.0:
             return Footprint((0.0, 0.0), radius)
         case _:
-            (low_x, low_y, _), (high_x, high_y, _) = bounds_of_shape(shape, (frames.HERE[0], quaternion(roll, pitch, 0.0)))
+            (low_x, low_y, _), (high_x, high_y, _) = bounds_of_shape(shape, (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0)))
             half = ((high_x - low_x) / 2, (high_y - low_y) / 2)
             return Footprint(((low_x + high_x) / 2, (low_y + high_y) / 2), hypot(*half), half)
 
@@ -209,7 +209,7 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
     below: dict[str, list[Joint]] = {}
     for joint in model.joints:
         below.setdefault(joint.parent, []).append(joint)
-    found, waiting = {model.root: frames.HERE}, [model.root]
+    found, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
     while waiting:
         parent = waiting.pop()
         for joint in below.get(parent, ()):
@@ -220,12 +220,12 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
 
 def behind(joint: Joint, parent: Frame, position: float) -> Frame:
     """The frame of a joint's child link, from the frame of its parent link."""
-    frame = frames.inside(parent, frames.frame(joint.origin))
+    frame = frames.compose(parent, frames.frame(joint.origin))
     if not joint.moves or position == 0.0:
         return frame
     if joint.type == "prismatic":
-        return frames.inside(frame, (frames.scaled(joint.axis, position), frames.UPRIGHT))
-    return frames.inside(frame, (frames.HERE[0], frames.about(joint.axis, position)))
+        return frames.compose(frame, (frames.scaled(joint.axis, position), frames.IDENTITY_ROTATION))
+    return frames.compose(frame, (frames.IDENTITY_FRAME[0], frames.from_axis_angle(joint.axis, position)))
 
 
 def _placed(
@@ -234,7 +234,7 @@ def _placed(
     """Shapes of each link of a robot, in the frame of its root."""
     where = link_frames(model, positions)
     parts = [(where[link.name], part) for link in model.links for part in shapes_of(link)]
-    return [(part.shape, frames.inside(link, frames.frame(part.origin))) for link, part in parts]
+    return [(part.shape, frames.compose(link, frames.frame(part.origin))) for link, part in parts]
 
 
 def _solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
@@ -273,13 +273,13 @@ def sides(box: Bounds) -> Triple:
 
 def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
     """The height of the origin of a body that rests on flat ground with this attitude; meshes of a robot do not count."""
-    tilted = (frames.HERE[0], quaternion(roll, pitch, 0.0))
+    tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
         return 0.0 - bounds_of_shape(body, tilted)[0][2]
-    return 0.0 - min((bounds_of_shape(shape, frames.inside(tilted, frame))[0][2] for shape, frame in _solids(body)), default=0.0)
+    return 0.0 - min((bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in _solids(body)), default=0.0)
 
 
-def bounds_of_shape(shape: Shape, frame: Frame = frames.HERE) -> Bounds:
+def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:
     """The box around a shape whose own frame is `frame`."""
     (x, y, z), turn = frame
     match shape:
@@ -305,7 +305,7 @@ def _corners(shape: Shape, frame: Frame) -> list[Triple]:
 def _own_bounds(shape: Shape) -> Bounds:
     match shape:
         case Mesh():
-            return extent(shape) or (frames.HERE[0], frames.HERE[0])
+            return extent(shape) or (frames.IDENTITY_FRAME[0], frames.IDENTITY_FRAME[0])
         case Box(size):
             a, b, c = size[0] / 2, size[1] / 2, size[2] / 2
         case Cylinder(radius, length):

@@ -15,7 +15,7 @@ Matrix = tuple[Triple, Triple, Triple]
 Frame = tuple[Triple, Quaternion]
 """A frame in another: its origin (m) and its rotation."""
 
-UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
@@ -24,7 +24,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
     return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 
-def about(axis: Triple, angle: float) -> Quaternion:
+def from_axis_angle(axis: Triple, angle: float) -> Quaternion:
     """The rotation by `angle` (rad) about a unit axis."""
     s = sin(angle / 2)
     return (axis[0] * s, axis[1] * s, axis[2] * s, cos(angle / 2))
@@ -98,14 +98,14 @@ def rotate_back(q: Quaternion, v: Triple) -> Triple:
     return (v[0] + w * tx - y * tz + z * ty, v[1] + w * ty - z * tx + x * tz, v[2] + w * tz - x * ty + y * tx)
 
 
-HERE: Frame = ((0.0, 0.0, 0.0), UPRIGHT)
+IDENTITY_FRAME: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
 
 
 def frame(pose: Pose) -> Frame:
     return pose.xyz, quaternion(*pose.rpy)
 
 
-def inside(outer: Frame, inner: Frame) -> Frame:
+def compose(outer: Frame, inner: Frame) -> Frame:
     """The frame `inner`, given relative to `outer`, in the frame that `outer` is relative to."""
     return add(outer[0], rotate(outer[1], inner[0])), multiply(outer[1], inner[1])
 
@@ -134,7 +134,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     return (rows[0], rows[1], rows[2])
 
 
-def turned(m: Matrix, r: Matrix) -> Matrix:
+def rotate_tensor(m: Matrix, r: Matrix) -> Matrix:
     """The tensor `m` in the axes of the parent, from that in the axes of the child: r m r^T."""
     return product(product(r, m), transposed(r))
 

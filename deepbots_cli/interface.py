@@ -55,7 +55,7 @@ def compare(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str,
 
 
 def other_conditions(run: Program, scenario: Program) -> list[str]:
-    """One line for each circumstance that a policy bears, but was not trained under: how often and how late it acts."""
+    """One line per setting that differs from training but does not break the policy: timing, timestep, action repeat."""
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Height = Callable[[float, float], float]
 """The height (m) of the ground at x, y (m); beyond the terrain, the height of its nearest edge."""
 
-CREST = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
+RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
 _PIT_CELLS = 200  # along either side
 _PIT_WIDTH = 0.135  # of the bell, as a share of the side
 _LUMPS = 20  # of the noise, along either side
@@ -119,24 +119,24 @@ def height(terrain: Terrain | None) -> Height:
     if found is not None:
         return found.height()
     assert isinstance(terrain.shape, Mesh)  # all others are grids
-    return _over(triangles(terrain.shape))
+    return _mesh_height(triangles(terrain.shape))
 
 
 def _pit(pit: Pit) -> Grid:
-    """A ring around a hollow: the share g (1 - g) of `height`, with g a bell around the origin, and nothing beyond 3 of its widths.
+    """Heights `height * g * (1 - g)` with a Gaussian g around the origin; 0 beyond three standard deviations.
 
-    So the rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the same in
+    The rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the same in
     every world. The figures are those of a published world (Kirtas et al., AIAI 2020).
     """
     share = np.linspace(-0.5, 0.5, _PIT_CELLS + 1)
     squared = (share[:, None] ** 2 + share[None, :] ** 2) / _PIT_WIDTH**2
     bell = np.exp(-squared / 2)
-    heights = pit.height * bell * (1 - bell) * (1 - pit.noise + pit.noise * _lumps())
-    side = pit.radius / (CREST * _PIT_WIDTH)
+    heights = pit.height * bell * (1 - bell) * (1 - pit.noise + pit.noise * _value_noise())
+    side = pit.radius / (RIM_RADIUS_PER_SIGMA * _PIT_WIDTH)
     return Grid(np.where(squared < 9.0, heights, 0.0), (side, side))
 
 
-def _lumps() -> NDArray[np.float64]:
+def _value_noise() -> NDArray[np.float64]:
     """Fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart, smoothly joined."""
     values = np.random.Generator(np.random.PCG64(0)).random((_LUMPS + 1, _LUMPS + 1))
     at = np.arange(_PIT_CELLS + 1) * _LUMPS / _PIT_CELLS
@@ -189,7 +189,7 @@ def _formula(formula: Formula) -> Grid:
     return Grid(np.broadcast_to(np.asarray(heights, np.float64), x.shape).copy(), formula.size)
 
 
-def _over(corners: NDArray[np.float64]) -> Height:
+def _mesh_height(corners: NDArray[np.float64]) -> Height:
     """The highest point of any triangle above or below a place; 0 where there is none."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (corners[:, corner].T for corner in range(3))
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)

@@ -53,10 +53,10 @@ class _Keys:
             "",
             _NOTE,
             "",
-            "`NAME` stands for a name of your choice. *Settled* says how late a figure may be: *fixed* figures are constants, *episode*"
-            " figures may be drawn anew at every reset, *step* figures are computed in every tick.",
-            "A figure is kept in SI units, of which 1 is a plain number; how values are written is said in [the language](../language.md)."
-            " Tests lay each example upon a scenario that has a place for it, and run that.",
+            "`NAME` stands for a name of your choice. *Settled* says when a value is determined: *fixed* values are constants, *episode*"
+            " values may be drawn anew at every reset, and *step* values are computed in every timestep.",
+            "Values are stored in SI units; the unit 1 is a plain number. [The language](../language.md) describes how values are written."
+            " The tests insert each example into a suitable scenario and run it.",
         ]
         return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults(), *_renamed()]) + "\n"
 
@@ -211,17 +211,17 @@ _FAMILIES = {
     Family.DRAW: "Draws",
 }
 _SETTLED = {
-    Family.PURE: "Settled as late as what they are computed from: of fixed figures they are fixed.",
-    Family.WORLD: "What is true in the world at this moment, which only the supervisor knows; new in every tick (*step*).",
-    Family.MESSAGE: "What the supervisor knows of the messages themselves; new in every tick (*step*).",
-    Family.STATEFUL: "They keep something from tick to tick, and are new in every tick (*step*). `start`, where it may be given, is the"
-    " value before the first.",
+    Family.PURE: "The result has the latest stage of the arguments: with fixed arguments it is fixed.",
+    Family.WORLD: "The present state of the world, which only the supervisor knows; new in every timestep (*step*).",
+    Family.MESSAGE: "What the supervisor knows about the messages themselves; new in every timestep (*step*).",
+    Family.STATEFUL: "They keep a value from timestep to timestep, and are new in every timestep (*step*). `start`, where it may be"
+    " given, is the value before the first timestep.",
     Family.DRAW: "One draw per episode (*episode*), or, in a parameter, `every 5 s` or `each step`.",
 }
 _PLACES = {
-    Context.FIXED: "figures that set spaces and sizes: timestep, arena, ranges",
+    Context.FIXED: "values that determine spaces and sizes: timestep, arena, ranges",
     Context.PARAMETER: "`parameters`",
-    Context.FIELD: "other figures of the world and its robots",
+    Context.FIELD: "other values of the world and its robots",
     Context.RESET: "`reset`",
     Context.EMIT: "`emit`",
     Context.APPLY: "`apply`",
@@ -240,9 +240,9 @@ def _functions() -> str:
         "",
         _NOTE,
         "",
-        "How they are used is said in [the language](../language.md). The examples are about one scenario: a small two-wheeled `rover` with"
-        " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. A unit is that in which a"
-        " value is kept; 1 is a plain number.",
+        "[The language](../language.md) describes their use. The examples are about one scenario: a small two-wheeled `rover` with"
+        " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. The unit column gives the"
+        " unit in which a value is stored; 1 is a plain number.",
         "",
         "## Units",
         "",
@@ -286,9 +286,9 @@ def _rules() -> str:
         "",
         _NOTE,
         "",
-        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. How findings look and what the exit codes"
-        " mean is said in [diagnostics](../diagnostics.md). A rule in preview may still misfire, and runs with `--preview`. What only a"
-        " simulation can tell is looked for with [`--deep`](../linting.md#simulating).",
+        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Diagnostics](../diagnostics.md) describes"
+        " the format of findings and the exit codes. A rule in preview may still give false positives, and runs with `--preview`. Rules"
+        " that need a simulation run with [`--deep`](../linting.md#simulating).",
         "",
         "| code | name | severity | by | what it is about |",
         "|---|---|---|---|---|",

@@ -63,7 +63,7 @@ def _whole(text: str) -> int | None:
     return int(number) if number.is_integer() and number < 1e15 else None
 
 
-def chosen(program: Program, case: str | None, stage: str | None) -> Program:
+def with_case_or_stage(program: Program, case: str | None, stage: str | None) -> Program:
     """The scenario with the settings of an evaluation case or a curriculum stage; unchanged without either.
 
     Raises:

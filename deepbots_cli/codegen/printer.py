@@ -75,7 +75,7 @@ class Printer:
     def line(self, text: str) -> None:
         self.lines.append(text)
 
-    def read_here(self) -> None:
+    def insert_readers_here(self) -> None:
         """Let the readers be called at this point; without, they are called first."""
         self.reads_at = len(self.lines)
 
@@ -119,7 +119,7 @@ class Printer:
                 body = loop.body(trees).text
                 settable = [name for name in names if name]
                 return loop.code(f"self.given({loop.string(settable)}, {body})" if settable else body)
-            except _UnlikeError:
+            except _DifferentShapesError:
                 pass
         return self.tuple(trees)
 
@@ -141,7 +141,9 @@ class Printer:
                 return number(value)
             case Op():
                 return (
-                    self._turned(tree) or self._joined(tree) or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, SCALAR)
+                    self._pose_function_code(tree)
+                    or self._reduction_code(tree)
+                    or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, SCALAR)
                 )
             case State():
                 return Code(self._state(tree))
@@ -155,7 +157,7 @@ class Printer:
     def draw(self, distribution: str, stream: str, args: Sequence[str]) -> str:
         return f"self.streams.{distribution}({', '.join([stream, *args])})"
 
-    def _turned(self, tree: Op) -> Code | None:
+    def _pose_function_code(self, tree: Op) -> Code | None:
         """A function of the poses of bodies, or a component of a vector as a body sees it."""
         found = _of_poses(tree)
         if found is not None:
@@ -166,10 +168,10 @@ class Printer:
             return Code(f"{self._seen(seen)}[{seen.axis}]")
         return None
 
-    def _seen(self, seen: _Local) -> str:
+    def _seen(self, seen: _BodyFrameComponent) -> str:
         return f"to_body_frame({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
 
-    def _joined(self, tree: Op) -> Code | None:
+    def _reduction_code(self, tree: Op) -> Code | None:
         """An operation on many arguments of the same form, as one operation on a vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
             return Code(f"hypot(*{column.plain})")
@@ -179,7 +181,7 @@ class Printer:
         try:
             loop = _Loop(self)
             code = column.plain if column is not None else loop.code(loop.body(tree.args).text)
-        except _UnlikeError:
+        except _DifferentShapesError:
             return None
         lazy = tree.op in ("or", "and") and code.startswith("[")
         return Code(f"{_JOINED[tree.op]}({code[1:-1] if lazy else code})")
@@ -246,7 +248,7 @@ def _alike_at_start(texts: Sequence[str]) -> int:
     return next((index for index, signs in enumerate(zip(*texts, strict=False)) if len(set(signs)) > 1), min(map(len, texts)))
 
 
-class _UnlikeError(Exception):
+class _DifferentShapesError(Exception):
     """Trees that have no common body."""
 
 
@@ -260,7 +262,7 @@ class _Loop:
     def variable(self, column: Column) -> str:
         """The code of an item of the column."""
         if column.code not in self._columns and len(self._columns) == len(VARIABLES):
-            raise _UnlikeError
+            raise _DifferentShapesError
         return self._columns.setdefault(column.code, VARIABLES[len(self._columns)]) + column.item
 
     def string(self, texts: Sequence[str]) -> str:
@@ -271,7 +273,7 @@ class _Loop:
         end = max(len(found[0]) for text in texts[:1] if (found := re.search(r"([.:#].*)?$", text[len(text) - end :])))
         parts = tuple(text[start : len(text) - end] for text in texts)
         if "{" in texts[0] or "}" in texts[0]:
-            raise _UnlikeError
+            raise _DifferentShapesError
         around = quoted(texts[0][:start])[:-1], quoted(texts[0][len(texts[0]) - end :])[1:]
         return f"f{around[0]}{{{self.variable(Column(self._printer.scope.constants.strings(parts)))}}}{around[1]}"
 
@@ -284,7 +286,7 @@ class _Loop:
         """The code of one of the trees.
 
         Raises:
-            _UnlikeError: They have no common body.
+            _DifferentShapesError: They have no common body.
         """
         first = trees[0]
         if not is_drawn(first) and all(tree == first for tree in trees):
@@ -299,23 +301,23 @@ class _Loop:
                 stream = self.string([draw.stream for draw in draws])
                 args = self._bodies([draw.args for draw in draws])
                 return Code(self._printer.draw(draws[0].distribution, stream, [arg.text for arg in args]))
-        operations = _alike([tree for tree in trees if isinstance(tree, Op)], trees)
+        operations = _with_same_operation([tree for tree in trees if isinstance(tree, Op)], trees)
         name = operations[0].op
         if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
-            raise _UnlikeError
+            raise _DifferentShapesError
         return applied(name, self._bodies([tree.args for tree in operations]), operations[0].args, SCALAR)
 
     def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
         if len({len(row) for row in rows}) > 1:
-            raise _UnlikeError
+            raise _DifferentShapesError
         return [self.body(column) for column in zip(*rows, strict=True)]
 
 
-def _alike(operations: Sequence[Op], trees: Sequence[Scalar]) -> Sequence[Op]:
+def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> Sequence[Op]:
     """The trees as the same operation; a constant that leaves a tree as it is stands where the others have theirs.
 
     Raises:
-        _UnlikeError: They are no such.
+        _DifferentShapesError: They are no such.
     """
     names = {tree.op for tree in operations}
     if len(operations) == len(trees) and len(names) == 1:
@@ -330,7 +332,7 @@ def _alike(operations: Sequence[Op], trees: Sequence[Scalar]) -> Sequence[Op]:
             tree if isinstance(tree, Op) and tree.op == name else Op(name, (neutral, tree) if at == 0 else (tree, neutral))
             for tree in trees
         ]
-    raise _UnlikeError
+    raise _DifferentShapesError
 
 
 def _occurrence(state: State) -> str:
@@ -352,7 +354,7 @@ def outer_states(tree: Scalar) -> list[State]:
 # Functions of poses, which stand in a program as what they are made of
 
 
-class _Local(NamedTuple):
+class _BodyFrameComponent(NamedTuple):
     """A component of a vector of the world, as a body sees it."""
 
     body: str
@@ -389,12 +391,12 @@ def _of_poses(tree: Op) -> tuple[str, list[str]] | None:
     return None
 
 
-def _local(tree: Scalar) -> _Local | None:
+def _local(tree: Scalar) -> _BodyFrameComponent | None:
     for axis, pattern in enumerate(_ROWS if isinstance(tree, Op) and tree.op == "add" else ()):
         bodies: dict[str, str] = {}
         vector: dict[str, Scalar] = {}
         if _matches(pattern, tree, bodies, vector):
-            return _Local(bodies[_ONE], axis, tuple(vector[f"{row}"] for row in range(3)))
+            return _BodyFrameComponent(bodies[_ONE], axis, tuple(vector[f"{row}"] for row in range(3)))
     return None
 
 

@@ -101,7 +101,7 @@ def _arrange(space: Workspace) -> list[str]:
     if reset.require is None:
         printer.line("return True")
     else:
-        printer.read_here()
+        printer.insert_readers_here()
         printer.line(f"return bool({printer.value(reset.require.scalar)})")
     doc = '"""One attempt at a start: a place for each body; whether it is as required."""'
     return block("def _arrange(self) -> bool:", printer.finished([doc]))

@@ -95,7 +95,7 @@ class Controller:
         received = [self.names(name) for name in self._received]
         if received:
             printer.line(f"{targets_code(received)} = message")
-        printer.read_here()
+        printer.insert_readers_here()
         for entry, values in zip(self._robot.commands, self._applied, strict=True):
             printer.line(f"self.drive_{entry.name}({printer.vector(values)})")
         doc = docstring(f"Drive the actuators by {sentence_list(list(self._received)) or 'an empty message'}.")

@@ -65,7 +65,7 @@ def observe(space: Workspace) -> list[str]:
     printer = space.printer()
     for robot in space.scenario.robots:
         _print_receiving(space, printer, robot)
-    printer.read_here()
+    printer.insert_readers_here()
     for entry in space.scenario.signals:
         printer.assign(space.local(entry.name), printer.either(entry.components, entry.scalars), entry.text)
         _print_noise(printer, space.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
@@ -128,7 +128,7 @@ def _print_acting(space: Workspace, printer: Printer) -> None:
     if space.remembers:
         printer.line("self.next_frame()")
     printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
-    printer.read_here()
+    printer.insert_readers_here()
     for robot in space.scenario.robots:
         channel = f"self.to_{robot.name}"
         values = [printer.either(entry.components, entry.scalars) for entry in robot.received]
@@ -232,7 +232,7 @@ def _first_telling(space: Workspace) -> list[str]:
     used = {leaf.name for value in space.sent for state in outer_states(value) for leaf in names_in(state)}
     printer.lines += [f"{space.local(name)} = {zeros(components)}" for name, components in space.variables if name in used]
     printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
-    printer.read_here()
+    printer.insert_readers_here()
     printer.remember(space.sent)
     return printer.finished()
 

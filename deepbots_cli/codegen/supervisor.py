@@ -146,7 +146,7 @@ def _script(space: Workspace, script: Script) -> list[str]:
     used = space.named(script.scalars)
     kept = [space.local(name) for name in space.kept() if name in used]
     printer.lines += [f"{local} = self.told_{local}" for local in kept]
-    printer.read_here()
+    printer.insert_readers_here()
     choices, ranges = [], []
     for part, decided in zip(space.scenario.policy.action, script.parts, strict=True):
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):

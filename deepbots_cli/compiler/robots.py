@@ -19,7 +19,7 @@ from deepbots_cli.expressions import intervals, syntax
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
 from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
-from deepbots_cli.frames import HERE, Frame, inside
+from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
 from deepbots_cli.program.world import JointParameter, LinkParameter
@@ -66,12 +66,12 @@ def carries(model: RobotModel, joint: Joint, link: str) -> bool:
 def held(model: RobotModel, link: str) -> tuple[str, Frame]:
     """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame in its frame."""
     above = {joint.child: joint for joint in model.joints if not joint.moves}
-    frame = HERE
+    frame = IDENTITY_FRAME
     for _ in model.joints:  # no more than there are, whatever circle a forged model may hold
         joint = above.get(link)
         if joint is None:
             break
-        link, frame = joint.parent, inside(pose_frame(joint.origin), frame)
+        link, frame = joint.parent, compose(pose_frame(joint.origin), frame)
     return link, frame
 
 

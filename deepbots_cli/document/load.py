@@ -302,7 +302,7 @@ def merge(base: Mapping, over: Mapping, name: str = "") -> Mapping:
         if isinstance(below, Mapping) and isinstance(entry.value, Mapping):
             entry = Entry(entry.key, merge(below, entry.value, key))
         entries[key] = entry
-    return Mapping(over.span, entries, partial=base.partial or over.partial, hollow=over.hollow)
+    return Mapping(over.span, entries, partial=base.partial or over.partial, keys_without_value=over.keys_without_value)
 
 
 def _differ(base: Node | None, over: Node | None) -> bool:

@@ -68,14 +68,14 @@ class Entry(NamedTuple):
 class Mapping:
     """Keys in file order, each with its value.
 
-    `partial` marks a mapping that lost a key to a finding, so a missing key may be a consequence. `hollow` are the keys
+    `partial` marks a mapping that lost a key to a finding, so a missing key may be a consequence. `keys_without_value` are the keys
     without a value.
     """
 
     span: Span
     entries: dict[str, Entry]
     partial: bool = False
-    hollow: tuple[Scalar, ...] = ()
+    keys_without_value: tuple[Scalar, ...] = ()
 
     def get(self, key: str) -> Node | None:
         entry = self.entries.get(key)

@@ -200,7 +200,7 @@ class _Builder:
         scalars = [part for pair in pairs for part in pair if isinstance(part, Scalar)]
         cut = hints.cut_by_commas(scalars, self.findings) if start.flow_style else []
         entries: dict[str, Entry] = {}
-        hollow: list[Scalar] = []
+        keys_without_value: list[Scalar] = []
         seen: dict[str, Scalar] = {}
         for key, value in pairs:
             if key is None or any(cut_at.start <= part.span.start < cut_at.end for cut_at in cut for part in (key, value) if part):
@@ -215,10 +215,10 @@ class _Builder:
                 self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", also=also)
             elif isinstance(value, Scalar) and value.value is None:
                 hints.empty_value(key, value, self.findings, is_flow=start.flow_style)
-                hollow.append(key)
+                keys_without_value.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
-        return Mapping(span, entries, partial=len(entries) < len(pairs), hollow=tuple(hollow))
+        return Mapping(span, entries, partial=len(entries) < len(pairs), keys_without_value=tuple(keys_without_value))
 
     def key(self, event: Event, depth: int) -> Scalar | None:
         """A key; None with a finding if it is no name."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import HERE, Frame, Quaternion, Triple
+from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,13 +105,18 @@ class Chain:
 
     def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[Figures, Figures]:
         """The error at these positions, and how it shrinks with each driven joint."""
-        here, axes, pivots, turns = HERE, [HERE[0]] * len(joints), [HERE[0]] * len(joints), [True] * len(joints)
+        here, axes, pivots, turns = (
+            IDENTITY_FRAME,
+            [IDENTITY_FRAME[0]] * len(joints),
+            [IDENTITY_FRAME[0]] * len(joints),
+            [True] * len(joints),
+        )
         for frame, axis, turning, place in self._steps:
-            here = frames.inside(here, frame)
+            here = frames.compose(here, frame)
             if place is not None:
                 axes[place], pivots[place], turns[place] = frames.rotate(here[1], axis), here[0], turning
                 if turning:
-                    here = here[0], frames.multiply(here[1], frames.about(axis, joints[place]))
+                    here = here[0], frames.multiply(here[1], frames.from_axis_angle(axis, joints[place]))
                 else:
                     here = frames.add(here[0], frames.scaled(axes[place], joints[place])), here[1]
         error = list(frames.subtract(goal, here[0]))
@@ -120,7 +125,8 @@ class Chain:
             return np.array(error), np.array(columns).T
         error += frames.scaled(_turn(frames.multiply(attitude, frames.inverse(here[1]))), LEVER)
         full = [
-            (*column, *(frames.scaled(axes[i], LEVER) if turns[i] else HERE[0])) for i, column in zip(self._driven, columns, strict=True)
+            (*column, *(frames.scaled(axes[i], LEVER) if turns[i] else IDENTITY_FRAME[0]))
+            for i, column in zip(self._driven, columns, strict=True)
         ]
         return np.array(error), np.array(full).T
 

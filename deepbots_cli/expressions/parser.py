@@ -5,7 +5,7 @@
     slot        a literal (numbers and one unit, nothing else) or an operation
     operation   or < and < not < comparison < + - < * / < unary minus < ^ < call, member, literal
 
-The first fault ends the reading of a text: what follows it could only be guessed.
+Parsing stops at the first error, because errors after it would be guesses.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def parse(text: str, report: Report) -> Node | None:
         return None
     try:
         if len(text) <= _SHORT:
-            return _remembered(text)  # each level takes a character at least, so that it cannot be too deep
+            return _parse_cached(text)  # each level takes a character at least, so that it cannot be too deep
         tree = _Parser(text).text()
     except _SyntaxError as fault:
         report(*fault.finding)
@@ -72,7 +72,7 @@ def parse(text: str, report: Report) -> Node | None:
 
 
 @lru_cache(maxsize=1024)
-def _remembered(text: str) -> Node:
+def _parse_cached(text: str) -> Node:
     """The tree of a short text. Trees are values and know no file; two thirds of the texts in 200 files occur more than once."""
     return _Parser(text).text()
 
@@ -117,7 +117,7 @@ class _Parser:
         self._next()
         return True
 
-    def _several(self, item: Callable[[], Node], sign: str) -> tuple[Node, ...]:
+    def _separated_list(self, item: Callable[[], Node], sign: str) -> tuple[Node, ...]:
         """One item or more, with the sign between them."""
         found = [item()]
         while self._take(sign):
@@ -324,7 +324,7 @@ class _Parser:
     def _call(self) -> Node:
         name, opening = self._next(), self._next()
         self._deeper(opening)
-        args = () if self._peek.text == ")" else self._several(self._argument, ",")
+        args = () if self._peek.text == ")" else self._separated_list(self._argument, ",")
         return Call(name.start, self._close(opening), name.text, args, name.end)
 
     def _argument(self) -> Node:
@@ -334,7 +334,7 @@ class _Parser:
             return Spread(first.start, std.end, _borrow_unit(first, std), std)
         if not self._take("|"):
             return first
-        items = (first, *self._several(self._slot, "|"))
+        items = (first, *self._separated_list(self._slot, "|"))
         return Options(first.start, items[-1].end, items)
 
     # names, nesting, faults

@@ -98,7 +98,7 @@ def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimen
         if bare(value):
             raise missing_unit(value, first.type.dimension, report)
         help = "both sides need the same dimension; divide by a unit to get a plain number"
-        raise fault(report, "DB503", place, f"{first.type.words} meets {value.type.words}", _plain_name(first, value) or help)
+        raise fault(report, "DB503", place, f"{first.type.words} is combined with {value.type.words}", _plain_name(first, value) or help)
     return first.type.dimension
 
 
@@ -149,7 +149,7 @@ def _remedy(value: Typed, needed: Dimension) -> str:
         return "divide by the angle: `/ rad`"
     if needed / given == ANGLE:
         return "multiply by the angle: `* rad`"
-    return f"one of its units is wrong, or a factor in {needed / given} is missing"
+    return f"one of its units is wrong, or a factor with the unit {needed / given} is missing"
 
 
 def components_of(values: Sequence[Typed], place: Place, report: Report) -> Components | None:
@@ -165,7 +165,7 @@ def _differing(first: Components, second: Components, place: Place, report: Repo
     help = "components are matched by name; select the ones that match, as in `v.x`"
     if set(first) == set(second):
         help = "the names are the same in another order; write both groups in one order"
-    return fault(report, "DB404", place, f"a vector of {shown(first)} meets one of {shown(second)}", help)
+    return fault(report, "DB404", place, f"a vector of {shown(first)} is combined with one of {shown(second)}", help)
 
 
 def warn_of_degrees(value: Typed, report: Report) -> None:

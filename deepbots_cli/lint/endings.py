@@ -43,7 +43,8 @@ def never_true(context: Context) -> Iterator[Finding]:
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
     silent = [
-        {ending.value.name for ending in analysis.program.endings if _ever(analysis, ending) == NEVER} for analysis in context.versions
+        {ending.value.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
+        for analysis in context.versions
     ]
     for ending in context.program.endings:
         if all(ending.value.name in names for names in silent):
@@ -52,7 +53,7 @@ def never_true(context: Context) -> Iterator[Finding]:
             yield Finding("DB801", ending.value.span, headline, help="write a limit that can be reached, or remove the ending", notes=notes)
 
 
-def _ever(analysis: Analysis, ending: Ending) -> Interval:
+def _truth_over_episode(analysis: Analysis, ending: Ending) -> Interval:
     """Whether an ending holds in an episode without time limit; 0 .. 1 where that depends."""
     return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending.value)[0])
 
@@ -95,7 +96,7 @@ def always_true(context: Context) -> Iterator[Finding]:
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
     for ending in context.program.endings:
-        if _ever(context.analysis, ending) == ALWAYS:
+        if _truth_over_episode(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
             yield Finding("DB802", ending.value.span, headline, help="write a limit that an episode can respect")
 
@@ -120,7 +121,7 @@ def shadowed_limit(context: Context) -> Iterator[Finding]:
     yield from _later_ending(context)
     analysis, last = context.analysis, context.analysis.last
     for ending in context.program.endings:
-        if _ever(analysis, ending).single or ending.foreign:
+        if _truth_over_episode(analysis, ending).single or ending.foreign:
             continue  # DB801, DB802
         (node,) = analysis.scalars(ending.value)
         limit = f"the truncation after {last} steps"
@@ -228,7 +229,7 @@ def ends_at_reset(context: Context) -> Iterator[Finding]:
     """
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:
-        if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _ever(analysis, ending):
+        if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
             headline = f"`{ending.value.name}` already holds when an episode begins"
             sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.finite)
@@ -248,7 +249,7 @@ def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
 
-def breaks_off(simulation: Simulation) -> Iterator[Finding]:
+def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
@@ -262,8 +263,8 @@ def breaks_off(simulation: Simulation) -> Iterator[Finding]:
 def after_the_end(context: Context) -> Iterator[Finding]:
     """DB811: a push, a reading or a message would come only after the end of every episode.
 
-    The rule checks the first push of a disturbance, the second reading of a sensor and the first message after that of the reset
-    against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. The usual cause is a wrong unit.
+    The rule checks the first push of a disturbance, the second reading of a sensor, and the first message after the one that is sent at
+    the reset, against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. The usual cause is a wrong unit.
 
     Example::
 
@@ -308,7 +309,7 @@ def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:
 # Goals that cannot be reached
 
 
-class Core(NamedTuple):
+class SolidProfile(NamedTuple):
     """A solid part around the vertical through the origin of a body: a disc of some radius (m) at each height from `low` to `high` (m).
 
     A `ball` has its full radius in the middle.
@@ -394,7 +395,7 @@ def _may_be_above(analysis: Analysis, body: str) -> bool:
     return is_fixed or body in flying
 
 
-def _touching_distance(first: list[Core], second: list[Core]) -> float:
+def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) -> float:
     """The distance of two origins, seen from above, at which the first parts touch; 0 where none do."""
     found = 0.0
     for a in first:
@@ -405,7 +406,7 @@ def _touching_distance(first: list[Core], second: list[Core]) -> float:
     return found
 
 
-def _cores(analysis: Analysis, body: str) -> list[Core]:
+def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
     """The solid parts around the vertical through the origin of a body in its initial attitude."""
     world = analysis.program.world
     for thing in world.objects:
@@ -434,15 +435,15 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
     return footprint.resting(shape) if not known.finite else None
 
 
-def _core(shape: Shape, height: float, *, upright: bool) -> list[Core]:
+def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
     """The part of a shape that is solid for certain; of a shape that may topple, the sphere within it."""
     match shape:
         case Sphere(radius):
-            return [Core(height - radius, height + radius, radius, ball=True)]
+            return [SolidProfile(height - radius, height + radius, radius, ball=True)]
         case Box(size) if upright:
-            return [Core(height - size[2] / 2, height + size[2] / 2, min(size[0], size[1]) / 2)]
+            return [SolidProfile(height - size[2] / 2, height + size[2] / 2, min(size[0], size[1]) / 2)]
         case Cylinder(radius, length) | Capsule(radius, length) if upright:
-            return [Core(height - length / 2, height + length / 2, radius)]
+            return [SolidProfile(height - length / 2, height + length / 2, radius)]
         case _:
             return []
 
@@ -460,4 +461,4 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
 
 
 STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
-SIMULATED_RULES = (sometimes_ends_at_reset, breaks_off)
+SIMULATED_RULES = (sometimes_ends_at_reset, undefined_value)

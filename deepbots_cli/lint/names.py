@@ -182,9 +182,10 @@ _PERIODIC = frozenset({"wrap", "sin", "cos", "tan"})
 def angle_jumps(context: Context) -> Iterator[Finding]:
     """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
 
-    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is one of 2 deg, and `delta` gives
-    -358; a goal at 170 deg is 11 deg from there, and the difference is 349. A reward or an observation that depends on it is wrong for
-    part of the circle. `wrap` gives the shorter way round; `sin` and `cos` need no `wrap`.
+    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is a turn of 2 deg, but
+    `delta` gives -358 deg. A goal at 170 deg is 11 deg away from a heading of -179 deg, but the difference of the two is 349 deg. A reward
+    or an observation that depends on it is wrong for part of the circle. `wrap` gives the shorter way round; `sin` and `cos` need no
+    `wrap`.
 
     Example::
 

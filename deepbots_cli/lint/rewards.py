@@ -42,8 +42,8 @@ class Pole(NamedTuple):
 def reward_unbounded(context: Context) -> Iterator[Finding]:
     """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an unbounded value.
 
-    A single step with a very small divisor outweighs all other steps, also in the learned values. At zero the reward is undefined and
-    the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
+    A single step with a very small divisor outweighs all other steps, also in the learned value function. At zero the reward is
+    undefined and the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
 
     Example::
 
@@ -504,8 +504,9 @@ def nothing_to_learn(context: Context) -> Iterator[Finding]:
 def return_out_of_reach(context: Context) -> Iterator[Finding]:
     """DB810: no episode can reach the required mean return, or every episode does.
 
-    Training then never stops early and no policy counts as solved, or every policy does; a stage of a curriculum never ends, or ends at
-    once. The steps and the ends bound the return: 200 steps of `alive: 1` give 200.
+    If no episode can reach it, training never stops early, no policy counts as solved, and a stage of a curriculum never ends. If every
+    episode reaches it, every policy counts as solved, and a stage ends at once. The rule computes the bounds of the return from the
+    rewards of the steps and of the endings: 200 steps of `alive: 1` give at most 200.
 
     Example::
 

@@ -261,7 +261,7 @@ def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: f
         if link.inertial is None or not carries(model, joint, link.name):
             continue
         mass = link.inertial.mass
-        centre, own = frames.inside(where[link.name], frames.frame(link.inertial.origin))
+        centre, own = frames.compose(where[link.name], frames.frame(link.inertial.origin))
         if joint.type == "prismatic":
             load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
             continue
@@ -322,8 +322,8 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
 def rays_meet_nothing(context: Context) -> Iterator[Finding]:
     """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
 
-    Rays above all bodies never meet one: every reading is the far end of the range, and the policy learns nothing from it. The
-    walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
+    Rays that pass above every body never hit one: every reading is the maximum of the range, and the policy learns nothing from it.
+    The walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
     robot that stands level on flat ground or has a fixed base, and a sensor that no joint raises or tilts; rays that meet the ground
     within their range are not reported.
 
@@ -397,12 +397,12 @@ class Heights:
         if root is None or sensor is None or sensor.beams is None:
             return None
         mount = frames.frame(sensor.mount)
-        rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
+        rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
         tried: list[list[tuple[float, float]]] = []
         """The height at which each ray begins, and its rise per m, in each attitude."""
         for positions in _attitudes(body.model):
-            link = frames.inside(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
-            placed = [frames.inside(link, ray) for ray in rays]
+            link = frames.compose(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
+            placed = [frames.compose(link, ray) for ray in rays]
             tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in placed])
         for other in tried[1:]:
             for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
@@ -422,7 +422,7 @@ class Heights:
             if body.fixed_base and all(interval.single for interval in known):
                 found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
             elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
-                found.add(((0.0, 0.0, height), frames.UPRIGHT))
+                found.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))
             else:
                 return None
         return found.pop() if len(found) == 1 else None
@@ -461,7 +461,7 @@ class Heights:
 
     def _top_of_robot(self, body: RobotBody) -> float:
         root = self._root(body)
-        if root is None or root[1] != frames.UPRIGHT or not _keeps(body.model, _HIGHEST):
+        if root is None or root[1] != frames.IDENTITY_ROTATION or not _keeps(body.model, _HIGHEST):
             return inf
         return root[0][2] + footprint.bounds(body.model)[1][2]
 
@@ -504,7 +504,7 @@ def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
     """(x, y) in the frame of the root, m, with all joints at 0."""
     where = footprint.link_frames(model)
     inertials = [(link.name, link.inertial) for link in model.links if link.inertial]
-    known = [(inertial.mass, frames.inside(where[name], frames.frame(inertial.origin))[0]) for name, inertial in inertials]
+    known = [(inertial.mass, frames.compose(where[name], frames.frame(inertial.origin))[0]) for name, inertial in inertials]
     mass = sum(weight for weight, _ in known)
     if mass <= 0.0:
         return 0.0, 0.0

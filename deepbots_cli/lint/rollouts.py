@@ -503,7 +503,7 @@ class ArmWatch:
         found = dict(zip(actuator.joints, solution, strict=True))
         others = [joint.name for joint in model.moving_joints if joint.name not in found]
         now = {name: state[0] for name, state in zip(others, world.engine.joint_states(robot, others)(), strict=True)} if others else {}
-        place, turned = frames.inside(world.engine.pose(robot)(), footprint.link_frames(model, now | found)[actuator.link])
+        place, turned = frames.compose(world.engine.pose(robot)(), footprint.link_frames(model, now | found)[actuator.link])
         distance = dist(place, target)
         angle = 0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
         if distance <= _DISTANCE and angle <= _ANGLE:
@@ -588,8 +588,8 @@ def _lowest(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], float]:
     """The lowest point of any ray within its range, m above the ground; -inf while a ray meets something."""
     assert sensor.beams is not None  # it casts rays
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
-    rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
-    ends = [end for ray in rays for end in (ray[0], frames.inside(ray, ((reach, 0.0, 0.0), frames.UPRIGHT))[0])]
+    rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
+    ends = [end for ray in rays for end in (ray[0], frames.compose(ray, ((reach, 0.0, 0.0), frames.IDENTITY_ROTATION))[0])]
     pose, cast = engine.pose(*part), engine.rays(part, rays, reach)
 
     def lowest() -> float:

@@ -31,7 +31,7 @@ def saturates_before_termination(context: Context) -> Iterator[Finding]:
 
     Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The CartPole of the original
     collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. The rule also checks values that depend on the quantity,
-    such as a clamped fraction of it. One entry that changes up to the limit is enough.
+    such as a clamped fraction of it. The rule reports nothing if at least one entry of the observation still changes up to the limit.
 
     Example::
 
@@ -237,7 +237,7 @@ def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     if held(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]
-    turn = frames.inside(link, frames.frame(sensor.mount))[1]
+    turn = frames.compose(link, frames.frame(sensor.mount))[1]
     x, y, z = analysis.program.world.gravity
     return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
 

@@ -28,8 +28,8 @@ _RATES = frozenset({"velocity", "angular_velocity"})
 def suspicious_sign(context: Context) -> Iterator[Finding]:
     """DB703: a reward has the wrong sign: a failure pays, a success costs, or progress towards success costs.
 
-    The agent learns the reward as it is written. With the reward that the paper prints for its pit, whose sign is wrong, it learns to
-    stay at the bottom.
+    The agent learns the reward as it is written. With the reward printed in the paper for PitEscape, which has the wrong sign, the agent
+    learns to stay at the bottom.
 
     A term pays for the opposite of success if it falls as the quantity approaches what the success requires, and no other term rises.
     All measures of the distance between two bodies count as one quantity.
@@ -215,9 +215,9 @@ def pays_towards_failure(context: Context) -> Iterator[Finding]:
     """DB710: a term pays more as the episode approaches a failure.
 
     The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
-    that are measured from a middle (`abs(x)`, `tilt(robot)`, a distance) with a failure above a limit, where the term always pays more
-    just before this limit than in the middle, and no other term and no success uses the same quantity. Tasks that reward the highest
-    allowed speed, or an approach without contact, are not reported.
+    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and cause a failure above a limit, if the term always pays more
+    just below this limit than at zero, and no other term and no success uses the same quantity. Tasks that reward the highest allowed
+    speed, or an approach without contact, are not reported.
 
     Example::
 

@@ -315,7 +315,7 @@ def _draws_coordinates(place: Placement) -> bool:
 
 
 def requirement_not_redrawn(context: Context) -> Iterator[Finding]:
-    """DB812: `reset.require` depends on drawn parameters, and on no value that is drawn again when it does not hold.
+    """DB812: `reset.require` depends only on drawn parameters, which are not drawn again when the requirement does not hold.
 
     When a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the
     episode, so that all attempts are the same, and the reset fails. Draw the parameter from values that meet the requirement, or draw

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepbots_cli.frames import Matrix, diagonal, product, rotation_matrix, transposed, turned
+from deepbots_cli.frames import Matrix, diagonal, product, rotate_tensor, rotation_matrix, transposed
 from deepbots_cli.robots.inertia import from_second_moments, homogeneous, matrix, scaled, second_moments, volume
 from deepbots_cli.robots.model import (
     Box,
@@ -127,9 +127,9 @@ def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     """J' = m'/m S J S with S in the axes of the link; the inertial keeps its own axes."""
     growth = scale[0] * scale[1] * scale[2]
     axes = rotation_matrix(old.origin.rpy)
-    moments = turned(second_moments(matrix(old)), axes)
+    moments = rotate_tensor(second_moments(matrix(old)), axes)
     stretched = scaled(product(product(diagonal(scale), moments), diagonal(scale)), growth)
-    tensor = from_second_moments(turned(stretched, transposed(axes)))
+    tensor = from_second_moments(rotate_tensor(stretched, transposed(axes)))
     return _with_matrix(replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))), tensor)
 
 
@@ -140,7 +140,7 @@ def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:
 
 def _stretched(old: Geometry, scale: Vector) -> Geometry:
     """The shape's own axes stay at right angles exactly if S is diagonal in them."""
-    own = turned(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
+    own = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
     if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNED * max(scale):
         raise _ShapeError("it is turned against the axes of the link, which would make it oblique")
     shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))

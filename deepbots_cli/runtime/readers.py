@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames
-from deepbots_cli.frames import HERE, UPRIGHT, Frame, Quaternion, Triple
+from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.port import Engine, Part, PoseReader, RayReader, Sight, VelocityReader
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
 from deepbots_cli.runtime.lines import Paint
@@ -48,12 +48,12 @@ def torques(site: Site) -> Instrument:
 def mounted_pose(site: Site) -> PoseReader:
     """Where the sensor is, and how it is turned."""
     read, mount = site.engine.pose(site.robot, site.link), site.mount
-    if mount == HERE:
+    if mount == IDENTITY_FRAME:
         return read
 
     def of_mount() -> tuple[Triple, Quaternion]:
         position, turned = read()
-        return frames.inside((position, turned), mount)
+        return frames.compose((position, turned), mount)
 
     return of_mount
 
@@ -61,7 +61,7 @@ def mounted_pose(site: Site) -> PoseReader:
 def mounted_velocity(site: Site) -> VelocityReader:
     """How the sensor moves and turns: v + w x r at the distance r from the link's origin."""
     arm = site.mount[0]
-    if arm == HERE[0]:
+    if arm == IDENTITY_FRAME[0]:
         return site.engine.velocity(site.robot, site.link)
     read = site.engine.motion(site.robot, site.link)
 
@@ -120,7 +120,7 @@ def gyro(site: Site) -> Instrument:
         (_, turned), (_, angular) = read()
         return frames.rotate_back(turned, angular)
 
-    return Instrument(turning if site.mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
+    return Instrument(turning if site.mount[1] == IDENTITY_ROTATION else lambda: frames.rotate(back, turning()))
 
 
 def projected_gravity(site: Site) -> Instrument:
@@ -155,7 +155,7 @@ class Accelerometer:
     def __init__(self, engine: Engine, robot: str, link: str, mount: Frame, timestep: float) -> None:
         self._engine = engine
         self._motion = engine.motion(robot, link)
-        self._arm = mount[0] if mount[0] != HERE[0] else None
+        self._arm = mount[0] if mount[0] != IDENTITY_FRAME[0] else None
         self._back = frames.inverse(mount[1])
         self._timestep = timestep
         self.restart()
@@ -196,7 +196,7 @@ class Accelerometer:
             self.follow()
             felt = frames.scaled(self._sum, 1.0 / (self._ticks * self._timestep))
             self._sum, self._ticks = (0.0, 0.0, 0.0), 0
-        return felt if self._back == UPRIGHT else frames.rotate(self._back, felt)
+        return felt if self._back == IDENTITY_ROTATION else frames.rotate(self._back, felt)
 
 
 def touch(site: Site) -> Instrument:
@@ -226,7 +226,7 @@ def _part(name: str) -> Part:
 def ranging(site: Site) -> Instrument:
     """How far each ray is free, or one figure of all, in m; or what the lookup table makes of that."""
     beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
-    rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
+    rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
     if beams.lookup is None:
         return Instrument(read)
@@ -289,7 +289,7 @@ def reflectance(site: Site) -> Instrument:
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
     """
     beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
-    rays = [frames.inside(mount, frames.frame(ray)) for ray in beams.rays]
+    rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(turned, _DOWN)) for origin, turned in rays]
     read, paint, rotate = site.engine.pose(site.robot, site.link), Paint(site.world.lines, spot / 2), frames.rotate
 

@@ -5,6 +5,7 @@ base.py         Section, the base of the models; unions, sizes; the shape of an 
 world.py robot.py sensors.py actuators.py task.py training.py
                 the sections
 scenario.py     Scenario, the whole file
+renamed.py      old spellings of keys and words: findings, and the document under the new names
 validate.py     nodes to a Scenario; validation errors become findings with exact places
 renamed.py      former names, which later passes read under the present ones
 docs.py         what is said of a key: descriptions, units, defaults, examples

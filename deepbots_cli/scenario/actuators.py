@@ -92,7 +92,7 @@ class VelocityMotor(JointActuator):
     max_velocity: JointSpeed | None = None
     """Largest velocity; by default the limit of the robot file."""
     max_acceleration: JointAcceleration | None = None
-    """How fast the velocity that it drives at may change; by default at once."""
+    """Largest rate of change of the velocity setpoint; by default unlimited."""
 
 
 class PositionMotor(JointActuator):
@@ -107,7 +107,7 @@ class PositionMotor(JointActuator):
     damping: Damping | None = None
     """Torque per angular speed, N*m*s/rad, or force per speed, N*s/m."""
     max_velocity: JointSpeed | None = None
-    """How fast the position that it drives to may move; by default the robot file's limit, with stiffness at once."""
+    """Largest rate of change of the position setpoint; by default the robot file's velocity limit, or unlimited with `stiffness`."""
 
 
 class TorqueMotor(JointActuator):
@@ -136,7 +136,7 @@ class Thrust(Actuator):
     moment_constant: Length = 0
     """Torque about z per thrust, N*m/N = m."""
     spin: Annotated[dict[Annotated[str, Pattern("link")], Spin] | Spin, FORMS] = 1
-    """Sense of that torque, 1 or -1, for all or per link; 1 for a rotor that turns clockwise seen from above."""
+    """Sign of the torque of `moment_constant`, 1 or -1, for all links or per link; 1 for a rotor that turns clockwise seen from above."""
 
 
 class Cartesian(Actuator):

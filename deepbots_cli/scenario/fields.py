@@ -111,7 +111,7 @@ def choose_from(word: str, words: Sequence[str]) -> str:
     """The help for an unknown word: the probable word, and all known words."""
     near = other_name(word, words) or nearest(word, words)
     listed = shown((f"`{known}`" for known in words), _LISTED)
-    return f"did you mean `{near}`? known are {listed}" if near else f"known are {listed}"
+    return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
 def word_meant(word: str, words: Sequence[str]) -> Meant | None:
@@ -155,7 +155,7 @@ def check_bounds(
     if maximum is not None and value > maximum:
         help = f"give at most {maximum:g}"
         if is_share and value <= 100:
-            help += f"; a share in hundredths is written `{value:g} %`"
+            help += f"; write a percentage as `{value:g} %`"
         raise error("DB105", f"`{value}` is above the largest allowed value", help)
 
 

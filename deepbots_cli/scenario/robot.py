@@ -107,7 +107,7 @@ class Route(Section):
     loss: Annotated[Scalar, Quantity("number", stage="step", minimum=0, maximum=1)] = 0
     """Share of messages that never arrive."""
     burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = None
-    """Mean number of messages that are lost in a row; without it each is lost or not by itself."""
+    """Mean number of messages that are lost in a row; without it, losses are independent of each other."""
     range: Annotated[Scalar, Quantity("length", stage="episode", minimum=0)] | None = None
     """Distance from the origin of the world to the robot's root link beyond which nothing arrives."""
     order: Literal["sent", "arrival", "newest"] = "sent"
@@ -122,7 +122,7 @@ class Messages(Section):
     format: Annotated[str, Word(FORMATS)] = "struct"
     """How a message is written; `none` lets the supervisor act on the robot without messages."""
     timing: Literal["immediate", "delayed"] = "immediate"
-    """`immediate`: an action acts in its own tick; `delayed`: one tick later, and what the robot sends is one tick old."""
+    """`immediate`: an action takes effect in its timestep; `delayed`: one timestep later, and the robot's messages are one timestep old."""
     to_robot: Route = Field(default_factory=Route)
     """The way from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)

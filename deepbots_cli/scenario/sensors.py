@@ -75,7 +75,7 @@ class Sensor(Section):
     type: Prose
     """The kind of sensor."""
     period: Timestep | None = None
-    """Time between two readings, a multiple of the timestep; by default one tick."""
+    """Time between two readings, a multiple of the timestep; by default one timestep."""
     latency: RandomizableDelay = "0 ms"
     """Age of a reading when the robot gets it."""
     noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = 0
@@ -256,7 +256,7 @@ class ContactSensor(Sensor):
 
 
 class Touch(ContactSensor):
-    """Whether a link touched anything in any physics step of the tick."""
+    """Whether a link touched anything in any physics step of the timestep."""
 
     boolean = True
     reader = f"{_READERS}:touch"
@@ -294,7 +294,7 @@ class RayScan(LinkSensor):
     """Looks along rays: given by name, or as a fan of a number of them."""
 
     rays: Annotated[NamedRays | Annotated[int, Whole(1, 4096)], FORMS] | None = None
-    """Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one."""
+    """Rays by name, each with its frame on the sensor; or the number of rays over `angle_range`, named `r0`, `r1` ...; by default one."""
     angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
 
@@ -307,7 +307,7 @@ class RaySensor(RayScan):
     perceives = True
 
     measure: Literal["each", "nearest", "mean"] = "each"
-    """Each ray by its name, or one value of all: the nearest distance, or the mean."""
+    """Each ray by its name, or one value for all rays: the nearest distance, or the mean."""
     lookup: CalibrationTable | None = None
     """Readings by distance; without it, the distance itself."""
 

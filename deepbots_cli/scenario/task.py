@@ -67,7 +67,7 @@ class Agent(Section):
     """How the policy is joined to the scenario."""
 
     action_repeat: SmallInt = 1
-    """Control ticks for which one action of the agent is held."""
+    """Timesteps for which one action of the agent is held."""
     frame_stack: SmallInt = 1
     """How many observations in a row the policy sees."""
     each: Annotated[str, Reference("robot")] | None = None
@@ -233,15 +233,15 @@ class Placement(Pose):
     on: Annotated[str, Reference("object")] | None = None
     """Draws a free spot on the flat top of this object, a box or a cylinder: anywhere on it, or where `region` lies on it."""
     clearance: Length = 0
-    """Least gap to other bodies, m, and of what can move to the arena and to the edge of the top that it stands on."""
+    """Minimum distance to other bodies, m; of a movable body also to the walls of the arena and the edge of the surface it stands on."""
     grid: Thickness | None = None
-    """Draws the spot from a grid with this mesh, m."""
+    """Draws the spot from a grid with this spacing, m."""
     line: Annotated[str, Reference("line")] | None = None
     """Stands at the beginning of this painted line, along it."""
     at_most: PositiveInt | None = None
     """How many copies of a group are placed; the others are absent."""
     spacing: Annotated[Scalar, Quantity("length", 2)] | None = None
-    """From each copy of a group to the next, along x and y, such as `0 1.5 m`: a row about the spot."""
+    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`; the row is centred on the spot."""
     velocity: Annotated[Scalar, Quantity("speed", 3, "episode")] | None = None
     """Velocity at the start, world frame."""
     angular_velocity: Annotated[Scalar, Quantity("angular speed", 3, "episode")] | None = None
@@ -301,7 +301,7 @@ class Disturbance(Section):
     torque: Annotated[Scalar, Quantity("torque", 3, "step")] | None = None
     """Torque in the world frame, drawn anew for each push."""
     every: Annotated[Scalar, Quantity("time", stage="step", minimum=0, exclusive=True)] | None = None
-    """Time from the beginning of one push to that of the next, and before the first, unless `at` says when that is."""
+    """Time from the beginning of one push to the beginning of the next; also the time before the first push, unless `at` is given."""
     at: Annotated[Scalar, Quantity("time", stage="episode", minimum=0)] | None = None
     """Time of the first push, which is the only one without `every`."""
     duration: Annotated[Scalar, Quantity("time", stage="step", minimum=0)]

@@ -40,7 +40,7 @@ class Hindsight(Section):
     n_sampled_goal: PositiveInt = 4
     """Goals that are made up for each step."""
     goal_selection_strategy: Literal["future", "final", "episode"] = "future"
-    """Where they come from: later in the episode, its end, or anywhere in it."""
+    """Where the sampled goals come from: later in the episode, its end, or anywhere in it."""
 
 
 class Policy(Section):
@@ -164,7 +164,7 @@ class _Deterministic(_OffPolicy):
 
 class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
-    """Use that noise already before learning starts."""
+    """Use state-dependent noise (`use_sde`) also before learning starts."""
     ent_coef: Annotated[Scalar, Number(0, text=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
     """Weight of the entropy; `auto` learns it, `auto_0.1` begins at 0.1."""
     target_update_interval: PositiveInt | None = None
@@ -230,11 +230,11 @@ class TD3(_Deterministic):
 
     algorithm: Literal["TD3"]
     policy_delay: PositiveInt | None = None
-    """Updates of the critics for one of the actor."""
+    """Number of critic updates per actor update."""
     target_policy_noise: Weight | None = None
     """Standard deviation of the noise on the target's action."""
     target_noise_clip: Weight | None = None
-    """Largest such noise."""
+    """Largest absolute value of the noise of `target_policy_noise`."""
     stats_window_size: PositiveInt | None = None
     """Episodes over which progress is averaged."""
 

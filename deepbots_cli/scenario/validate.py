@@ -219,7 +219,7 @@ def _is_follow_up(root: nodes.Mapping, problem: _Problem) -> bool:
     node = descend(root, problem.path)[0]
     if not isinstance(node, nodes.Mapping) or not node.partial:
         return False
-    empty = {key.text for key in node.hollow}
+    empty = {key.text for key in node.keys_without_value}
     is_missing = problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
     return is_missing or problem.finding.code == "DB107"
 
@@ -273,7 +273,7 @@ def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
     """Add help to the findings about keys without a value; the parser does not know the language."""
     vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
     for path, node in walk(root) if vague else ():
-        for key in node.hollow if isinstance(node, nodes.Mapping) else ():
+        for key in node.keys_without_value if isinstance(node, nodes.Mapping) else ():
             if found := vague.get(key.span):
                 findings.advise(found, _wanted(data, (*path, key.text)))
 

@@ -153,9 +153,9 @@ class World(Section):
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("ground", "terrain")),)
 
     timestep: Timestep
-    """One control tick: robots sense and act this often, such as `32 ms`."""
+    """Time of one control step: robots sense and act this often, such as `32 ms`."""
     substeps: Annotated[int, Whole(1, 10_000)] = 1
-    """Physics steps in one control tick."""
+    """Physics steps in one timestep."""
     gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
     """Gravity in the world frame, m/s^2."""
     ground: Ground = Field(default_factory=Ground)

@@ -99,7 +99,7 @@ def test_a_key_is_explained_with_where_it_stands_its_unit_and_an_example(deepbot
     assert ran.code == 0
     assert "`world.lines.<name>`" in ran.out
     assert "The points of the line in the ground plane." in ran.out
-    assert "in m, required" in ran.out
+    assert "2 components, m; required" in ran.out
     assert "For example: points: [" in ran.out
 
 

@@ -182,7 +182,7 @@ def test_a_mistake_that_a_misspelling_hid_is_told_once_that_is_put_right(deepbot
     path = scenario(faulty(("abs(x) > track", "abs(speed) > trak"), ("  timestep: 32 ms", "  timestop: 32 kg")))
     ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
     assert path.read_text() == faulty(("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg"))
-    assert "DB503[dimension-mismatch]: a speed (m/s) meets a length (m)" in ran.out
+    assert "DB503[dimension-mismatch]: a speed (m/s) is combined with a length (m)" in ran.out
     assert ran.code == 1
 
 

@@ -135,7 +135,7 @@ def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type,
 @pytest.mark.parametrize(
     ("old", "new", "shown"),
     [
-        ("timestep:", "time§step:", ["One control tick", "Unit: s", "Required", "Example: timestep: 32 ms"]),
+        ("timestep:", "time§step:", ["Time of one control step", "Unit: s", "Required", "Example: timestep: 32 ms"]),
         ("wall_height:", "wall§_height:", ["Height of the walls", "Unit: m", "Default: 0", "20 cm"]),
         ("gae_lambda:", "gae§_lambda:", ["Trade-off of bias and variance", "Example: gae"]),
         ("  alive: 1", "  al§ive: 1", ["The summands of the reward"]),

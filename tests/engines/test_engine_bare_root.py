@@ -6,7 +6,7 @@ import pytest
 
 from deepbots_cli import engines
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import UPRIGHT
+from deepbots_cli.frames import IDENTITY_ROTATION
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
@@ -27,7 +27,7 @@ def tumble(model: RobotModel) -> list[float]:
     world = WorldModel(0.01, 40, robots=(RobotBody("robot", model),))
     with closing(engines.create("pybullet", world)) as engine:
         read, found = engine.pose("robot"), []
-        engine.place("robot", (0.0, 0.0, 0.5), UPRIGHT, (1.0, 0.0, 2.0), (1.0, 2.0, 3.0))
+        engine.place("robot", (0.0, 0.0, 0.5), IDENTITY_ROTATION, (1.0, 0.0, 2.0), (1.0, 2.0, 3.0))
         for _ in range(40):
             engine.step(40)
             found += [number for part in read() for number in part]

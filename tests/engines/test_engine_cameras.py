@@ -45,7 +45,7 @@ def rays() -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(build):
     engine = build("pybullet", world(wall(2.0)))
-    look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
+    look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     sight = look()
     assert (sight.colours.shape, sight.colours.dtype) == ((HIGH, WIDE, 3), np.uint8)
     assert (sight.depth.shape, sight.depth.dtype) == ((HIGH, WIDE), np.float32)
@@ -68,7 +68,7 @@ def test_a_camera_looks_along_its_mount_on_a_link_that_turns(build):
     engine = build("pybullet", world(wall(2.0)))
     mount = ((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -1.2))
     look = engine.camera(("scout", "head"), mount, WIDE, HIGH, FOV)
-    engine.place("scout", (0.0, 0.0, 0.5), frames.UPRIGHT)
+    engine.place("scout", (0.0, 0.0, 0.5), frames.IDENTITY_ROTATION)
     assert (look().bodies != look().names.index("wall")).all()
     engine.set_joint("scout", "neck", 1.2, 0.0)
     centre = look().depth[HIGH // 2 - 5 : HIGH // 2 + 5, WIDE // 2 - 5 : WIDE // 2 + 5]
@@ -90,9 +90,9 @@ def test_up_in_a_picture_is_up_in_the_mount(build):
 def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(build):
     ghost = ObjectBody("mark", Box((0.2, 1.0, 1.0)), colour=GREEN, solid=False, pooled=True)
     engine = build("pybullet", world(ghost))
-    look = engine.camera(("scout", None), frames.HERE, 40, 40, FOV)
+    look = engine.camera(("scout", None), frames.IDENTITY_FRAME, 40, 40, FOV)
     assert "mark" not in {look().names[place] for place in np.unique(look().bodies) if place >= 0}
-    engine.place("mark", (2.1, 0, 1), frames.UPRIGHT)
+    engine.place("mark", (2.1, 0, 1), frames.IDENTITY_ROTATION)
     middle = (19, 20)
     assert look().names[look().bodies[middle]] == "mark"
     assert look().depth[middle] == pytest.approx(2.0, rel=1e-4)
@@ -107,7 +107,7 @@ def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(buil
 
 def test_looking_changes_nothing(build):
     seen, unseen = build("pybullet", world(wall(2.0))), build("pybullet", world(wall(2.0)))
-    look = seen.camera(("scout", "head"), frames.HERE, 16, 16, FOV)
+    look = seen.camera(("scout", "head"), frames.IDENTITY_FRAME, 16, 16, FOV)
     for engine in (seen, unseen):
         engine.set_joint("scout", "neck", 0.1, 2.0)
         for _ in range(20):
@@ -124,7 +124,7 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(build):
     speck = Line("speck", ((0.0, 0.0), (0.0, 0.0)), False, 0.2, colour=(0, 0, 0, 1))
     engine = build("pybullet", replace(world(), ground=Ground(colour=GREEN), lines=(square, speck)))
     look = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 2.4)
-    engine.place("scout", (0.0, 0.0, 1.0), frames.UPRIGHT)
+    engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
     engine.set_parameter("colour", ("scout", ""), 0, 0, 1, 1)
     sight = look()
     pixel = 2 * tan(1.2) / HIGH
@@ -142,7 +142,7 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(build):
 def test_the_floor_gets_another_colour_until_the_next_reset(build):
     engine = build("pybullet", replace(world(), light=0.8))
     view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
-    look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
+    look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     usual, seen = engine.render(view), look().colours
     engine.set_parameter("colour", ("ground", ""), *RED)
     assert engine.render(view)[-1, 0].argmax() == look().colours[-1, 0].argmax() == 0
@@ -157,5 +157,5 @@ def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(build):
     """The pixels of its corners lie beyond all integers, through which the renderer once went one by one."""
     plank = ObjectBody("plank", Box((0.2, 1.0, 0.1)), Pose((0.1 + 1e-8, 0, 1.3)), fixed=True)
     engine = build("pybullet", world(plank, wall(2.0)))
-    look = engine.camera(("scout", None), frames.HERE, WIDE, HIGH, FOV)
+    look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     assert "wall" in {look().names[number] for number in np.unique(look().bodies)}

@@ -10,7 +10,7 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import HERE, quaternion
+from deepbots_cli.frames import IDENTITY_FRAME, quaternion
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
 
@@ -45,7 +45,7 @@ def arm() -> RobotModel:
 def test_two_links_in_a_plane_bend_as_the_law_of_cosines_says(x, y):
     chain = Chain(planar(), "tip", ["shoulder", "elbow"])
     assert chain.moving == ("slide", "shoulder", "elbow")
-    shoulder, elbow = chain.solve(HERE, [0.1, 0.3, 0.8], (x, y, 0.0), None)
+    shoulder, elbow = chain.solve(IDENTITY_FRAME, [0.1, 0.3, 0.8], (x, y, 0.0), None)
     assert elbow == pytest.approx(acos((x * x + (y - 0.1) ** 2 - 0.5) / 0.5), abs=1e-6)
     assert 0.5 * cos(shoulder) + 0.5 * cos(shoulder + elbow) == pytest.approx(x, abs=1e-6)
     assert 0.5 * sin(shoulder) + 0.5 * sin(shoulder + elbow) + 0.1 == pytest.approx(y, abs=1e-6)
@@ -53,11 +53,11 @@ def test_two_links_in_a_plane_bend_as_the_law_of_cosines_says(x, y):
 
 def test_ranges_of_joints_are_kept_and_what_is_out_of_reach_is_approached():
     chain = Chain(planar(), "tip", ["shoulder", "elbow"])
-    _, elbow = chain.solve(HERE, [0.0, 0.3, 0.8], (0.05, 0.0, 0.0), None)
+    _, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 0.8], (0.05, 0.0, 0.0), None)
     assert elbow == 2.5
-    shoulder, elbow = chain.solve(HERE, [0.0, 0.3, 0.8], (3.0, 4.0, 0.0), None)
+    shoulder, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 0.8], (3.0, 4.0, 0.0), None)
     assert hypot(cos(shoulder) + cos(shoulder + elbow), sin(shoulder) + sin(shoulder + elbow)) == pytest.approx(2.0, abs=1e-3)
-    slide = Chain(planar(), "tip", ["slide"]).solve(HERE, [0.0, 0.0, 0.0], (1.0, 0.4, 0.0), None)
+    slide = Chain(planar(), "tip", ["slide"]).solve(IDENTITY_FRAME, [0.0, 0.0, 0.0], (1.0, 0.4, 0.0), None)
     assert slide == pytest.approx([0.4], abs=1e-6)
 
 
@@ -94,24 +94,24 @@ def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(with_
 def test_the_same_call_gives_the_same_bits_whatever_was_asked_before():
     chain = Chain(arm(), "tool", [f"j{i}" for i in range(7)])
     at, root = [0.1, 0.4, -0.2, 1.1, 0.3, 0.7, 0.0], ((0.1, 0.0, 0.2), quaternion(0.1, 0.0, 0.4))
-    first = chain.solve(root, at, (0.4, 0.2, 0.9), frames.UPRIGHT)
+    first = chain.solve(root, at, (0.4, 0.2, 0.9), frames.IDENTITY_ROTATION)
     chain.solve(root, [0.0] * 7, (0.2, -0.4, 1.0), None)
-    assert chain.solve(root, at, (0.4, 0.2, 0.9), frames.UPRIGHT) == first
+    assert chain.solve(root, at, (0.4, 0.2, 0.9), frames.IDENTITY_ROTATION) == first
 
 
 def test_an_attitude_nearly_half_a_turn_away_is_reached():
     chain = Chain(arm(), "tool", [f"j{i}" for i in range(7)])
     start = [0.1, 0.8, 0.2, 1.4, 0.1, 0.6, -1.4]
     target, attitude = where([*start[:6], start[6] + pi - 0.3])
-    position, turned = where(chain.solve(HERE, start, target, attitude))
+    position, turned = where(chain.solve(IDENTITY_FRAME, start, target, attitude))
     assert position == pytest.approx(target, abs=1e-6)
     assert abs(sum(a * b for a, b in zip(turned, attitude, strict=True))) == pytest.approx(1.0, abs=1e-9)
 
 
 def where(angles: list[float]) -> frames.Frame:
     """The tool of the arm at these angles."""
-    at = HERE
+    at = IDENTITY_FRAME
     for joint, angle in zip(arm().joints, [*angles, 0.0], strict=True):
-        at = frames.inside(at, frames.frame(joint.origin))
-        at = at[0], frames.multiply(at[1], frames.about(joint.axis, angle))
+        at = frames.compose(at, frames.frame(joint.origin))
+        at = at[0], frames.multiply(at[1], frames.from_axis_angle(joint.axis, angle))
     return at

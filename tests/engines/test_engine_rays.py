@@ -135,8 +135,8 @@ def test_rays_see_what_was_placed_before_any_step_and_what_moved_since(build):
     )
     read = engine.rays(("scout", None), [towards(0.0), towards(pi / 2)], 10.0)
     assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
-    engine.place("ball", (3, 0, 1), frames.UPRIGHT, (1.0, 0, 0))
-    engine.place("far", (0, 5, 1), frames.UPRIGHT)
+    engine.place("ball", (3, 0, 1), frames.IDENTITY_ROTATION, (1.0, 0, 0))
+    engine.place("far", (0, 5, 1), frames.IDENTITY_ROTATION)
     assert read() == pytest.approx([2.9, 4.9], abs=1e-6)
     for _ in range(50):
         engine.step(1)

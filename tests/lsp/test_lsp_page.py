@@ -11,7 +11,7 @@ import pytest
 from tests.lsp.client import ROOT
 
 PAGE = (ROOT / "docs" / "editors.md").read_text(encoding="utf-8")
-TABLE = PAGE[PAGE.index("| you write |") : PAGE.index("The text may be broken")]
+TABLE = PAGE[PAGE.index("| you write |") : PAGE.index("The text may be invalid")]
 ROWS = re.findall(r"^\| (`.*?`(?:, \w+)?) \| (.*) \|$", TABLE.replace("\\|", "¦"), re.MULTILINE)
 
 PLACES = {

@@ -24,7 +24,7 @@ FAULTS = [
     # missing keys
     ("deepbots: 1\n", "", "DB102", "name: CartPole", "missing key `deepbots` at the top level", "version"),
     ("reward:\n  alive: 1\n", "", "DB102", "deepbots: 1", "missing key `reward` at the top level", "summands"),
-    ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "one control tick"),
+    ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "time of one control step"),
     ("type: joint_position, ", "", "DB102", "pole_angle", "missing key `type` in `pole_angle`", "`gyro`"),
     ("joints: [wheel_*], ", "", "DB102", "wheels", "missing key `joint` or `joints` in `wheels`", "give one"),
     ("{max_steps: 200}", "{}", "DB102", "truncation", "missing key `max_steps` or `max_time` in `truncation`", "give one"),
@@ -78,7 +78,7 @@ FAULTS = [
     # unknown words
     ("joint_position,", "joint_positon,", "DB104", "joint_positon", "unknown type `joint_positon`", "did you mean `joint_position`?"),
     ("PPO,", "ppo,", "DB104", "ppo", "unknown algorithm `ppo`", "did you mean `PPO`?"),
-    ("csv", "xml", "DB104", "xml", "unknown word `xml`", "known are `csv`, `json`"),
+    ("csv", "xml", "DB104", "xml", "unknown word `xml`", "known names: `csv`, `json`"),
     ("relu", "rellu", "DB104", "rellu", "unknown word `rellu`", "did you mean `relu`?"),
     # out of range
     ("substeps: 4", "substeps: 0", "DB105", "0", "`0` is below the smallest allowed value", "give at least 1"),

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from deepbots_cli import api, engines, files
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
-from deepbots_cli.frames import UPRIGHT, about
+from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
 from deepbots_cli.program.world import Formula, ObjectBody, Pit, Terrain, TerrainShape, WorldModel
 from deepbots_cli.robots.model import Sphere
-from deepbots_cli.terrain import CREST, grid, height, pixels
+from deepbots_cli.terrain import RIM_RADIUS_PER_SIGMA, grid, height, pixels
 
-PIT = Pit(3.2, 2.7 * CREST, 0.15)
+PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
 SLOPE = Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
 
 
@@ -62,7 +62,7 @@ def world(relief: TerrainShape, **more: object) -> WorldModel:
 
 @pytest.mark.parametrize(("radius", "expected"), [(0.5, 0.0569), (1.0, 0.2106), (1.5, 0.4168), (2.0, 0.6199), (2.7, 0.8115)])
 def test_a_pit_has_the_profile_of_its_formula(radius: float, expected: float) -> None:
-    at = height(Terrain(Pit(0.85 * 4.0, 2.7 * CREST)))
+    at = height(Terrain(Pit(0.85 * 4.0, 2.7 * RIM_RADIUS_PER_SIGMA)))
     for angle in (0.0, 1.0, 2.5):
         assert at(radius * math.cos(angle), radius * math.sin(angle)) == pytest.approx(expected, abs=2e-3)
 
@@ -87,18 +87,18 @@ def test_lumps_take_away_up_to_their_share_and_are_the_same_in_every_world() -> 
 def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: TerrainShape) -> None:
     at, rng = height(Terrain(relief)), random.Random(0)
     with closing(engines.create("pybullet", world(relief))) as engine:
-        down = [((0.0, 0.0, 0.0), about((0.0, 1.0, 0.0), math.pi / 2))]
+        down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
         read = engine.rays(("ball", None), down, 10.0)
         for _ in range(50):
             x, y = rng.uniform(-2.9, 2.9), rng.uniform(-2.9, 2.9)
             engine.reset()
-            engine.place("ball", (x, y, 5.0), UPRIGHT)
+            engine.place("ball", (x, y, 5.0), IDENTITY_ROTATION)
             assert 5.0 - read()[0] == pytest.approx(at(x, y), abs=1e-5)
 
 
 def test_a_ball_comes_to_rest_on_the_bottom_of_a_pit_and_touches_the_ground_there() -> None:
     with closing(engines.create("pybullet", world(Pit(3.2, 2.0)))) as engine:
-        engine.place("ball", (0.1, 0.0, 0.3), UPRIGHT)
+        engine.place("ball", (0.1, 0.0, 0.3), IDENTITY_ROTATION)
         touches = engine.contact(("ball", None), [("ground", None)])
         engine.set_parameter("lateral_friction", ("ground", ""), 0.5)
         for _ in range(100):
@@ -109,7 +109,7 @@ def test_a_ball_comes_to_rest_on_the_bottom_of_a_pit_and_touches_the_ground_ther
 
 def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
     def roll(engine) -> list[object]:
-        engine.place("ball", (1.0, 0.5, 1.2), UPRIGHT)
+        engine.place("ball", (1.0, 0.5, 1.2), IDENTITY_ROTATION)
         read = engine.pose("ball")
         places = []
         for _ in range(60):
@@ -120,7 +120,7 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
     with closing(engines.create("pybullet", world(PIT))) as first, closing(engines.create("pybullet", world(PIT))) as second:
         fresh = roll(first)
         for steps in (1, 17, 100):
-            second.place("ball", (-1.0, 0.2, 1.0), UPRIGHT)
+            second.place("ball", (-1.0, 0.2, 1.0), IDENTITY_ROTATION)
             for _ in range(steps):
                 second.step(8)
             second.reset()

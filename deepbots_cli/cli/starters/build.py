@@ -14,7 +14,7 @@ from math import atan2, dist, hypot, pi
 
 from deepbots_cli import frames
 from deepbots_cli.footprint import Bounds, behind, bounds, bounds_of_shape, link_frames
-from deepbots_cli.frames import UPRIGHT, Frame, Quaternion, Triple
+from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
@@ -140,11 +140,11 @@ class Build:
     def lowest(self) -> float:
         return min((low[2] for low, _ in self.boxes.values()), default=0.0)
 
-    def height(self, positions: Positions, tilt: Quaternion = UPRIGHT) -> float:
+    def height(self, positions: Positions, tilt: Quaternion = IDENTITY_ROTATION) -> float:
         """Height of the root above the ground when the lowest point touches it."""
         tilted = ((0.0, 0.0, 0.0), tilt)
         placed = link_frames(self.model, positions)
-        boxes = [_box(link, frames.inside(tilted, placed[link.name])) for link in self.model.links]
+        boxes = [_box(link, frames.compose(tilted, placed[link.name])) for link in self.model.links]
         return 0.0 - min((box[0][2] for box in boxes if box), default=0.0)
 
     @cached_property
@@ -302,7 +302,7 @@ def _is_locked(joint: Joint) -> bool:
 def _box(link: Link, frame: Frame) -> Bounds | None:
     """The box around the shapes of a link that lies in `frame`."""
     parts = link.collisions or link.visuals
-    boxes = [bounds_of_shape(part.shape, frames.inside(frame, frames.frame(part.origin))) for part in parts]
+    boxes = [bounds_of_shape(part.shape, frames.compose(frame, frames.frame(part.origin))) for part in parts]
     return _around(boxes) if boxes else None
 
 

@@ -15,7 +15,7 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.rewriting import Files, write_new
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
-from deepbots_cli.errors import UsageError, cloned
+from deepbots_cli.errors import UsageError, install_source
 
 
 def command(
@@ -71,7 +71,7 @@ def project(compiled: api.Compiled) -> Files:
 
 def _requirements() -> str:
     """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no package index has deepbots."""
-    clone = cloned()
+    clone = install_source()
     known = clone != "deepbots-cli"
     here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if known else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
     moved = " if it has moved" if known else ""

@@ -290,10 +290,8 @@ def _of_key(part: type[Section], key: str) -> Iterator[str]:
     yield description(part, key)
     spec, default = fields(part)[key], default_of(part, key)
     unit = unit_of(spec)
-    measured = f"in {'the unit ' if unit.startswith('of ') else ''}{unit}" if unit not in ("", "1") else ""
-    facts = [noun_of(spec), measured, f"{default} unless given" if default else ""]
-    if part.model_fields[key].is_required():
-        facts.append("required")
-    yield f"It takes {', '.join(fact for fact in facts if fact)}."
+    measured = "" if unit in ("", "1") or unit.startswith("of ") else f", {unit}"
+    required = "; required" if part.model_fields[key].is_required() else ""
+    yield f"Value: {noun_of(spec)}{measured}{f'; default {default}' if default else ''}{required}."
     if example := example_of(part, key):
         yield f"For example: {key}: {example.text}"

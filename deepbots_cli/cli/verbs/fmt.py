@@ -39,7 +39,7 @@ def command(
       deepbots fmt scenarios/ --check
     """
     rewrites, refused = [], False
-    for path in _meant(paths):
+    for path in _scenario_files(paths):
         rewrite = _tidied(path)
         refused = refused or rewrite is None
         if rewrite is not None and rewrite.after != rewrite.before:
@@ -53,7 +53,7 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _meant(paths: Sequence[Path]) -> Iterator[Path]:
+def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
     """The named files, and the scenarios in named folders that the project does not exclude."""
     for given in paths:
         if not given.exists():

@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Sets, Stage, chosen
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Sets, Stage, with_case_or_stage
 from deepbots_cli.cli.sources import is_robot, opened, opened_robot
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
@@ -78,7 +78,7 @@ def command(
         return
     side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code)
     terminal.mention(side.findings, scenario)
-    program = chosen(side.program, case, stage)
+    program = with_case_or_stage(side.program, case, stage)
     root = side.root if isinstance(side.root, Mapping) else Mapping(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
         root = under(root, ("evaluation", "cases", case))

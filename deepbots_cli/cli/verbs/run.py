@@ -14,7 +14,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, chosen, whole
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, whole, with_case_or_stage
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
@@ -79,7 +79,7 @@ def command(
         raise UsageError(f"{' and '.join(given)} exclude each other")
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
-    program = chosen(compiled.program, case, stage)
+    program = with_case_or_stage(compiled.program, case, stage)
     if script is not None:
         program.script(script)
     with closing(api.make(program, engine=engine, allow_code=allow_code)) as environment:

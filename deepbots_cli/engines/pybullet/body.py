@@ -10,7 +10,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import BASE
 from deepbots_cli.engines.pybullet import pybullet as p
-from deepbots_cli.frames import HERE, Frame
+from deepbots_cli.frames import IDENTITY_FRAME, Frame
 from deepbots_cli.port import STILL
 
 if TYPE_CHECKING:
@@ -57,8 +57,8 @@ class Body:
         self._dynamics: dict[int, Dynamics] = {}
         self.centre, self.principal = self.dynamics(BASE).inertia_frame
         self._back = frames.inverse(self.principal)
-        self._parallel = self.principal == frames.UPRIGHT
-        self.home: Frame = HERE
+        self._parallel = self.principal == frames.IDENTITY_ROTATION
+        self.home: Frame = IDENTITY_FRAME
         self._weights: dict[int, tuple[float, Triple]] = {}
 
     def dynamics(self, index: int) -> Dynamics:
@@ -157,12 +157,12 @@ class Pool:
 
 def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
     """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
-    members = {first: HERE}
+    members = {first: IDENTITY_FRAME}
     waiting = [first]
     while waiting:
         parent = waiting.pop()
         for joint in model.joints:
             if joint.parent == parent and joint.type == "fixed":
-                members[joint.child] = frames.inside(members[parent], frames.frame(joint.origin))
+                members[joint.child] = frames.compose(members[parent], frames.frame(joint.origin))
                 waiting.append(joint.child)
     return members

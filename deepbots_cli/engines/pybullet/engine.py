@@ -122,7 +122,7 @@ class PyBulletEngine:
     capabilities: frozenset[Capability] = frozenset({"contacts", "rendering"})
 
     def __init__(self, world: WorldModel) -> None:
-        self._client = loading.connected(world)
+        self._client = loading.create_client(world)
         self._moments = Moments()
         self._substeps = Substeps(self._moments)
         self._release = weakref.finalize(self, _release, self._client, self._substeps)
@@ -157,7 +157,11 @@ class PyBulletEngine:
         for pool in self._pools.values():
             pool.leave()
         for row, body in enumerate(self._moving, start=1):
-            self._restart(body, ((row * loading.APART, 0.0, loading.APART), frames.UPRIGHT), dict.fromkeys(body.brakes, FAINT))
+            self._restart(
+                body,
+                ((row * loading.PARKING_SPACING, 0.0, loading.PARKING_SPACING), frames.IDENTITY_ROTATION),
+                dict.fromkeys(body.brakes, FAINT),
+            )
         p.stepSimulation(self._client)
         for body in (*self._still, *self._moving):
             self._restart(body, body.home, body.brakes)
@@ -305,7 +309,7 @@ class PyBulletEngine:
         ground = names.index(GROUND) if GROUND in names else -1
 
         def look() -> Sight:
-            sight = camera.sight(cameras.along(frames.inside(pose(), mount)), places, ground, names)
+            sight = camera.sight(cameras.along(frames.compose(pose(), mount)), places, ground, names)
             return sight._replace(colours=lit(sight.colours, self._parameters.light))
 
         return look

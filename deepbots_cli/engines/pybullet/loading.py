@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program.world import Ground, ObjectBody, Terrain, WorldModel
 
-APART = 1000.0  # m between bodies that are parked
-OVERLAP_SHARE = 0.08  # that PyBullet by itself takes away in a physics step
+PARKING_SPACING = 1000.0  # m between bodies that are parked
+DEFAULT_CONTACT_ERP = 0.08  # that PyBullet by itself takes away in a physics step
 CONTACT_DISTANCE = 1e-4
 """Surfaces further apart than this (m) are no contact for the solver.
 
@@ -44,15 +44,15 @@ terrain there is no such limit: with it, two trainings of PitEscape took 1.25 an
 measured; a ball that rolls over an edge of a triangle may be further away than this for a step.
 """
 EARTH = (0.72, 0.63, 0.48, 1.0)
-_SEEN = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
+_MAX_VISUAL_CELLS = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
-NOWHERE = 1e9  # rad or m; the open end of a range with one end
+OPEN_JOINT_LIMIT = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
-TRACE = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
+ROOT_MASS_FRACTION = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 UNLIMITED = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
 
 
-def connected(world: WorldModel) -> int:
+def create_client(world: WorldModel) -> int:
     """A client with the world's gravity and timestep, and nothing in it."""
     client: int = p.connect(p.DIRECT)
     if client < 0:
@@ -62,9 +62,10 @@ def connected(world: WorldModel) -> int:
         fixedTimeStep=world.timestep / world.substeps, deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=client
     )
     if any(figure > 0.0 for figure in _restitutions(world)):
-        # Overlap is given back as speed, and more of it with every step of an impact: of a bounce of 0.8 at steps of 1 ms,
-        # 0.82 to 0.88 was left. Given back within 0.2 s, 0.80 to 0.81 is. Worlds without bounces stay as they are.
-        p.setPhysicsEngineParameter(contactERP=min(OVERLAP_SHARE, world.timestep / world.substeps / 0.2), physicsClientId=client)
+        # Contact error reduction turns penetration into velocity, more with every step of an impact: a restitution of 0.8
+        # measured 0.82 to 0.88 at 1 ms steps. With a reduction within 0.2 s it measures 0.80 to 0.81. Worlds without
+        # restitution keep the default.
+        p.setPhysicsEngineParameter(contactERP=min(DEFAULT_CONTACT_ERP, world.timestep / world.substeps / 0.2), physicsClientId=client)
     return client
 
 
@@ -106,10 +107,10 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool]:
             variants = [(name, _object(client, form, file)) for name, form in forms(thing).items()]
             for _, body in variants if thing.pooled else ():
                 parked += 1
-                body.home = ((-parked * APART, 0.0, -APART), frames.UPRIGHT)
+                body.home = ((-parked * PARKING_SPACING, 0.0, -PARKING_SPACING), frames.IDENTITY_ROTATION)
             yield Pool(thing.name, variants, thing.pooled)
         for robot in world.robots:
-            model = movable(robot.name, robot.model, robot.fixed_base)
+            model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
             body.home = body.of_centre(*frames.frame(robot.pose))
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
@@ -121,7 +122,7 @@ def join_islands(client: int, pools: Iterable[Pool]) -> None:
     It solves bodies whose boxes overlap together, iterates until such a group is done, and forgets overlaps
     at a moment that depends on the whole past. Of 150 episodes of three carts after a reset 34 differed from
     a fresh world's; tied together, none. 20 idle balls then cost 50 us a step; a robot by itself nothing.
-    All hang on the first, which is one that is always there if there is any, since an absent one ties nothing.
+    All are tied to the first body, which is a permanent one if possible; an absent body ties nothing.
     """
     tied = sorted((pool for pool in pools), key=lambda pool: pool.pooled)
     anchors = [(body.number, body.anchor) for pool in tied for body in pool if body.anchor is not None]
@@ -138,7 +139,7 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
 
 
 def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
-    file.write_text(write(dressed(model)), encoding="utf-8")
+    file.write_text(write(for_loader(model)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     with hushed() as said:
         try:
@@ -200,12 +201,12 @@ def _terrain(client: int, ground: Terrain) -> Body:
     else:
         middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
         shape = _heightfield(client, heights)
-        drawn = _drawn_terrain(client, *heights.coarser(_SEEN).triangles(), ground, middle)
+        drawn = _drawn_terrain(client, *heights.coarser(_MAX_VISUAL_CELLS).triangles(), ground, middle)
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
     number = p.createMultiBody(0, shape, drawn, basePosition=(0.0, 0.0, middle), physicsClientId=client)
     made = _ground_body(client, number, Friction(lateral=ground.friction))
-    made.home = ((0.0, 0.0, middle), frames.UPRIGHT)
+    made.home = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
     return made
 
 
@@ -251,7 +252,7 @@ def _ground_body(client: int, number: int, friction: Friction) -> Body:
     return Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)
 
 
-def movable(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
+def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
     """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
 
     Raises:
@@ -281,11 +282,11 @@ def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
     mass = sum(known.mass for known in links if known)
     if mass <= 0.0:
         raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
-    trace = TRACE * mass
+    trace = ROOT_MASS_FRACTION * mass
     return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
 
 
-def dressed(model: RobotModel) -> RobotModel:
+def for_loader(model: RobotModel) -> RobotModel:
     """The model with both ends on each range of a joint, a colour on all that is seen, and meshes still as they were checked.
 
     A link without visuals shows what it collides with.
@@ -301,17 +302,17 @@ def dressed(model: RobotModel) -> RobotModel:
         colour = PALETTE[index % len(PALETTE)]
         visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
         links.append(replace(link, visuals=visuals))
-    return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_closed(joint)) for joint in model.joints))
+    return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_explicit_limits(joint)) for joint in model.joints))
 
 
-def _closed(joint: Joint) -> Limit:
+def _explicit_limits(joint: Joint) -> Limit:
     limit = joint.limit
     lower, upper = limit.lower, limit.upper
     if joint.type == "continuous" or (lower is None and upper is None):
         lower, upper = UNLIMITED
     return Limit(
-        lower=-NOWHERE if lower is None else lower,
-        upper=NOWHERE if upper is None else upper,
+        lower=-OPEN_JOINT_LIMIT if lower is None else lower,
+        upper=OPEN_JOINT_LIMIT if upper is None else upper,
         velocity=limit.velocity or 0.0,
         effort=limit.effort or 0.0,
     )

@@ -144,7 +144,7 @@ def _in_link(client: int, owner: Body, index: int) -> Pusher:
     back = frames.inverse(principal)
     origin = frames.rotate(back, frames.scaled(centre, -1.0))
     force_it, turn_it, mode = p.applyExternalForce, p.applyExternalTorque, p.LINK_FRAME
-    straight = back == frames.UPRIGHT
+    straight = back == frames.IDENTITY_ROTATION
     refresh = _refresher(client, number, index)
 
     def push(force: Triple, torque: Triple) -> None:

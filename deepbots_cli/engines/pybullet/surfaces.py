@@ -173,7 +173,7 @@ class Rays:
             if rounded:
                 for place, hit in enumerate(hits):
                     if (surface := rounded.get(hit[:2])) is not None:
-                        ray = frames.inside(pose(), rays[place])
+                        ray = frames.compose(pose(), rays[place])
                         free[place] = surface.met(ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place])
             return free
 
@@ -213,7 +213,7 @@ class Surface:
 
     def met(self, start: Triple, direction: Triple, near: float) -> float:
         """How far (m) along a unit direction the surface is met, if that is close to the answer `near`."""
-        centre, turned = frames.inside(self.pose(), self.origin)
+        centre, turned = frames.compose(self.pose(), self.origin)
         back = frames.inverse(turned)
         s, d = frames.rotate(back, frames.subtract(start, centre)), frames.rotate(back, direction)
         r = self.shape.radius

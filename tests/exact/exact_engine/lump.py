@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from deepbots_cli import frames
 from deepbots_cli.engines.pybullet.body import held_by
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import HERE, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
+from deepbots_cli.frames import IDENTITY_FRAME, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import RobotModel
 
@@ -48,13 +48,13 @@ def joined(model: RobotModel, first: str) -> Lump:
     for name, place in members.items():
         known = model.link(name).inertial
         if known:
-            centre, turned = frames.inside(place, frames.frame(known.origin))
+            centre, turned = frames.compose(place, frames.frame(known.origin))
             columns = tuple(rotate(turned, axis) for axis in frames.diagonal((1.0, 1.0, 1.0)))
             turn = frames.transposed((columns[0], columns[1], columns[2]))
-            parts.append((known.mass, centre, frames.turned(inertia.matrix(known), turn)))
+            parts.append((known.mass, centre, frames.rotate_tensor(inertia.matrix(known), turn)))
     mass = sum(part[0] for part in parts)
     if mass <= 0.0:
-        return Lump(first, 0.0, HERE[0], _NOTHING, members)
+        return Lump(first, 0.0, IDENTITY_FRAME[0], _NOTHING, members)
     weighted = [scaled(centre, part_mass / mass) for part_mass, centre, _ in parts]
     centre = (sum(w[0] for w in weighted), sum(w[1] for w in weighted), sum(w[2] for w in weighted))
     tensor = _NOTHING

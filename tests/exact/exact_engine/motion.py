@@ -23,7 +23,7 @@ from math import ceil, cos, isfinite, sin
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import HERE, Frame, Quaternion, Triple, add, cross, dot, inverse, multiply, rotate, scaled, subtract
+from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple, add, cross, dot, inverse, multiply, rotate, scaled, subtract
 from deepbots_cli.port import SERVO_TIME
 from deepbots_cli.robots.model import Joint
 from exact_engine.lump import Lump
@@ -40,7 +40,7 @@ class RigidBody:
         self.flies = flies
         self._gravity = gravity
         self.weigh(lump)
-        self.place(HERE)
+        self.place(IDENTITY_FRAME)
 
     @property
     def lumps(self) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ class RigidBody:
 
     def pose(self, link: str) -> Frame:
         root = (subtract(self.centre, rotate(self.turned, self.lump.centre)), self.turned)
-        return frames.inside(root, self.lump.members[link])
+        return frames.compose(root, self.lump.members[link])
 
     def velocity(self, link: str) -> tuple[Triple, Triple]:
         angular = self._angular(self.turned)
@@ -160,9 +160,9 @@ class CartPole:
     def __init__(self, rail: Lump, cart: Lump, pole: Lump, slide: Joint, hinge: Joint, gravity: Triple) -> None:
         self._slide, self._hinge = slide, hinge
         self._gravity = gravity
-        self._base = HERE
-        self._slot = frames.inside(rail.members[slide.parent], frames.frame(slide.origin))
-        self._bearing = frames.inside(self._slot, frames.inside(cart.members[hinge.parent], frames.frame(hinge.origin)))
+        self._base = IDENTITY_FRAME
+        self._slot = frames.compose(rail.members[slide.parent], frames.frame(slide.origin))
+        self._bearing = frames.compose(self._slot, frames.compose(cart.members[hinge.parent], frames.frame(hinge.origin)))
         self._along = rotate(self._slot[1], slide.axis)
         self._about = rotate(self._bearing[1], hinge.axis)
         self.weigh(rail, cart, pole)
@@ -280,10 +280,10 @@ class CartPole:
     def pose(self, link: str) -> Frame:
         x, angle, _, _ = self.state
         moved = scaled(self._along, x)
-        hanging = multiply(frames.about(self._about, angle), self._bearing[1])
-        origins = (HERE, (add(self._slot[0], moved), self._slot[1]), (add(self._bearing[0], moved), hanging))
+        hanging = multiply(frames.from_axis_angle(self._about, angle), self._bearing[1])
+        origins = (IDENTITY_FRAME, (add(self._slot[0], moved), self._slot[1]), (add(self._bearing[0], moved), hanging))
         index = self._part(link)
-        return frames.inside(self._base, frames.inside(origins[index], self._lumps[index].members[link]))
+        return frames.compose(self._base, frames.compose(origins[index], self._lumps[index].members[link]))
 
     def velocity(self, link: str) -> tuple[Triple, Triple]:
         x, _, v, w = self.state
@@ -292,7 +292,7 @@ class CartPole:
             scaled(rotate(turned, self._along), v if index else 0.0),
             scaled(rotate(turned, self._about), w if index == 2 else 0.0),
         )
-        pivot = frames.inside(self._base, (add(self._bearing[0], scaled(self._along, x)), frames.UPRIGHT))[0]
+        pivot = frames.compose(self._base, (add(self._bearing[0], scaled(self._along, x)), frames.IDENTITY_ROTATION))[0]
         return add(linear, cross(angular, subtract(self.pose(link)[0], pivot))), angular
 
     def _part(self, link: str) -> int:
