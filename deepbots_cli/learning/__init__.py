@@ -11,6 +11,7 @@ defaults.py      the hyperparameters that a training takes: the scenario's, our 
 environments.py  a vector environment over several worlds
 curriculum.py    the stages of a training
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
+comparison.py    compare: groups of runs on the same starts
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
 report.py        results as text and as JSON, progress
 video.py         one episode as mp4
@@ -26,15 +27,18 @@ from typing import TYPE_CHECKING
 from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
+    from deepbots_cli.learning.comparison import Comparison, compare
     from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_cases
     from deepbots_cli.learning.run import TrainingResult
     from deepbots_cli.learning.training import resume, train
 
-__all__ = ["EvaluationResult", "TrainingResult", "evaluate", "evaluate_cases", "resume", "train"]
+__all__ = ["Comparison", "EvaluationResult", "TrainingResult", "compare", "evaluate", "evaluate_cases", "resume", "train"]
 
 _HOMES = {
+    "Comparison": "comparison",
     "EvaluationResult": "evaluation",
     "TrainingResult": "run",
+    "compare": "comparison",
     "evaluate": "evaluation",
     "evaluate_cases": "evaluation",
     "resume": "training",

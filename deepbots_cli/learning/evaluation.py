@@ -38,6 +38,10 @@ OnEpisode = Callable[[int, int], None]
 """Is told after each episode how many are done, and of how many."""
 
 
+Until = Callable[[Sequence[Episode]], bool]
+"""Whether the first episodes of an evaluation are enough."""
+
+
 @dataclass(frozen=True)
 class EvaluationResult:
     """What a policy did in `episodes` held-out episodes; intervals are at 95 %.
@@ -88,6 +92,7 @@ def evaluate(
     allow_code: bool = False,
     build: BuildWorld | None = None,
     on_episode: OnEpisode | None = None,
+    until: Until | None = None,
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
@@ -108,6 +113,7 @@ def evaluate(
         allow_code: Whether terms in Python run.
         build: Makes a world of the scenario in place of the generated supervisor.
         on_episode: Is told after each episode how many are done, and of how many.
+        until: Takes the first k episodes, for k = 1, 2, ..., and returns whether they are enough. The result then holds these only.
 
     Raises:
         RunError: No run, a damaged one, or one that does not fit `scenario`; says field by field why.
@@ -134,7 +140,7 @@ def evaluate(
             worlds.append(make(program))
             stack.callback(worlds[-1].close)
         policy = load(known, model, worlds[0])
-        done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode)
+        done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
         if video_to is not None:
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.filmed(world, video_to, 1 / program.period))
@@ -245,15 +251,28 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
 
 
 def rollout(
-    model: BaseAlgorithm, worlds: Sequence[World], seeds: Sequence[int], *, deterministic: bool, on_episode: OnEpisode | None = None
+    model: BaseAlgorithm,
+    worlds: Sequence[World],
+    seeds: Sequence[int],
+    *,
+    deterministic: bool,
+    on_episode: OnEpisode | None = None,
+    until: Until | None = None,
 ) -> list[Episode]:
-    """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one."""
+    """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one.
+
+    With `until`, the episodes end with the first one after which it returns True. Episodes count in the order of their seeds, so the result
+    is the same for any number of worlds.
+    """
     on_episode = on_episode or (lambda done, of: None)
+    until = until or (lambda episodes: False)
+    episodes: list[Episode] = []
     if is_team(worlds[0]):
-        episodes = []
         for seed in seeds:
             episodes.append(_team_episode(model, worlds[0], seed, deterministic=deterministic))
             on_episode(len(episodes), len(seeds))
+            if until(episodes):
+                break
         return episodes
     together = min(len(worlds), ROWS) if deterministic else 1
     batch = _Batch(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
@@ -269,8 +288,12 @@ def rollout(
                 if episode is not None:
                     finished[lane.number] = episode
                     on_episode(len(finished), len(seeds))
+            while (following := finished.get(len(episodes))) is not None:
+                episodes.append(following)
+                if until(episodes):
+                    return episodes
             running = [lane for lane in running if lane.number not in finished or lane.begin(batch)]
-    return [finished[number] for number in range(len(seeds))]
+    return episodes
 
 
 def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:

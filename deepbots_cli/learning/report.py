@@ -60,7 +60,7 @@ def evaluation_text(result: EvaluationResult, elsewhere: str | None = None) -> s
         ("model", f"{result.run} ({result.model})"),
         *([("scenario", elsewhere)] if elsewhere is not None else []),
         ("episodes", f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}"),
-        *_figures(result, success_defined=result.success_defined),
+        *_rows(result, success_defined=result.success_defined),
     ]
     rows += (
         [(f"reward {name}", f"{mean:.2f} per episode") for name, mean in result.term_means.items()] if len(result.term_means) > 1 else []
@@ -74,14 +74,14 @@ def evaluation_text(result: EvaluationResult, elsewhere: str | None = None) -> s
 
 
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
-    """The same figures of episodes without a trained policy."""
-    return "\n".join([f"summary of {summary.episodes:,} episodes", *_aligned(_figures(summary, success_defined=success_defined))])
+    """The same rows for episodes without a trained policy."""
+    return "\n".join([f"summary of {summary.episodes:,} episodes", *_aligned(_rows(summary, success_defined=success_defined))])
 
 
-def _figures(result: EvaluationResult | Summary, *, success_defined: bool) -> list[Row]:
+def _rows(result: EvaluationResult | Summary, *, success_defined: bool) -> list[Row]:
     rows = [
-        ("mean return", f"{_figure(result.mean_return)}{_deviation(result)}"),
-        ("least, greatest", f"{_figure(result.least_return)}, {_figure(result.greatest_return)}"),
+        ("mean return", f"{_number(result.mean_return)}{_deviation(result)}"),
+        ("minimum, maximum", f"{_number(result.least_return)}, {_number(result.greatest_return)}"),
         ("mean length", f"{result.mean_length:.1f} steps"),
         ("ended by", ", ".join(f"{name} {count}" for name, count in result.endings.items())),
     ]
@@ -122,10 +122,10 @@ def _deviation(result: EvaluationResult | Summary) -> str:
     if result.deviation is None or result.return_interval is None:
         return ""
     low, high = result.return_interval
-    return f", deviation {_figure(result.deviation)} (95 % interval of the mean: {_figure(low)} .. {_figure(high)})"
+    return f"; standard deviation {_number(result.deviation)} (95 % confidence interval of the mean: {_number(low)} .. {_number(high)})"
 
 
-def _figure(value: float) -> str:
+def _number(value: float) -> str:
     """Two decimals; four where returns are small."""
     return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
 

@@ -114,11 +114,13 @@ def gate_rate(required: float, successes: int, episodes: int, planned: int) -> V
     if rate_evidence(required, successes, episodes) >= math.log(1 / ALPHA):
         low, high = rate_sequence(successes, episodes)
         return Verdict(rate > required, f"{successes} of {episodes} succeed; 95 % confidence sequence {low:.3g} .. {high:.3g}")
+    left = planned - episodes
+    known = f"{successes} of {episodes} succeed" + (f", which the remaining {left} cannot change" if left else "")
     if successes >= required * planned:
-        return Verdict(True, f"{successes} of {planned} succeed, whatever the remaining {planned - episodes} do")
-    if successes + planned - episodes < required * planned:
-        return Verdict(False, f"{episodes - successes} of {planned} fail, whatever the remaining {planned - episodes} do")
-    return Verdict(None, f"{successes} of {episodes} succeed")
+        return Verdict(True, known)
+    if successes + left < required * planned:
+        return Verdict(False, known)
+    return Verdict(None, known)
 
 
 def gate_mean(required: float, returns: Sequence[float], planned: int) -> Verdict:

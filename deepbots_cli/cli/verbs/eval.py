@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +23,8 @@ from deepbots_cli.learning.run import Run
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult
+    from deepbots_cli.learning.episodes import Episode
+    from deepbots_cli.learning.statistics import Verdict
 
 
 def command(
@@ -55,6 +58,9 @@ def command(
             "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower than RATE, such as 0.8 or 80%."
         ),
     ] = None,
+    min_return: Annotated[
+        float | None, typer.Option("--min-return", metavar="VALUE", help="Exit with 1 if the mean return is lower than VALUE.")
+    ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -62,7 +68,10 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved and --min-success apply to the result in the scenario, or in the case given by --case.
+    --require-solved, --min-success and --min-return apply to the result in the scenario, or in the case given by --case.
+
+    --min-success and --min-return stop the evaluation as soon as the answer is certain: when the remaining episodes cannot change it, or
+    when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. The observation, action and messages of
     this scenario must be equal to those of the training; its world may differ.
@@ -74,8 +83,10 @@ def command(
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
+      deepbots eval runs/find_ball-0-1 --min-success 90%
 
-    Next: `deepbots train --resume RUN --timesteps N --full` continues the training.
+    Next: `deepbots compare RUN RUN` compares policies on the same starts, and
+    `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
     known = Run.open(run)
     compiled = None
@@ -93,15 +104,44 @@ def command(
     }
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
+    program = known.program if compiled is None else compiled.program
+    usual = program.evaluation.episodes if case is None else program.case(case).episodes
+    gates = Gates(min_success, min_return, episodes or usual)
     with terminal.progress(always=False) as show_episode:
-        result = evaluate(known, case=case, video_to=video, on_episode=show_episode, **chosen)
+        until = None if require_solved else gates.decided
+        result = evaluate(known, case=case, video_to=video, on_episode=show_episode, until=until, **chosen)
         cases = evaluate_cases(known, on_episode=show_episode, **chosen) if case is None else ()
     known.keep_evaluation({**with_cases(result, cases), "set": sets or []})
     if as_json:
         terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:
         show(result, cases, elsewhere=_elsewhere(known, scenario, sets or (), compiled))
-    _require(result, require_solved=require_solved, min_success=min_success)
+    _require(result, gates, require_solved=require_solved)
+
+
+@dataclass(frozen=True)
+class Gates:
+    """What `--min-success` and `--min-return` require of an evaluation of `planned` episodes."""
+
+    min_success: float | None
+    min_return: float | None
+    planned: int
+
+    def verdicts(self, episodes: Sequence[Episode]) -> Iterator[tuple[str, Verdict]]:
+        """Each requirement in words, and its answer after these episodes."""
+        from deepbots_cli.learning.statistics import gate_mean, gate_rate
+
+        if self.min_success is not None:
+            successes = sum(episode.is_success for episode in episodes)
+            yield f"success rate of at least {self.min_success:g}", gate_rate(self.min_success, successes, len(episodes), self.planned)
+        if self.min_return is not None:
+            returns = [episode.total_return for episode in episodes]
+            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, self.planned)
+
+    def decided(self, episodes: Sequence[Episode]) -> bool:
+        """Whether every requirement is certainly met, or one certainly not."""
+        answers = [verdict.met for _, verdict in self.verdicts(episodes)]
+        return bool(answers) and (False in answers or None not in answers)
 
 
 def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
@@ -125,8 +165,8 @@ def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> d
     return {**report.to_json(result), "cases": [report.to_json(other) for other in cases]}
 
 
-def _require(result: EvaluationResult, *, require_solved: bool, min_success: float | None) -> None:
-    """Exit with 1 where the result does not meet the requirements."""
+def _require(result: EvaluationResult, gates: Gates, *, require_solved: bool) -> None:
+    """Report each requirement, and exit with 1 if the result does not meet all of them."""
     unmet = []
     if require_solved and not result.solved:
         unmet.append(
@@ -134,8 +174,11 @@ def _require(result: EvaluationResult, *, require_solved: bool, min_success: flo
             if result.solved is False
             else f"the evaluation cannot say whether the task is solved ({result.verdict})"
         )
-    if min_success is not None and result.success_rate < min_success:
-        unmet.append(f"the success rate is {result.success_rate:.3g}, below {min_success:g}")
+    for requirement, verdict in gates.verdicts(result.outcomes):
+        if verdict.met is False:
+            unmet.append(f"not met: {requirement} ({verdict.reason})")
+        elif verdict.met:
+            terminal.note(f"met: {requirement} ({verdict.reason})")
     if unmet:
         terminal.complain(" and ".join(unmet))
         raise typer.Exit(FAILED)

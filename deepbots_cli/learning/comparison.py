@@ -1,0 +1,186 @@
+"""Comparisons of policies: groups of runs, evaluated on the same starts in the same scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.environments import compiled_of
+from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.run import NAME, ModelName, Run
+from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean
+from deepbots_cli.scenario import Scenario
+
+MIN_SEEDS = 3
+"""With fewer runs in a group, the interval of a difference is so wide that it rarely excludes 0."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs of the same scenario with other seeds, and their evaluations on the same starts."""
+
+    name: str
+    evaluations: tuple[EvaluationResult, ...]
+
+    @property
+    def returns(self) -> list[float]:
+        """The mean return of each run."""
+        return [result.mean_return for result in self.evaluations]
+
+    @property
+    def success_rates(self) -> list[float]:
+        """The success rate of each run."""
+        return [result.success_rate for result in self.evaluations]
+
+    @property
+    def mean_return(self) -> float:
+        return fmean(self.returns)
+
+    @property
+    def success_rate(self) -> float:
+        return fmean(self.success_rates)
+
+    @property
+    def interquartile_mean(self) -> float:
+        """Of the returns of all episodes of all runs."""
+        return interquartile_mean([episode.total_return for result in self.evaluations for episode in result.outcomes])
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A group against the first group: differences of the mean return, and of the success rate if the scenario defines success.
+
+    `between_seeds` tells whether the interval is one over the seeds of both groups. If not, each group is a single run, and the interval
+    is one over the episodes of these two policies.
+    """
+
+    group: str
+    mean_return: Difference
+    success_rate: Difference | None
+    between_seeds: bool
+
+    @property
+    def verdict(self) -> str:
+        """The result in a sentence."""
+        difference = self.mean_return
+        if difference.interval is None:
+            return f"{self.group}: a group with one run has no interval; train more seeds"
+        low, high = difference.interval
+        size = f"by {abs(difference.mean):.4g} in the mean return (95 % interval of the difference: {low:.4g} .. {high:.4g})"
+        if not difference.certain:
+            return f"{self.group}: no certain difference from the first group; it differs {size}"
+        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than the first group {size}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Groups in the order in which they were given, the others against the first, and remarks on what the numbers cannot tell."""
+
+    scenario: str
+    episodes: int
+    seed: int
+    groups: tuple[Group, ...]
+    differences: tuple[Compared, ...]
+    notes: tuple[str, ...]
+
+
+def compare(
+    runs: Sequence[str | Path],
+    *,
+    episodes: int | None = None,
+    seed: int = 0,
+    model: ModelName = "best",
+    scenario: Compiled | Scenario | str | Path | None = None,
+    case: str | None = None,
+    allow_code: bool = False,
+    on_run: Callable[[int, int], object] | None = None,
+) -> Comparison:
+    """Evaluate runs on the same starts, and compare them by groups.
+
+    Runs with the same scenario digest are a group: they differ by their seeds only. If all runs have the same digest, each run is a group.
+    A folder stands for all runs in it.
+
+    Args:
+        runs: At least two run directories, or folders of run directories.
+        episodes: Episodes of each run; by default the number of the scenario.
+        seed: Root seed of the starts, the same for all runs.
+        model: `best` or `last`.
+        scenario: The scenario to evaluate in; by default that of the first run. Its interface must be that of every run.
+        case: An evaluation case of this scenario.
+        allow_code: Whether terms in Python run.
+        on_run: Is called after each run with the number of evaluated runs and of all runs.
+
+    Raises:
+        RunError: A folder is not a run, or a run does not fit the scenario.
+        UsageError: There are fewer than two runs.
+    """
+    opened = [Run.open(path) for path in _expanded(runs)]
+    if len(opened) < 2:
+        raise UsageError("a comparison needs at least two runs")
+    base = opened[0].path
+    judged = api.compile(api.load(base / RESOLVED, allow_code=True, project=base)) if scenario is None else compiled_of(scenario)
+    results = []
+    for number, run in enumerate(opened, start=1):
+        results.append(evaluate(run, episodes=episodes, seed=seed, model=model, scenario=judged, case=case, allow_code=allow_code))
+        if on_run is not None:
+            on_run(number, len(opened))
+    groups = _grouped(opened, results)
+    differences = tuple(_compared(groups[0], group) for group in groups[1:])
+    first = results[0]
+    return Comparison(first.scenario, first.episodes, seed, groups, differences, tuple(_notes(opened, groups, differences)))
+
+
+def _expanded(runs: Sequence[str | Path]) -> list[Path]:
+    """The run directories, those of folders in the order of their names; each once."""
+    found: dict[Path, None] = {}
+    for path in map(Path, runs):
+        inner = (
+            sorted(child for child in path.iterdir() if (child / NAME).is_file()) if path.is_dir() and not (path / NAME).is_file() else []
+        )
+        found |= dict.fromkeys(inner or [path])
+    return list(found)
+
+
+def _grouped(runs: Sequence[Run], results: Sequence[EvaluationResult]) -> tuple[Group, ...]:
+    by_digest: dict[str, list[EvaluationResult]] = {}
+    for run, result in zip(runs, results, strict=True):
+        by_digest.setdefault(run.record.digest, []).append(result)
+    if len(by_digest) == 1:
+        return tuple(Group(result.run.name, (result,)) for result in results)
+    return tuple(Group(_name(members), tuple(members)) for members in by_digest.values())
+
+
+def _name(members: Sequence[EvaluationResult]) -> str:
+    """The name of the first run, with the number of the others."""
+    others = len(members) - 1
+    return members[0].run.name + (f" and {others} more" if others else "")
+
+
+def _compared(first: Group, group: Group) -> Compared:
+    between_seeds = max(len(first.evaluations), len(group.evaluations)) > 1
+    has_success = all(result.success_defined for result in (*first.evaluations, *group.evaluations))
+    if between_seeds:
+        success = compare_seeds(first.success_rates, group.success_rates) if has_success else None
+        return Compared(group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
+    before, after = first.evaluations[0].outcomes, group.evaluations[0].outcomes
+    returns = compare_episodes([episode.total_return for episode in before], [episode.total_return for episode in after])
+    success = compare_episodes([float(e.is_success) for e in before], [float(e.is_success) for e in after]) if has_success else None
+    return Compared(group.name, returns, success, between_seeds)
+
+
+def _notes(runs: Sequence[Run], groups: Sequence[Group], differences: Sequence[Compared]) -> list[str]:
+    notes = []
+    fewest = min(len(group.evaluations) for group in groups)
+    if all(not difference.between_seeds for difference in differences):
+        notes.append("each group is one run: the intervals compare these policies, and not the settings that they were trained with")
+    elif fewest < MIN_SEEDS:
+        notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
+    if len({run.record.engine for run in runs}) > 1:
+        notes.append("the runs were trained in different engines, and each is evaluated in its own")
+    return notes
