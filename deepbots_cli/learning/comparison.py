@@ -72,6 +72,8 @@ class Compared:
         if difference.interval is None:
             return f"{self.group}: a group with one run has no interval; train more seeds"
         low, high = difference.interval
+        if low == high == 0:
+            return f"{self.group}: the same mean return in every {'run' if self.between_seeds else 'episode'}"
         size = f"by {abs(difference.mean):.4g} in the mean return (95 % interval of the difference: {low:.4g} .. {high:.4g})"
         if not difference.certain:
             return f"{self.group}: no certain difference from the first group; it differs {size}"

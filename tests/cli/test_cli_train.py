@@ -92,14 +92,30 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
 
 
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
-    ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-success", "0.9")
+    ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-return", "1000")
     assert ran.code == 1
     assert "the evaluation cannot say whether the task is solved (cannot be told from 2 episodes" in ran.err
-    assert "not met: success rate of at least 0.9 (0 of 2 succeed)" in ran.err
-    assert deepbots("eval", "mine", "--episodes", "2", "--min-success", "0").code == 0
-    assert "not met: success rate of at least 0.9" in deepbots("eval", "mine", "--episodes", "2", "--min-success", "90%").err
+    assert "not met: mean return of at least 1000" in ran.err
+    ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
+    assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
+    assert 2 <= json.loads(ran.out)["episodes"] < 40
+    refused = deepbots("eval", "mine", "--min-success", "90%")
+    assert (refused.code, "CartPole defines no success; use --min-return" in refused.err) == (2, True)
     refused = deepbots("eval", "mine", "--min-success", "90")
     assert (refused.code, "write 90% for a percentage" in refused.err) == (2, True)
+
+
+def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, trained):
+    ran = deepbots("compare", "mine", "mine", "--episodes", "3")
+    assert (ran.code, "at least two runs" in ran.err) == (2, True)
+    shutil.copytree("mine", "other")
+    ran = deepbots("compare", "mine", "other", "--episodes", "3")
+    assert ran.code == 0, ran.err
+    assert "other: the same mean return in every episode" in ran.out
+    assert "each group is one run" in ran.out
+    found = json.loads(deepbots("compare", "mine", "other", "--episodes", "3", "--json").out)
+    assert found["differences"][0]["mean_return"] == {"mean": 0.0, "interval": [0.0, 0.0], "improvement": 0.5}
+    assert [group["runs"][0]["outcomes"] for group in found["groups"]][0] == found["groups"][1]["runs"][0]["outcomes"]
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):

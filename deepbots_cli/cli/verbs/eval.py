@@ -17,6 +17,7 @@ from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.run import Run
 
@@ -105,6 +106,11 @@ def command(
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
     program = known.program if compiled is None else compiled.program
+    if min_success is not None and not program.defines_success:
+        raise UsageError(
+            f"--min-success: {program.name} defines no success; use --min-return or --require-solved,"
+            " or add `termination.success` or a `goal` to the scenario"
+        )
     usual = program.evaluation.episodes if case is None else program.case(case).episodes
     gates = Gates(min_success, min_return, episodes or usual)
     with terminal.progress(always=False) as show_episode:
