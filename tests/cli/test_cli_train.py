@@ -115,7 +115,8 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert "each group is one run" in ran.out
     found = json.loads(deepbots("compare", "mine", "other", "--episodes", "3", "--json").out)
     assert found["differences"][0]["mean_return"] == {"mean": 0.0, "interval": [0.0, 0.0], "improvement": 0.5}
-    assert [group["runs"][0]["outcomes"] for group in found["groups"]][0] == found["groups"][1]["runs"][0]["outcomes"]
+    one, other = found["groups"]
+    assert one["runs"][0]["outcomes"] == other["runs"][0]["outcomes"]
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):

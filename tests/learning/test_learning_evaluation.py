@@ -191,4 +191,4 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
 def test_small_returns_are_shown_with_four_decimals() -> None:
     done = [Episode(value, 10, False, "max_time") for value in (0.1423, 0.1431)]
     assert "mean return       0.1427; standard deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
-    assert "mean return      14.27" in summary_text(Summary.of([Episode(14.27, 10, False, None)]), success_defined=False)
+    assert "mean return       14.27" in summary_text(Summary.of([Episode(14.27, 10, False, None)]), success_defined=False)
