@@ -14,6 +14,8 @@ from deepbots_cli.robots import inertia
 from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
 
+# Of links that state no colour, in turn.
+PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 TRACE = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 
 

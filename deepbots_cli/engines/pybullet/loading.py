@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import Pool, as_robot, forms, movable, moves, walls
+from deepbots_cli.engines.objects import PALETTE, Pool, as_robot, forms, movable, moves, walls
 from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, hushed
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.body import Body
@@ -43,7 +43,6 @@ measured; a ball that rolls over an edge of a triangle may be further away than 
 """
 EARTH = (0.72, 0.63, 0.48, 1.0)
 _SEEN = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
-PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 NOWHERE = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
 UNLIMITED = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
