@@ -65,9 +65,9 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(dog, build):
-    fresh = {seed: walk(build("pybullet", yard(dog)), seed, 50) for seed in (3, 4)}
-    engine = build("pybullet", yard(dog))
+def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, build):
+    fresh = {seed: walk(build(engine_name, yard(dog)), seed, 50) for seed in (3, 4)}
+    engine = build(engine_name, yard(dog))
     for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
         engine.reset()
         walk(engine, 1000 + ticks, ticks)
@@ -102,11 +102,11 @@ def roll(engine: Engine, seed: int, ticks: int) -> bytes:
 JOINTS = ["pitch", "yaw"]
 
 
-def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(roller, build):
+def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, build):
     rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
     world = WorldModel(0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15)))
-    fresh = {seed: roll(build("pybullet", world), seed, 60) for seed in (3, 4)}
-    engine = build("pybullet", world)
+    fresh = {seed: roll(build(engine_name, world), seed, 60) for seed in (3, 4)}
+    engine = build(engine_name, world)
     for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
         engine.reset()
         roll(engine, 1000 + ticks, ticks)
@@ -115,8 +115,8 @@ def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(rolle
             assert roll(engine, seed, 60) == expected, (ticks, seed)
 
 
-def test_a_dog_stands_on_springs_and_their_torques_carry_it(dog, build):
-    engine = build("pybullet", yard(dog))
+def test_a_dog_stands_on_springs_and_their_torques_carry_it(engine_name, dog, build):
+    engine = build(engine_name, yard(dog))
     for joint, angle in zip(LEGS, STAND, strict=True):
         engine.set_joint("dog", joint, angle, 0.0)
     engine.position_motor("dog", LEGS, [33.5] * 12, [100.0] * 12, [2.0] * 12)(STAND)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import atexit
 from functools import cache
 from math import tan
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import Builder
+from deepbots_cli.engines.mujoco.model import FARTHEST, NEAREST, Builder
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import SIGHT, Sight
 from deepbots_cli.program.world import GROUND
@@ -21,11 +23,18 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Image, PoseReader, View
     from deepbots_cli.program.world import WorldModel
 
-NEAREST = 0.01  # m
 LACKING = (
     "MuJoCo draws with OpenGL, which this machine does not offer without a display; set MUJOCO_GL=egl or MUJOCO_GL=osmesa where one of"
     " these libraries is installed, or use the engine 'pybullet' for pictures"
 )
+
+
+_OPEN: WeakSet[Pictures] = WeakSet()
+
+
+def _close_all() -> None:
+    for pictures in tuple(_OPEN):
+        pictures.close()
 
 
 @cache
@@ -35,8 +44,9 @@ def available() -> bool:
         context = mj.GLContext(8, 8)
         context.make_current()
         context.free()
-    except Exception:  # each of the libraries fails in its own way, and none of them matters here
+    except Exception:  # noqa: BLE001 - each of the libraries fails in its own way
         return False
+    atexit.register(_close_all)  # before MuJoCo ends the library, which it registered with the first context
     return True
 
 
@@ -47,6 +57,7 @@ class Pictures:
         self._world, self._state = world, state
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
+        _OPEN.add(self)
 
     def close(self) -> None:
         for renderer in self._renderers.values():
@@ -101,6 +112,7 @@ class Pictures:
         mj.mj_camlight(model, data)
         renderer = self._renderers.get((width, height))
         if renderer is None:
+            model.vis.global_.offwidth, model.vis.global_.offheight = width, height
             renderer = self._renderers[width, height] = mj.Renderer(model, height, width)
         renderer.update_scene(data)
         return renderer
@@ -129,4 +141,4 @@ class Pictures:
             camera.frustum_top = NEAREST * tan(fov / 2)
             camera.frustum_bottom = -camera.frustum_top
             camera.frustum_width = 0.0
-            camera.frustum_near, camera.frustum_far = NEAREST, SIGHT
+            camera.frustum_near, camera.frustum_far = NEAREST, FARTHEST

@@ -261,9 +261,7 @@ class MuJoCoEngine:
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         near, far = self._pool(one[0]), self._pool(other[0])
         _, _ = self._geoms(one), self._geoms(other)  # unknown names are refused here
-        read = near.bound(
-            lambda body: far.bound(lambda its: surfaces.clearance(self._world, body.of(one[1]), its.of(other[1])))
-        )
+        read = near.bound(lambda body: far.bound(lambda its: surfaces.clearance(self._world, body.of(one[1]), its.of(other[1]))))
         return lambda: read() if near.present and far.present else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:

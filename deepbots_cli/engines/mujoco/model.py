@@ -35,6 +35,7 @@ RESPONSE = 2.0
 MuJoCo's contacts are springs, and 2 is the stiffest that it allows. A resting cart sinks by 2 um at steps of 8 ms, and by 40 um
 with MuJoCo's default of 20 ms."""
 IMPEDANCE = (0.95, 0.99, 0.001, 0.5, 2.0)
+NEAREST, FARTHEST = 0.01, 2000.0  # m; what is drawn
 EARTH = (0.72, 0.63, 0.48, 1.0)
 
 
@@ -84,14 +85,17 @@ class Builder:
         spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
         spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
         spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET
+        spec.compiler.degree = False
         spec.compiler.autolimits = False
         spec.compiler.alignfree = False
         spec.stat.extent = 1.0
-        spec.visual.map.znear, spec.visual.map.zfar = 0.01, 100.0
+        spec.visual.map.znear, spec.visual.map.zfar = NEAREST, FARTHEST
         self._response = (RESPONSE * step, 1.0)
         self._made: list[tuple[Body, dict[str, Made], dict[str, Made], dict[str, list[Made]]]] = []
         self._elements = self._absent = 0
         self.pools: list[Pool[Body]] = []
+        if drawn:
+            self._add_light()
         self._add_ground()
         for thing in (*(walls(world.arena) if world.arena else ()), *world.objects):
             variants = [(name, self._object(form, thing.pooled)) for name, form in forms(thing).items()]
@@ -138,7 +142,9 @@ class Builder:
             friction, colour = Friction(lateral=world.ground.friction, restitution=world.ground.restitution), world.ground.colour
         else:
             return
-        body = Body(GROUND, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, frames.HERE, still=frozenset({GROUND}))
+        body = Body(
+            GROUND, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, frames.HERE, still=frozenset({GROUND})
+        )
         paint = {"rgba": colour} if colour else {"material": self._tiles()}
         geom = self._geom(self._spec.worldbody, **shape, **(paint if self._drawn else {}))
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
@@ -165,20 +171,38 @@ class Builder:
         )
         return relief
 
+    def _add_light(self) -> None:
+        """Daylight, a sky that is brighter at the horizon, and colours that do not depend on from where they are seen."""
+        spec = self._spec
+        spec.visual.quality.offsamples = 0  # a pixel is what its centre sees
+        gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
+        spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=(0.59, 0.73, 0.87), rgb2=(0.93, 0.95, 0.96), width=128, height=768)
+        spec.visual.headlight.active = False  # it shines from where the camera was in the picture before
+        sun = mj.mjtLightType.mjLIGHT_DIRECTIONAL
+        for direction, ambient, diffuse in (((-0.3, 0.4, -0.87), 0.45, 0.5), ((0.5, -0.6, -0.3), 0.0, 0.1)):
+            dull = {"ambient": (ambient,) * 3, "diffuse": (diffuse,) * 3, "specular": (0.0,) * 3, "castshadow": False}
+            spec.worldbody.add_light(type=sun, pos=(0, 0, 10), dir=direction, **dull)
+
     def _tiles(self) -> str:
         light, dark = (0.87, 0.89, 0.91), (0.78, 0.81, 0.84)
         kinds = {"type": mj.mjtTexture.mjTEXTURE_2D, "builtin": mj.mjtBuiltin.mjBUILTIN_CHECKER}
         self._spec.add_texture(name="tiles", rgb1=light, rgb2=dark, width=256, height=256, **kinds)
-        material = self._spec.add_material(name="tiles", texuniform=True, texrepeat=(2.0, 2.0))
+        material = self._spec.add_material(name="tiles", texuniform=True, texrepeat=(4.0, 4.0))
         material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
         return "tiles"
 
     def _paint(self, line: Line) -> None:
+        """A box for each piece, and a disc at each of its ends."""
+        half, thin = line.width / 2, 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
-            half, yaw = np.hypot(x1 - x0, y1 - y0) / 2 + line.width / 2, np.arctan2(y1 - y0, x1 - x0)
-            size, pos = (half, line.width / 2, 1e-4), ((x0 + x1) / 2, (y0 + y1) / 2, 0.0)
-            turned = _wxyz(frames.quaternion(0.0, 0.0, float(yaw)))
-            self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_BOX, size=size, pos=pos, quat=turned, rgba=line.colour)
+            long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
+            turned = _wxyz(frames.quaternion(0.0, 0.0, yaw))
+            if long > 0.0:
+                middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
+                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_BOX, size=size, pos=middle, quat=turned, rgba=line.colour)
+            for x, y in ((x0, y0), (x1, y1)):
+                disc = (half, thin, 0.0)
+                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_CYLINDER, size=disc, pos=(x, y, 0.0), rgba=line.colour)
 
     # Bodies
 

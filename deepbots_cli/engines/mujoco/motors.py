@@ -181,7 +181,7 @@ def places(numbers: Sequence[int]) -> Any:
 def pusher(world: World, link: int, frame: Literal["world", "link"]) -> Pusher:
     """MuJoCo's forces act at the centre of mass, in the axes of the world."""
     model, data = world.model, world.data
-    applied, origin, turned = data.xfrc_applied[link], data.xpos[link], data.xquat[link]
+    applied, turned = data.xfrc_applied[link], data.xquat[link]
     centre = tuple(model.body_ipos[link].tolist())
     centred = centre == STILL
 

@@ -1,8 +1,8 @@
 """The state of a world, what is derived from it when somebody asks, and the values that an episode varies.
 
-After `mj_step` MuJoCo's positions of links, velocities and contacts are those of the state before the step. The rule here: joints and free root
-links are read from the state itself; positions and velocities of other links are computed from it once, when first asked for; contacts and
-forces are those that acted in the last step, which is what the port says of them.
+After `mj_step`, MuJoCo's positions of links, velocities and contacts are those of the state before the step. Therefore joints and
+free root links are read from the state itself, and positions and velocities of other links are computed from it once, when they are first
+asked for. Contacts and forces are those of the last step, which is what the port promises.
 """
 
 from __future__ import annotations
@@ -27,15 +27,20 @@ if TYPE_CHECKING:
 
 WHOLE = int(mj.mjtState.mjSTATE_INTEGRATION)
 VARIED = (
-    "body_mass body_inertia body_subtreemass body_invweight0 body_gravcomp dof_invweight0 dof_M0 dof_damping dof_frictionloss dof_armature "
-    "jnt_actfrclimited jnt_actfrcrange actuator_biasprm actuator_forcelimited actuator_forcerange actuator_acc0 geom_group "
-    "pair_friction pair_dim pair_solref pair_solimp"
-).split()
+    *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_gravcomp"),
+    *("dof_invweight0", "dof_M0", "dof_damping", "dof_frictionloss", "dof_armature", "jnt_actfrclimited", "jnt_actfrcrange"),
+    *("actuator_biasprm", "actuator_forcelimited", "actuator_forcerange", "actuator_acc0"),
+    *("geom_group", "pair_friction", "pair_dim", "pair_solref", "pair_solimp"),
+)
 """The arrays of a model that an episode may change, and those that follow from them."""
 LATERAL, SPINNING, ROLLING, RESTITUTION = range(4)
 _SURFACE = {"lateral_friction": LATERAL, "spinning_friction": SPINNING, "rolling_friction": ROLLING, "restitution": RESTITUTION}
-BOUNCE_STEPS = 8.0
-"""Engine steps that a bounce takes: its spring is integrated with an error of 1 % of the speed."""
+BOUNCE_STEPS, BOUNCE_TIME = (6.0, 16.0), 0.016
+"""Engine steps and time (s) that a bounce takes: the time, as far as the steps allow.
+
+A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0.81 is left at steps of 1 ms, and 0.77 to 0.85 at 4 ms and
+at 16 ms, by how far a ball sinks before the first step sees it.
+"""
 Force = tuple[int, int, float]
 """Two geoms that touch, and the normal force between them in N."""
 
@@ -170,8 +175,8 @@ class World:
         self.data.qfrc_actuator[:], self.data.qacc[:] = kept.exerted, kept.accelerations
         pools, colours, self.light, *memories = kept.memory
         self.colours = dict(colours)  # type: ignore[call-overload]
-        for pool, (pool.present, pool.chosen) in zip(self.pools.values(), pools, strict=True):  # type: ignore[call-overload]
-            pass
+        for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):  # type: ignore[call-overload]
+            pool.present, pool.chosen = present, chosen
         for (_, write), memory in zip(self.memories, memories, strict=False):
             write(memory)
         self.changed()
@@ -293,5 +298,6 @@ def spring(restitution: float, step: float) -> tuple[float, float]:
         rest = sqrt(1.0 - ratio * ratio)
         kept = exp(-ratio / rest * (pi - atan2(2 * ratio * rest, rest * rest - ratio * ratio)))
         low, high = (ratio, high) if kept > restitution else (low, ratio)
-    rate = pi / (BOUNCE_STEPS * step * sqrt(1.0 - low * low)) if low < 0.9 else pi / (BOUNCE_STEPS * step)
+    duration = min(max(BOUNCE_TIME, BOUNCE_STEPS[0] * step), BOUNCE_STEPS[1] * step)
+    rate = pi / (duration * max(sqrt(1.0 - low * low), 0.5))
     return -rate * rate, -2.0 * low * rate
