@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import warnings
 from functools import cache
 from math import tan
 from typing import TYPE_CHECKING, Any
@@ -41,9 +42,10 @@ def _close_all() -> None:
 def available() -> bool:
     """Whether a context of OpenGL can be made; found out once, in 10 ms."""
     try:
-        context = mj.GLContext(8, 8)
-        context.make_current()
-        context.free()
+        with warnings.catch_warnings(action="ignore"):
+            context = mj.GLContext(8, 8)
+            context.make_current()
+            context.free()
     except Exception:  # noqa: BLE001 - each of the libraries fails in its own way
         return False
     atexit.register(_close_all)  # before MuJoCo ends the library, which it registered with the first context

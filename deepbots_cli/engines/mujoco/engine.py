@@ -58,7 +58,8 @@ class MuJoCoEngine:
         self._touches: surfaces.Touches | None = None
         self._acts: list[Callable[[], object]] = []
         self._pictures = cameras.Pictures(world, self._world)
-        self.capabilities: frozenset[Capability] = frozenset({"contacts", "snapshot", *(["rendering"] if cameras.available() else [])})  # type: ignore[list-item]
+        drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.available() else ())
+        self.capabilities: frozenset[Capability] = drawing | {"contacts", "snapshot"}
         self.reset()
 
     # Time
@@ -73,23 +74,29 @@ class MuJoCoEngine:
         world = self._world
         if world.unsettled:
             world.settle()
-        servos = self._motors.limited_servos
-        if not (self._acts or servos or world.pushed) and self._touches is None:
-            mj.mj_step(world.model, world.data, substeps)
+        model, data, touches, acts, servos = world.model, world.data, self._touches, self._acts, self._motors.limited_servos
+        if not (acts or servos or world.pushed):
+            if touches is None:
+                mj.mj_step(model, data, substeps)
+            else:
+                advance, look = mj.mj_step, touches.look
+                touches.forget()
+                for _ in range(substeps):
+                    advance(model, data)
+                    look()
             world.stepped()
             return
-        touches = self._touches
         if touches is not None:
             touches.forget()
         for _ in range(substeps):
-            for act in self._acts:
+            for act in acts:
                 act()
             for renew in servos.values():
                 renew()
-            mj.mj_step(world.model, world.data)
+            mj.mj_step(model, data)
             world.stepped()
             if world.pushed:
-                world.data.xfrc_applied[:] = 0.0
+                data.xfrc_applied[:] = 0.0
                 world.pushed = False
             if touches is not None:
                 touches.look()

@@ -15,7 +15,7 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.objects import PALETTE, TRACE, Pool, as_robot, forms, held_by, movable, moves, walls
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import triangles
-from deepbots_cli.program.world import GROUND, Line, ObjectBody, Terrain, WorldModel
+from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.terrain import Grid, grid
@@ -133,6 +133,7 @@ class Builder:
     def _add_ground(self) -> None:
         world = self._world
         shape: dict[str, Any]
+        colour: Colour | None
         if world.terrain is not None:
             relief = self._relief(world.terrain)
             shape = {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": GROUND, "pos": (0.0, 0.0, float(relief.heights.min()))}
@@ -145,8 +146,9 @@ class Builder:
         body = Body(
             GROUND, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, frames.HERE, still=frozenset({GROUND})
         )
-        paint = {"rgba": colour} if colour else {"material": self._tiles()}
-        geom = self._geom(self._spec.worldbody, **shape, **(paint if self._drawn else {}))
+        if self._drawn:
+            shape |= {"rgba": colour} if colour else {"material": self._tiles()}
+        geom = self._geom(self._spec.worldbody, **shape)
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
         for line in world.lines if self._drawn else ():

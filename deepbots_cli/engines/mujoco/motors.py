@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -165,7 +166,7 @@ class Motor:
             aim(targets)
             if rate:
                 if any(gain < least for gain, least in zip(self.gains, damped, strict=True)):
-                    servos[self] = lambda held=tuple(targets): aim(held)
+                    servos[self] = partial(aim, tuple(targets))
                 else:
                     servos.pop(self, None)
 

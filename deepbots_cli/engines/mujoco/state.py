@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import HIDDEN, IMPEDANCE, SOLID, Body
+from deepbots_cli.engines.mujoco.model import IMPEDANCE, SOLID, Body
 from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 
@@ -54,7 +54,7 @@ class Kept(NamedTuple):
     exerted: Figures
     accelerations: Figures
     forces: Sequence[Force]
-    memory: tuple[object, ...]
+    memory: tuple[Any, ...]
 
 
 class World:
@@ -79,6 +79,7 @@ class World:
                     lateral = 1.0 if rubs.lateral is None else rubs.lateral
                     self.surfaces[geoms] = (lateral, rubs.spinning or 0.0, rubs.rolling or 0.0, rubs.restitution or 0.0)
                 body.on_entrance = self._enter
+        model.dof_simplenum[:] = 0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
         self._varied = [model.opt.gravity, self.surfaces, *(getattr(model, name) for name in VARIED)]
         self._usual = [np.array(values) for values in self._varied]
         self.settle()
@@ -173,9 +174,9 @@ class World:
         mj.mj_resetData(self.model, self.data)
         mj.mj_setState(self.model, self.data, kept.state, WHOLE)
         self.data.qfrc_actuator[:], self.data.qacc[:] = kept.exerted, kept.accelerations
-        pools, colours, self.light, *memories = kept.memory
-        self.colours = dict(colours)  # type: ignore[call-overload]
-        for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):  # type: ignore[call-overload]
+        pools, colours, light, *memories = kept.memory
+        self.colours, self.light = dict(colours), light
+        for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):
             pool.present, pool.chosen = present, chosen
         for (_, write), memory in zip(self.memories, memories, strict=False):
             write(memory)
@@ -196,17 +197,6 @@ class World:
         """A pooled body is placed: it has weight, and rays meet it."""
         self.model.geom_group[body.of(None)] = SOLID
         self.model.body_gravcomp[list(body.links.values())] = 0.0
-
-    def hide(self, geoms: slice) -> Callable[[], None]:
-        """Let rays pass through geoms until the returned function is called."""
-        group = self.model.geom_group[geoms]
-        kept = group.copy()
-        group[:] = HIDDEN
-
-        def show() -> None:
-            group[:] = kept
-
-        return show
 
     # Values of an episode
 

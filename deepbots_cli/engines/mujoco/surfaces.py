@@ -34,6 +34,7 @@ class Touches:
         self._marks: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
         self._none: list[bool] = []
+        self._dull: list[list[int]] = []
         world.memories.append((lambda: list(self._touched), self._remember))
 
     def forget(self) -> None:
@@ -43,15 +44,18 @@ class Touches:
         self._touched[: len(touched)] = touched
 
     def look(self) -> None:
-        """Marks the readers of the pairs of geoms in contact."""
+        """Marks the readers of the pairs of geoms in contact; `_dull` are pairs that mean nothing to any of them."""
         if self._data.ncon:
-            marks, touched = self._marks, self._touched
-            for one, other in self._data.contact.geom.tolist():
-                for place in marks.get((one, other), ()):
-                    touched[place] = True
+            pairs = self._data.contact.geom.tolist()
+            if pairs != self._dull:
+                met = [place for one, other in pairs for place in self._marks.get((one, other), ())]
+                for place in met:
+                    self._touched[place] = True
+                self._dull = pairs if not met else []
 
     def reader(self, own: Iterable[int], others: Iterable[int]) -> ContactReader:
         place, touched, others = len(self._touched), self._touched, tuple(others)
+        self._dull = []
         for one in own:
             for other in others:
                 self._marks.setdefault((one, other), []).append(place)
@@ -100,7 +104,7 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
     """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for each."""
     model, data = world.model, world.data
     own = body.of(None)
-    through = slice(min(own), max(own) + 1) if own else slice(0, 0)
+    groups = model.geom_group[min(own) : max(own) + 1] if own else model.geom_group[:0]
     starts = np.array([origin for origin, _ in given])
     directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in given])
     centre = _meeting_point(starts, directions)
@@ -108,34 +112,40 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
     seen[HIDDEN] = 0
     position, axes = data.xpos[link], data.xmat[link].reshape(3, 3)
 
-    def cast_one(place: int) -> float:
-        met = mj.mj_ray(model, data, position + axes @ starts[place], axes @ directions[place], seen, True, -1, None, None)
-        return reach if met < 0.0 else min(met, reach)
+    ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
+
+    def cast(place: int, origins: Figures, ways: Figures) -> float:
+        length: float = ray(model, data, origins[place], ways[place], seen, True, -1, None, None)
+        return reach if length < 0.0 or length > reach else length
 
     if centre is None:
+        every = range(len(given))
 
         def read_each() -> list[float]:
             world.pose()
-            show = world.hide(through)
-            free = [cast_one(place) for place in range(len(given))]
-            show()
+            kept = groups[:1].copy()
+            groups.fill(HIDDEN)
+            origins, ways = position + starts @ axes.T, directions @ axes.T
+            free = [cast(place, origins, ways) for place in every]
+            groups[:] = kept
             return free
 
         return read_each
 
     count, ahead = len(given), np.einsum("ij,ij->i", starts - centre, directions).tolist()
     far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
-    across = np.ascontiguousarray(directions.T)
 
     def read() -> list[float]:
         world.pose()
-        show = world.hide(through)
-        mj.mj_multiRay(model, data, position + axes @ centre, (axes @ across).T.ravel(), seen, True, -1, geoms, met, None, count, far)
-        free = [
-            reach if length < 0.0 else cast_one(place) if length < start else min(length - start, reach)
-            for place, (length, start) in enumerate(zip(met.tolist(), ahead, strict=True))
-        ]
-        show()
+        kept = groups[:1].copy()
+        groups.fill(HIDDEN)
+        mj.mj_multiRay(model, data, position + axes @ centre, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
+        lengths = met.tolist()
+        free = [reach if length < 0.0 else min(length - start, reach) for length, start in zip(lengths, ahead, strict=True)]
+        for place, length in enumerate(free):
+            if length < 0.0:  # something is between the centre and the start
+                free[place] = cast(place, position + starts @ axes.T, directions @ axes.T)
+        groups[:] = kept
         return free
 
     return read
