@@ -19,7 +19,7 @@ FORMAT = 2
 NAME = "run.json"
 Status = Literal["running", "finished", "interrupted", "failed"]
 _LIMIT = 4_000_000
-_DISTRIBUTIONS = ("gymnasium", "numpy", "pybullet", "stable-baselines3", "torch")
+_DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 
 
 @dataclass(frozen=True)
