@@ -267,7 +267,9 @@ class MuJoCoEngine:
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         near, far = self._pool(one[0]), self._pool(other[0])
-        _, _ = self._geoms(one), self._geoms(other)  # unknown names are refused here
+        for geom in (*self._geoms(one), *self._geoms(other)):
+            if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
+                raise EngineError("MuJoCo knows no distances to terrain; measure them with rays, or use the engine 'pybullet'")
         read = near.bound(lambda body: far.bound(lambda its: surfaces.clearance(self._world, body.of(one[1]), its.of(other[1]))))
         return lambda: read() if near.present and far.present else inf
 

@@ -34,7 +34,7 @@ class Motors:
         self._of_joint: dict[int, Motor] = {}
         self.limited_servos: dict[Motor, Callable[[], None]] = {}
         """What to call before each engine step for servos at their limit."""
-        self.usual_armature = world.model.dof_armature.copy()
+        self.usual_armature, self.usual_inverse = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
         self.actuators = {joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())}
         world.memories.append((lambda: (dict(self._of_joint), dict(self.limited_servos)), lambda memory: self._remember(*memory)))
 
@@ -91,6 +91,7 @@ class Motor:
         ranges = [(-limit, limit) for limit in self._limits]
         model.actuator_biasprm[self._acts] = 0.0
         model.dof_armature[self._dofs] = self._motors.usual_armature[self._dofs]
+        model.dof_invweight0[self._dofs] = self._motors.usual_inverse[self._dofs]
         model.actuator_forcelimited[self._acts] = not soft
         model.actuator_forcerange[self._acts] = ranges
         model.jnt_actfrclimited[self._bound] = soft
@@ -142,6 +143,8 @@ class Motor:
         step, servos = model.opt.timestep, self._motors.limited_servos
         ctrl, velocity, position, bias, armature = data.ctrl, data.qvel, data.qpos, model.actuator_biasprm, model.dof_armature
         usual, inertias = self._motors.usual_armature[dofs].tolist(), model.dof_M0[dofs].tolist()
+        moved = [1.0 / inverse for inverse in self._motors.usual_inverse[dofs].tolist()]
+        inverses = model.dof_invweight0  # by which MuJoCo scales the stiffness of joint limits
         bounds = [(STIFFEST * inertia / step, limit) for inertia, limit in zip(inertias, self._limits, strict=True)]
         damped = [4.0 * inertia * rate for inertia in inertias]
 
@@ -155,6 +158,7 @@ class Motor:
                 self.gains = gains
                 bias[acts, 2] = [-gain for gain in gains]
                 armature[dofs] = [own + gain * step for own, gain in zip(usual, gains, strict=True)]
+                inverses[dofs] = [1.0 / (own + gain * step) for own, gain in zip(moved, gains, strict=True)]
                 if rate:
                     bias[acts, 1] = [-gain * rate for gain in gains]
             ctrl[acts] = [gain * (rate or 1.0) * target for gain, target in zip(gains, targets, strict=True)]

@@ -41,6 +41,7 @@ BOUNCE_STEPS, BOUNCE_TIME = (6.0, 16.0), 0.016
 A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0.81 is left at steps of 1 ms, and 0.77 to 0.85 at 4 ms and
 at 16 ms, by how far a ball sinks before the first step sees it.
 """
+RIGID = 0.99  # the impedance of a bounce: the share of its spring that the solver applies
 Force = tuple[int, int, float]
 """Two geoms that touch, and the normal force between them in N."""
 
@@ -112,10 +113,9 @@ class World:
     def forces(self) -> Sequence[Force]:
         """What touched in the last engine step."""
         if self._forces is None:
-            contact = self.data.contact
-            places = contact.efc_address
-            normal = np.where(places >= 0, self.data.efc_force[places], 0.0) if len(places) else places
-            self._forces = [(one, other, force) for (one, other), force in zip(contact.geom.tolist(), normal.tolist(), strict=True)]
+            contact, exerted = self.data.contact, self.data.efc_force.tolist()
+            pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
+            self._forces = [(one, other, exerted[place] if place >= 0 else 0.0) for (one, other), place in pairs]
         return self._forces
 
     # Course of an episode
@@ -256,7 +256,7 @@ class World:
         bounces = one[RESTITUTION] * other[RESTITUTION]
         for place in np.flatnonzero(bounces > 0.0):
             model.pair_solref[place] = spring(float(bounces[place]), model.opt.timestep)
-            model.pair_solimp[place] = (IMPEDANCE[1], *IMPEDANCE[1:])
+            model.pair_solimp[place] = (RIGID, RIGID, *IMPEDANCE[2:])
 
     def require_finite(self) -> None:
         """Raises: EngineError: A pose or joint is not finite; names the body."""
