@@ -98,7 +98,8 @@ AllowPaths = Annotated[
     typer.Option("--allow-path", metavar="DIR", help="Allow reading files from this folder outside the project; may be repeated."),
 ]
 AllowCode = Annotated[
-    bool, typer.Option("--allow-code", help="Allow terms that are Python functions; use it only for packages that you trust.")
+    bool,
+    typer.Option("--allow-code", help="Allow reward terms and endings that are Python functions; use it only for packages that you trust."),
 ]
 Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Apply the settings of this case of `evaluation.cases`.")]
 Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Apply the settings of this stage of the curriculum.")]

@@ -24,7 +24,7 @@ from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
-from deepbots_cli.learning.record import number, solved
+from deepbots_cli.learning.report import solved_text
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
@@ -191,7 +191,7 @@ def _joint(joint: Joint, *, whole: bool = False) -> Row:
 
 def _run(run: Run) -> Row:
     """What a run is, and how far its training has come; steps count over all copies of the environment."""
-    record, result = run.record, run.record.result or {}
+    record, result = run.record, run.record.result
     best = run.model("best")
     return {
         "run": str(run.path),
@@ -203,14 +203,16 @@ def _run(run: Run) -> Row:
         "deepbots": record.deepbots,
         "started": record.started,
         "updated": record.updated,
-        "steps": number(result.get("steps")),
+        "steps": result and result.steps,
         "total_timesteps": record.total_timesteps,
-        "episodes": number(result.get("episodes")),
-        "mean_return": number(result.get("mean_return")),
-        "success_rate": number(result.get("success_rate")) if run.program.defines_success else None,
+        "episodes": result and result.episodes,
+        "mean_return": result and result.mean_return,
+        "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
-        "best_return": number(result.get("best_return")),
-        "solved": solved(result.get("solved_at")) if run.program.solved else "the scenario does not say what counts as solved",
+        "best_return": result and result.best_return,
+        "solved": solved_text(result.solved_at if result else None)
+        if run.program.solved
+        else "the scenario does not say what counts as solved",
         "notes": run.notes(),
     }
 

@@ -83,15 +83,15 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> 
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
     highest = loss.typed.type.interval.high
     if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
-        headline = f"runs of {burst:g} lost messages cannot make up a share of {highest:g}"
-        values.findings.add("DB105", span, headline, help=f"give at least {highest / (1.0 - highest):.3g}")
+        headline = f"bursts of {burst:g} lost messages cannot give a loss of {highest:g}"
+        values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {highest / (1.0 - highest):.3g}")
 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
     if redraw is not None or typed.type.stage is not Stage.STEP or not _draws(typed):
         return _has_period(redraw, text, values)
-    headline = "a draw beside a value that changes within the episode"
+    headline = "a random value combined with a value that changes within the episode"
     help = "say when it is drawn again, with `every 5 s` or `each step`, or make it a parameter of its own"
     values.findings.add("DB407", text.span, headline, help=help)
     return False

@@ -235,7 +235,7 @@ class Actuators:
         known = [each for each in own if each is not None]
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
-            help = f"that of the robot file holds: lower this one, or raise `{key}` under `joints` if the motor can do more"
+            help = f"the limit of the robot file applies: lower this one, or raise `{key}` under `joints` if the motor can do more"
             warn_beyond(self._values, text, dimension, allowed, "a limit of", exact(limit), help)
 
 

@@ -266,7 +266,7 @@ class Namespace:
             return None
         text = self.values.field(section, "noise")
         if of.type.boolean or of.type.picture:
-            help = "take it out, or give it to the number behind it"
+            help = "remove it, or put the noise on the number from which the value is computed"
             self.values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
             return None
         components = of.type.components
@@ -291,7 +291,7 @@ class Namespace:
         if of is not None:
             self.colours[:] = [each for each in self.colours if each.of != of]  # as for a link that two patterns mean
         if len(options) > 1 and of is None:
-            help = "it is the same in every episode; give one colour"
+            help = "it must be the same in every episode; give one colour"
             self.values.findings.add("DB407", text.span, "a draw of a colour that is fixed", help=help)
         elif len(options) > 1 and of is not None:
             single = Type(stage=Stage.EPISODE)
@@ -430,7 +430,7 @@ def _rgba(word: str) -> Colour:
 _ENDLESS = Interval(0.0, float("inf"))
 _FLAGS = ("terminated", "truncated", "ended")
 _ACCOUNTS = ("previous_reward", "episode_return")
-GOAL_IS_LATE = "the goal is settled after the signals, and seen by endings and rewards only"
+GOAL_IS_LATE = "the goal is computed after the signals, and only endings and rewards can use it"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_ACCOUNTS, *_FLAGS)
 
 
@@ -475,7 +475,7 @@ class SupervisorScope(_Scope):
             return built_in
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in (Context.REWARD, Context.ENDING):
-            return Symbol(name, None, refused="endings are settled after the signals; use the condition itself")
+            return Symbol(name, None, refused="endings are computed after the signals; use the condition itself")
         if origin is Origin.GOAL and self.context not in (Context.REWARD, Context.ENDING):
             return Symbol(name, None, refused=GOAL_IS_LATE)
         robot, _, rest = name.partition(".")

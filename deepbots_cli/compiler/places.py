@@ -67,7 +67,7 @@ class Room:
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
             headline = f"a grid of {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
             self._values.findings.add(
-                "DB105", self._values.key_span((*path, "grid")), headline, help="give a larger region, or a smaller mesh"
+                "DB105", self._values.key_span((*path, "grid")), headline, help="give a larger region, or a smaller `grid`"
             )
         elif arena is not None and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]:
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand in {arena.size[0] * arena.size[1]:.3g} m^2"
@@ -384,7 +384,7 @@ class Places:
             return
         for key, given in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if given and not self._values.is_lost(place.body):
-                headline = f"`{key}` of `{place.body}`, of which there is one"
+                headline = f"`{key}` of `{place.body}`, which is a single body"
                 help = "it is for groups: bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
 

@@ -394,7 +394,7 @@ class Goals:
         if typed is None or (name == "desired" and wanted is None):
             return Symbol(name, None)
         dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
-        typed = expect(typed, self._values.report(text), f"what is {name}", dimension=dimension, components=components)
+        typed = expect(typed, self._values.report(text), f"`{name}` of the goal", dimension=dimension, components=components)
         if typed is None:
             return Symbol(name, None)
         if wanted:
@@ -421,8 +421,8 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
             namespace.values.findings.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help=help)
         for odd in _beyond(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
-            headline = f"the term `{term.name}` rests on more than what is achieved and desired"
-            help = "use `achieved`, `desired`, `goal_reached` and fixed figures: hindsight recomputes the reward for other goals"
+            headline = f"the term `{term.name}` depends on values other than the goal"
+            help = "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight recomputes the reward for other goals"
             namespace.values.findings.add("DB709", text.part(odd.start, odd.end), headline, help=help)
             break
 
@@ -494,7 +494,9 @@ class _Reader:
         """A value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
-            self._values.findings.add("DB103", key, f"several values, where `{part.name}` is one", help=self._example(part.name))
+            self._values.findings.add(
+                "DB103", key, f"several values for `{part.name}`, which is a single value", help=self._example(part.name)
+            )
             return None
         strange = [name for name in given if name not in part.components]
         for name in strange:
@@ -523,7 +525,7 @@ class _Reader:
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
             help = f"name one, or say when each is taken: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
-            self._values.findings.add("DB103", span, f"an expression, where an option of `{part.name}` is due", help=help)
+            self._values.findings.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help=help)
         elif word not in options:
             self._values.unknown(span, "choice", word, options)
         else:

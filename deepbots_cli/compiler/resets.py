@@ -76,7 +76,7 @@ def _start_value(
 _UNMOVED = {
     **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `clearance(...) > 1 cm`"),
     "joint_torque": "before the first step no motor has acted; take it out",
-    "visible": "a start is found before the first picture is taken; ask where the body stands, as in `abs(bearing(...)) < 30 deg`",
+    "visible": "the start is chosen before the first picture is taken; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
 }
 
 

@@ -206,8 +206,8 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     values = namespace.values
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
-            span, headline = values.key_span((*spec.path, "angle_range")), "a fan, where the rays are given by name"
-            values.findings.add("DB101", span, headline, help="give their number under `rays`")
+            span, headline = values.key_span((*spec.path, "angle_range")), "`angle_range`, although the rays are given by name"
+            values.findings.add("DB101", span, headline, help="give the number of rays under `rays`")
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:

@@ -67,7 +67,10 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
     if replay is not None and starts is not None and longest_episode is not None:
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
-            headline = f"learning begins after {starts:_} steps, and no episode need have ended by then to take goals from"
+            headline = (
+                f"learning begins after {starts:_} steps, when possibly no episode is complete:"
+                " hindsight samples goals from complete episodes"
+            )
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
     return Training(
         spec.train.algorithm,
@@ -77,6 +80,8 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         Network(tuple(spec.train.policy.hidden), spec.train.policy.activation),
         _action_noise(own.get("action_noise")),
         replay,
+        spec.train.normalize,
+        spec.train.device,
     )
 
 
@@ -92,8 +97,8 @@ def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hinds
         return None
     values = namespace.values
     if namespace.scenario.goal is None and not values.is_lost("goal"):
-        help = "add a `goal`, with what is achieved and what is desired, or take `replay` out"
-        values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a goal to make up", help=help)
+        help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
+        values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a `goal`", help=help)
     return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
 
 
@@ -110,7 +115,7 @@ def _check_algorithm(algorithm: str, action: Action, namespace: Namespace) -> No
     elif algorithm != "MaskablePPO" and any(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
-        headline, help = f"{algorithm} does not heed what `forbid` forbids", "use MaskablePPO, or take `forbid` out"
+        headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or take `forbid` out"
     else:
         return
     namespace.values.findings.add("DB612", namespace.values.span(("train", "algorithm")), headline, help=help)
@@ -242,6 +247,6 @@ class _Maker:
             lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
         if lines:
             headline = f"in the {word} `{name}` the policy would see, do or send something else"
-            help = f"a {word} may change the world; write what spaces and messages are made of as figures that it does not set"
+            help = f"a {word} may change the world; write observation, action and messages with values that it does not set"
             self._findings.add("DB613", here, headline, help=help, notes=tuple(lines[:5]))
         return not lines

@@ -71,7 +71,7 @@ _FAMILY_HELP = {
 }
 _CONTEXT_HELP = {
     **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
-    (Context.FIXED, Family.DRAW): "it is the same in every episode; write a fixed value",
+    (Context.FIXED, Family.DRAW): "it must be the same in every episode; write a fixed value",
     (Context.SCRIPT, Family.STATEFUL): "define it as a signal, and use the signal here",
 }
 # A common question about a part of the world that has no position.

@@ -1,26 +1,18 @@
-"""Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
+"""Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own, on Stable-Baselines3.
 
 training.py      train and resume: joins all of the below
-evaluation.py    evaluate: held-out episodes, intervals, the verdict
-rollout.py       episodes of a trained policy
+evaluation.py    evaluate: episodes of a policy on held-out starts, intervals, the verdict
 run.py           the run directory: what is kept, written atomically, read with suspicion
-record.py        run.json: who, what, when, with which versions
-atomic.py        whole files, and JSON read with suspicion
-exclusive.py     one training at a time in a run
-weights.py       networks and optimisers as plain arrays; no pickle is ever loaded
-algorithms.py    the table of algorithms
+models.py        models as Stable-Baselines3's zip files, read without unpickling
+checkpoints.py   the whole state of a training, from which it goes on to the bit
+callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
+algorithms.py    algorithms made for a scenario, action noise
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
-noise.py         noise on the actions of algorithms that explore by it
-environments.py  copies of one world, stepped in turn in one process
+environments.py  a vector environment over several worlds
 curriculum.py    the stages of a training
-episodes.py      what an episode leaves behind: log, statistics, solved
-summary.py       what several come to
-callbacks.py     what happens during training: best model, checkpoints, logging
-trials.py        what the networks of a moment do: they choose the best model, and confirm that a task is solved
-interruption.py  Ctrl-C and SIGTERM end a training between two steps
-intervals.py     confidence intervals
-progress.py      how a training is reported
-report.py        results as text and as JSON
+episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
+statistics.py    intervals, gates that may stop early, comparisons of groups of runs
+report.py        results as text and as JSON, progress
 video.py         one episode as mp4
 
 The names below are imported on first use: torch alone takes a second.
@@ -35,13 +27,14 @@ from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_cases
-    from deepbots_cli.learning.training import TrainingResult, resume, train
+    from deepbots_cli.learning.run import TrainingResult
+    from deepbots_cli.learning.training import resume, train
 
 __all__ = ["EvaluationResult", "TrainingResult", "evaluate", "evaluate_cases", "resume", "train"]
 
 _HOMES = {
     "EvaluationResult": "evaluation",
-    "TrainingResult": "training",
+    "TrainingResult": "run",
     "evaluate": "evaluation",
     "evaluate_cases": "evaluation",
     "resume": "training",

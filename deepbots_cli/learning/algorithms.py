@@ -1,11 +1,12 @@
-"""Algorithms, made for a scenario; their table is `scenario.training.ALGORITHMS`."""
+"""Algorithms of Stable-Baselines3, made for a scenario, and noise on their actions; their table is `scenario.training.ALGORITHMS`."""
 
 from __future__ import annotations
 
 import math
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from inspect import signature
 from itertools import pairwise
@@ -13,7 +14,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.her import HerReplayBuffer
 from torch import nn
@@ -21,8 +25,8 @@ from torch import nn
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
-from deepbots_cli.learning.noise import noise
 from deepbots_cli.plugins import attribute
+from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.program.task import Hindsight, Hyperparameter, Network, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
@@ -46,18 +50,26 @@ _BYTES_PER_COPY = 29_000_000  # of a cart-pole in PyBullet
 
 
 def create(
-    training: Training, copies: VecEnv, *, seed: int, total_timesteps: int, longest_episode: int = 1, to_learn: bool = True
+    training: Training,
+    env: VecEnv,
+    *,
+    seed: int,
+    total_timesteps: int,
+    longest_episode: int = 1,
+    to_learn: bool = True,
+    mixin: type | None = None,
 ) -> BaseAlgorithm:
-    """A fresh model for the copies, on the CPU. One that is not to learn gets no room for experience.
+    """A fresh model for the environment. One that is not to learn gets no room for experience.
 
-    `longest_episode` is in steps; hindsight begins to learn when one has ended for sure.
+    `longest_episode` is in steps; hindsight begins to learn when one has ended for sure. `mixin` is a class whose methods go before those
+    of the algorithm.
 
     Raises:
-        UsageError: The algorithm is unknown, or refuses the settings or the spaces.
+        UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such device.
         MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
-    training = replace(training, environments=copies.num_envs)
+    training = replace(training, environments=env.num_envs)
     settings: Settings = defaults.ours(training, total_timesteps, longest_episode)
     kind = training.action_noise or settings.pop("action_noise", None)
     settings.pop("action_noise", None)
@@ -65,8 +77,8 @@ def create(
         settings |= _hindsight(training.replay)
     settings |= {h.name: _value(h) for h in training.hyperparameters}
     models: list[BaseAlgorithm] = []
-    if kind is not None and isinstance(copies.action_space, gym.spaces.Box):
-        settings["action_noise"] = noise(kind, copies.action_space.shape, lambda: models[0]._current_progress_remaining)
+    if kind is not None and isinstance(env.action_space, gym.spaces.Box):
+        settings["action_noise"] = DecayingNoise(kind, env.action_space.shape, lambda: models[0]._current_progress_remaining)
     if not to_learn:
         settings |= (
             {"n_steps": 2, **({} if algorithm.base() == "A2C" else {"batch_size": 2})} if algorithm.on_policy else {"buffer_size": 1}
@@ -74,26 +86,36 @@ def create(
         for name in ("replay_buffer_class", "replay_buffer_kwargs"):
             settings.pop(name, None)
     else:
-        check_replay(settings, copies.observation_space)
+        check_replay(settings, env.observation_space)
     networks = _networks(training.network, algorithm)
     memory = settings.pop("lstm", None)
     if memory is not None:
         networks["lstm_hidden_size"] = memory
-    inputs = "MultiInput" if isinstance(copies.observation_space, gym.spaces.Dict) else "Mlp"
+    inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
     policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
+    found = _imported(algorithm)
+    kind_of_model: Any = found if mixin is None else type(found.__name__, (mixin, found), {})
+    settings |= {"seed": seed, "device": _device(training.device, to_learn=to_learn), "verbose": 0, "policy_kwargs": networks}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of batches that do not divide a roll-out, which does no harm
-            models.append(_imported(algorithm)(policy, copies, seed=seed, device="cpu", verbose=0, policy_kwargs=networks, **settings))
+            models.append(kind_of_model(policy, env, **settings))
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error
     return models[0]
 
 
-def _imported(algorithm: type[Model]) -> Callable[..., BaseAlgorithm]:
+def _device(wanted: str, *, to_learn: bool) -> str:
+    """`cpu` or `cuda`. A policy that was trained on a GPU acts on the CPU where there is none."""
+    if wanted == "cuda" and to_learn and not torch.cuda.is_available():
+        raise UsageError("'train' asks for the device cuda, and torch finds none; write 'device: auto' to train without")
+    return "cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu"
+
+
+def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
     try:
-        found: Callable[..., BaseAlgorithm] = attribute(algorithm.place)
+        found: type[BaseAlgorithm] = attribute(algorithm.place)
     except ModuleNotFoundError as error:
         raise MissingExtraError("contrib", f"training with {algorithm.place.rpartition(':')[2]}") from error
     return found
@@ -102,6 +124,19 @@ def _imported(algorithm: type[Model]) -> Callable[..., BaseAlgorithm]:
 def _hindsight(replay: Hindsight) -> Settings:
     kwargs = {"n_sampled_goal": replay.goals, "goal_selection_strategy": replay.strategy}
     return {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": kwargs}
+
+
+@contextmanager
+def torch_settings() -> Iterator[None]:
+    """Within, torch uses one thread, since networks of this size only lose by handing work around; then the caller's settings return."""
+    threads, cudnn = torch.get_num_threads(), torch.backends.cudnn
+    before = cudnn.deterministic, cudnn.benchmark  # which SB3 changes when it sets a seed for a GPU
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        cudnn.deterministic, cudnn.benchmark = before
 
 
 def takes_masks(model: BaseAlgorithm) -> bool:
@@ -116,7 +151,7 @@ def has_masks(model: BaseAlgorithm) -> bool:
 
 
 def check(training: Training) -> None:
-    """Raises: UsageError: Figures that no machine could meet, or names that the tables do not hold."""
+    """Raises: UsageError: Settings that no machine could meet, or names that the tables do not hold."""
     _entry(training.algorithm)
     if not 1 <= training.environments <= _MOST_COPIES:
         raise UsageError(f"'train' asks for {training.environments} environments; from 1 to {_MOST_COPIES} are possible")
@@ -191,3 +226,42 @@ def _value(given: Hyperparameter) -> object:
         return given.value
     start, end = given.value.start, given.value.end
     return lambda remaining: end + (start - end) * remaining
+
+
+class DecayingNoise(ActionNoise):
+    """Noise on the actions of an off-policy algorithm, with a standard deviation that may change over the training.
+
+    Draws come from numpy's global generator, which the training seeds. Drifting noise (`ornstein_uhlenbeck`) is sampled exactly:
+    n' = a n + sigma sqrt(1 - a^2) w with a = exp(-theta) and w of unit variance, so that its deviation is sigma whatever theta is
+    (D. T. Gillespie, Phys. Rev. E 54, 1996, p. 2084). An episode begins anywhere in the course of it.
+
+    Args:
+        settings: Those of the scenario.
+        size: The shape of an action.
+        remaining: Gives the share of the training that is left, from 1 to 0.
+    """
+
+    def __init__(self, settings: NoiseSettings, size: tuple[int, ...], remaining: Callable[[], float]) -> None:
+        super().__init__()
+        self._settings = settings
+        self._size = size
+        self._remaining = remaining
+        self._factor = math.exp(-settings.theta) if settings.type == "ornstein_uhlenbeck" else None
+        self.drift: npt.NDArray[np.float64] | None = None
+        """The last value of drifting noise of unit deviation; None at the start of an episode."""
+
+    @property
+    def sigma(self) -> float:
+        """The standard deviation at this point of the training, in the agent's [-1, 1]."""
+        start, end = self._settings.sigma.start, self._settings.sigma.end
+        return end + (start - end) * self._remaining()
+
+    def __call__(self) -> npt.NDArray[np.float32]:
+        if self._factor is None:
+            return np.random.normal(0.0, self.sigma, self._size).astype(np.float32)
+        drawn = np.random.normal(0.0, 1.0, self._size)
+        self.drift = drawn if self.drift is None else self._factor * self.drift + math.sqrt(1.0 - self._factor**2) * drawn
+        return (self.sigma * self.drift).astype(np.float32)
+
+    def reset(self) -> None:
+        self.drift = None

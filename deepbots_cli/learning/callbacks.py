@@ -1,50 +1,188 @@
-"""What happens during a training, beside learning: the best model, checkpoints, figures, and when to stop."""
+"""What happens during a training, beside learning: evaluations, the best model, scalars, progress, and when to stop.
+
+EvalCallback and CheckpointCallback of Stable-Baselines3 count calls, evaluate by `evaluate_policy` and save by pickle. The callback here
+counts steps, so that the best model does not depend on the speed of the machine, and evaluates from the same starts each time.
+Checkpoints are taken between roll-outs (`checkpoints.py`), which no callback of Stable-Baselines3 can do.
+"""
 
 from __future__ import annotations
 
-import time
+import json
+import math
+import signal
+import threading
 from collections import deque
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import NamedTuple
 
+import torch
+from pydantic import BaseModel, NonNegativeInt
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning import weights
+from deepbots_cli.learning import models
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.episodes import Statistics
-from deepbots_cli.learning.interruption import Interruption
-from deepbots_cli.learning.progress import Reporter, Standing
+from deepbots_cli.learning.environments import BuildWorld, World
+from deepbots_cli.learning.episodes import Episode, Statistics, Summary
+from deepbots_cli.learning.evaluation import rollout
+from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.summary import Summary
-from deepbots_cli.learning.trials import AT_ONCE, OVERTIME_SHARE, PROOF, SHARE, Trials
+from deepbots_cli.program import Program
+from deepbots_cli.runtime.streams import derive
 
-CHECKPOINT_SECONDS = 10.0
-"""Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare. A small one takes about 3 ms."""
+EPISODES = 20
+"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
+
+CONFIRMATION_EPISODES = 50
+"""Starts of the evaluation that ends a training of an off-policy algorithm: of 20 episodes, a network that succeeds in 85 % of all
+loses at most one in 18 % of the cases; of 50, at most two in 1 %. With the small updates of PPO, past episodes tell enough."""
+
+SHARE, OVERTIME_SHARE, AT_ONCE = 0.1, 0.5, math.inf
+"""What evaluations may take of the steps that are trained: little as a rule, half when only one is missing to end the training."""
+
+
+class Interruption:
+    """Whether someone wants the training to end: Ctrl-C or SIGTERM."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            # Whoever asks twice does not want to wait for the end of an update.
+            raise KeyboardInterrupt
+        self.requested = True
+
+
+@contextmanager
+def signals_handled(interruption: Interruption) -> Iterator[None]:
+    """Within, the first signal only sets `requested`; the second raises KeyboardInterrupt. Restores the handlers.
+
+    Python hands signals to the main thread only; elsewhere this changes nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, interruption) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+class Evaluator:
+    """Evaluates the current policy without noise, in a world of its own, from starts that neither training nor a later evaluation has."""
+
+    def __init__(self, build: BuildWorld, seed: int) -> None:
+        self.steps = 0
+        """Those of all evaluations."""
+        self._build = build
+        self._seeds: Sequence[int] = [derive(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
+        self._scenario: Program | None = None
+        self._world: World | None = None
+
+    def due(self, trained: int, length: float, share: float) -> bool:
+        """Whether another evaluation fits into this share of `trained` steps, if its episodes are of that length."""
+        return self.steps + EPISODES * length <= share * trained
+
+    def episodes(self, model: BaseAlgorithm, scenario: Program, interruption: Interruption, count: int = EPISODES) -> list[Episode]:
+        """The episodes of an evaluation in `scenario`. The training's random numbers stay as they were.
+
+        Raises:
+            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation.
+        """
+        world = self._world_of(scenario)
+        state = torch.get_rng_state()
+        done: list[Episode] = []
+        try:
+            for seed in self._seeds[:count]:
+                if interruption.requested:
+                    raise KeyboardInterrupt
+                done += rollout(model, [world], [seed], deterministic=True)
+                self.steps += done[-1].length
+        finally:
+            torch.set_rng_state(state)
+        return done
+
+    def _world_of(self, scenario: Program) -> World:
+        if self._world is None or scenario is not self._scenario:
+            self.close()
+            self._world, self._scenario = self._build(scenario), scenario
+        return self._world
+
+    def close(self) -> None:
+        if self._world is not None:
+            self._world.close()
+            self._world = None
 
 
 class Rank(NamedTuple):
-    """What makes a model the best: that its trial has confirmed a solved task, that it meets what `solved` asks, the mean return there."""
+    """What makes a model the best: its evaluation has confirmed a solved task, it meets what `solved` asks, the mean return there."""
 
-    proven: bool
+    confirmed: bool
     solves: bool
     mean_return: float
 
 
-class Keeper:
-    """Keeps models in the run's directory; one with a number that is not finite is refused, so the last good one stays."""
+class CallbackState(BaseModel, strict=True):
+    """What a checkpoint keeps of the callback."""
 
-    def __init__(self, run: Run, statistics: Statistics, curriculum: Curriculum, trials: Trials, best: Rank | None = None) -> None:
+    next_beat: NonNegativeInt
+    best: tuple[bool, bool, float] | None
+    confirmed: bool
+    solved_seen: bool
+    evaluated_at: int
+    evaluation_steps: NonNegativeInt
+
+
+class TrainingCallback(BaseCallback):
+    """Called by Stable-Baselines3 after every step of all rows.
+
+    Every `beat` steps it looks after evaluations, scalars and the progress display; whether to stop it asks each time. A model with a
+    number that is not finite is refused, so the last good one stays.
+    """
+
+    def __init__(
+        self, run: Run, statistics: Statistics, curriculum: Curriculum, evaluator: Evaluator, reporter: Reporter, total: int
+    ) -> None:
+        super().__init__()
         self.run = run
         self.statistics = statistics
         self.curriculum = curriculum
-        self.trials = trials
-        self.best = best
-        self.proven = False
-        """Whether the task was solved and a trial since then has shown that the networks of that moment solve it."""
-        self.digest = ""
-        self._tried_at = -1
+        self.evaluator = evaluator
+        self.reporter = reporter
+        self.total = total
+        self.interruption = Interruption()
+        self.best: Rank | None = None
+        self.confirmed = False
+        """Whether the task was solved and an evaluation since then has shown that the networks of that moment solve it."""
+        self._has_success = run.program.defines_success
+        self._until_solved = run.record.stop_when_solved
+        self._solved_seen = False
+        self._evaluated_at = -1
+        self._beat = max(1, min(2_000, total // 100))
+        self._next_beat = 0
+
+    def state(self) -> CallbackState:
+        return CallbackState(
+            next_beat=self._next_beat,
+            best=self.best,
+            confirmed=self.confirmed,
+            solved_seen=self._solved_seen,
+            evaluated_at=self._evaluated_at,
+            evaluation_steps=self.evaluator.steps,
+        )
+
+    def restore(self, state: CallbackState) -> None:
+        self._next_beat = state.next_beat
+        self.best = None if state.best is None else Rank(*state.best)
+        self.confirmed, self._solved_seen, self._evaluated_at = state.confirmed, state.solved_seen, state.evaluated_at
+        self.evaluator.steps = state.evaluation_steps
 
     def begin_stage(self) -> None:
         """Returns of one stage say nothing in another: the best is sought anew."""
@@ -52,119 +190,71 @@ class Keeper:
         self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last
 
-    def keep_best(self, model: BaseAlgorithm, interruption: Interruption, share: float) -> Summary | None:
-        """Try the networks, once there are enough episodes, and keep them as best if none did better in a trial.
-
-        None are held beyond their `share` of the steps. Returns what the trial showed.
-        """
-        networks = self._finite(weights.networks(model))
-        steps, solved = self.statistics.steps, self.statistics.solved
-        if not self.statistics.full or steps == self._tried_at or not self.trials.due(steps, self.statistics.mean_length, share):
-            return None
-        shown = self.trials.hold(model, self.curriculum.scenario, interruption)
-        ends = self.statistics.solved_at is not None
-        if shown and ends and shown.meets(solved) and isinstance(model, OffPolicyAlgorithm):
-            shown = self.trials.hold(model, self.curriculum.scenario, interruption, PROOF)
-        if shown is None:
-            return None
-        self._tried_at = steps
-        self.proven = ends and shown.meets(solved)
-        rank = Rank(self.proven, shown.meets(solved), shown.mean_return)
-        if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
-            self.best = rank
-            weights.write(self.run.model("best"), networks, self._state())
-        return shown
-
-    def keep_last(self, model: BaseAlgorithm) -> None:
-        """Write the last model and a checkpoint; until there are enough episodes to tell, the last is the best too."""
-        arrays = self._finite(weights.everything(model))
-        networks = {name: array for name, array in arrays.items() if name.startswith("policy/")}
-        self.digest = weights.digest(networks)
-        for name in ("last", "best") if self.best is None else ("last",):
-            weights.write(self.run.model(name), networks, self._state())
-        weights.write(self.run.checkpoint, arrays, self._state())
-
-    def _state(self) -> dict[str, Any]:
-        return self.statistics.to_json() | {
-            "best": self.best and self.best._asdict(),
-            "trial_steps": self.trials.steps,
-            "curriculum": self.curriculum.to_json(),
-        }
-
-    def _finite(self, arrays: dict[str, weights.Array]) -> dict[str, weights.Array]:
-        name = weights.not_finite(arrays)
-        if name is not None:
-            raise diverged(name, self.run, self.statistics.steps)
-        return arrays
-
-
-def diverged(name: str, run: Run, steps: int) -> RunError:
-    """The error of a training whose array `name` holds a number that is not finite."""
-    return RunError(
-        f"the training diverged: '{name}' is no longer finite after {steps:,} steps; "
-        f"the last good model is kept in {run.path / 'models'}; a lower learning rate or smaller rewards may help"
-    )
-
-
-class Watch(BaseCallback):
-    """Called by Stable-Baselines3 after every step of all copies.
-
-    Every `beat` steps it looks after models, figures and the progress display; whether to stop it asks each time.
-    """
-
-    def __init__(self, run: Run, keeper: Keeper, told: Reporter, interruption: Interruption, total: int) -> None:
-        super().__init__()
-        self.keeper = keeper
-        self.statistics = keeper.statistics
-        self.told = told
-        self.interruption = interruption
-        self.total = total
-        self._has_success = run.program.defines_success
-        self._tried_solved = False
-        # A task that an earlier part of this run has solved is trained on for its own sake.
-        self._until_solved = run.record.stop_when_solved and self.statistics.solved_at is None
-        self._beat = max(1, min(2_000, total // 100))
-        self._next_beat = self.statistics.steps
-        self._next_checkpoint = 0.0
+    def progress(self) -> TrainingProgress:
+        s = self.statistics
+        stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
+        success_rate = s.success_rate if self._has_success else None
+        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage)
 
     def _on_training_start(self) -> None:
         if not self._has_success:
             self.model.ep_success_buffer = deque(maxlen=0)  # or TensorBoard would show a success rate of 0 beside any return
 
-    def standing(self) -> Standing:
-        s = self.statistics
-        stage = self.keeper.curriculum.describe(s.steps) if self.keeper.curriculum.stages else ""
-        return Standing(s.steps, self.total, s.episodes, s.mean_return, s.success_rate, s.simulated_hours, stage)
-
     def _on_step(self) -> bool:
         solved = self._until_solved and self.statistics.solved_at is not None
-        just_solved = solved and not self._tried_solved
+        just_solved = solved and not self._solved_seen
         if self.statistics.steps >= self._next_beat or just_solved:
-            self._tried_solved = solved
+            self._solved_seen = solved
             self._next_beat = self.statistics.steps + self._beat
-            self._look_after(AT_ONCE if just_solved else OVERTIME_SHARE if solved else SHARE)
-        return not (self.interruption.requested or (solved and self.keeper.proven))
+            self.reporter.update(self.progress())
+            self.evaluate(AT_ONCE if just_solved else OVERTIME_SHARE if solved else SHARE)
+            self._record_scalars()
+        return not (solved and self.confirmed)
 
-    def _look_after(self, share: float) -> None:
-        self.told.update(self.standing())
-        shown = self.keeper.keep_best(self.model, self.interruption, share)
-        if shown is not None:
-            self.logger.record("trial/mean_return", shown.mean_return)
-            if self._has_success:
-                self.logger.record("trial/success_rate", shown.success_rate)
-        began = time.monotonic()
-        if began >= self._next_checkpoint:
-            self.keeper.keep_last(self.model)
-            done = time.monotonic()
-            # A replay buffer of a gigabyte takes seconds; at most a twentieth of the time goes into writing.
-            self._next_checkpoint = done + max(CHECKPOINT_SECONDS, 20 * (done - began))
-        self._record()
+    def evaluate(self, share: float) -> None:
+        """Evaluate the networks, once there are enough episodes, and keep them as best if none did better.
 
-    def _record(self) -> None:
-        """Figures beside those of Stable-Baselines3, for TensorBoard; it writes them with its own."""
+        Evaluations do not take more than their `share` of the steps.
+        """
+        check_finite(self.model, self.run, self.statistics.steps)
+        steps, solved = self.statistics.steps, self.statistics.solved
+        if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.due(steps, self.statistics.mean_length, share):
+            return
+        done = self.evaluator.episodes(self.model, self.curriculum.scenario, self.interruption)
+        ends = self.statistics.solved_at is not None
+        if ends and Summary.of(done).meets(solved) and isinstance(self.model, OffPolicyAlgorithm):
+            done = self.evaluator.episodes(self.model, self.curriculum.scenario, self.interruption, CONFIRMATION_EPISODES)
+        summary = Summary.of(done)
+        self._evaluated_at = steps
+        self.confirmed = ends and summary.meets(solved)
+        rank = Rank(self.confirmed, summary.meets(solved), summary.mean_return)
+        if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
+            self.best = rank
+            models.save(self.run.model("best"), self.model)
+        self._log(done, summary, is_best=rank == self.best)
+
+    def _log(self, done: Sequence[Episode], summary: Summary, *, is_best: bool) -> None:
+        self.logger.record("eval/mean_return", summary.mean_return)
+        self.logger.record("eval/mean_length", summary.mean_length)
+        if self._has_success:
+            self.logger.record("eval/success_rate", summary.success_rate)
+        line = {
+            "steps": self.statistics.steps,
+            "stage": self.curriculum.name,
+            "is_best": is_best,
+            "returns": [episode.total_return for episode in done],
+            "lengths": [episode.length for episode in done],
+            "successes": [episode.is_success for episode in done],
+            "ended_by": [episode.ended_by for episode in done],
+        }
+        with (self.run.evaluations / "training.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def _record_scalars(self) -> None:
+        """Scalars beside those of Stable-Baselines3, which writes them with its own."""
         self.logger.record("rollout/episodes", self.statistics.episodes)
         self.logger.record("rollout/simulated_hours", self.statistics.simulated_hours)
-        curriculum = self.keeper.curriculum
+        curriculum = self.curriculum
         value = curriculum.value(self.statistics.steps)
         if curriculum.stages:
             self.logger.record("curriculum/stage", curriculum.index + 1)
@@ -173,7 +263,19 @@ class Watch(BaseCallback):
             self.logger.record("curriculum/threshold", curriculum.until.threshold)
         for name, mean in self.statistics.term_means().items():
             self.logger.record(f"reward/{name}", mean)
+        for name, share in self.statistics.ended_by().items():
+            self.logger.record(f"ended_by/{name}", share)
 
     def _on_training_end(self) -> None:
-        self._record()
+        self._record_scalars()
         self.logger.dump(self.num_timesteps)
+
+
+def check_finite(model: BaseAlgorithm, run: Run, steps: int) -> None:
+    """Raises: RunError: A tensor of the policy holds a number that is not finite."""
+    name = models.not_finite(model)
+    if name is not None:
+        raise RunError(
+            f"the training diverged: '{name}' is no longer finite after {steps:,} steps; "
+            f"the last good model is kept in {run.models}; a lower learning rate or smaller rewards may help"
+        )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass
 
-from deepbots_cli.learning.atomic import Entries
+from pydantic import BaseModel, NonNegativeInt
+
+from deepbots_cli.errors import RunError
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Criterion
@@ -22,17 +23,20 @@ class StageEnd:
     episodes: int
     value: float
 
-    @classmethod
-    def read(cls, state: Entries, name: str) -> Self:
-        """One from a checkpoint."""
-        return cls(name, state.count("steps"), state.count("episodes"), state.number("value"))
+
+class CurriculumState(BaseModel, strict=True):
+    """What a checkpoint keeps: the stages that are done, the first step of the present one, and its recent values."""
+
+    ends: list[StageEnd]
+    first_step: NonNegativeInt
+    recent: list[float]
 
 
 class Curriculum:
     """Follows a training through the stages of its scenario; without stages, there is the scenario alone.
 
-    Copies of the environment change over one by one, each when its episode ends: no episode is cut short, and what an
-    episode of an earlier stage comes to does not count for a later one.
+    Worlds change over one by one, each when its episode ends: no episode is cut short, and an episode of an earlier stage does not
+    count for a later one.
     """
 
     def __init__(self, program: Program, first: str | None = None) -> None:
@@ -71,8 +75,12 @@ class Curriculum:
 
     @property
     def scenario(self) -> Program:
-        """What is trained in now."""
-        return self.stages[self.index].program if self.stages else self._program
+        """The scenario of the present stage."""
+        return self.scenario_of(self.index)
+
+    def scenario_of(self, index: int) -> Program:
+        """The scenario of a stage; the scenario itself where there are no stages."""
+        return self.stages[index].program if self.stages else self._program
 
     def value(self, steps: int) -> float | None:
         """What the criterion compares with its threshold, after `steps` steps in all; None without one, and before enough episodes."""
@@ -102,23 +110,20 @@ class Curriculum:
         place = f"{self.name} ({self.index + 1} of {len(self.stages)})"
         if until is None:
             return place
-        figure = ",.0f" if until.metric == "steps" else ".3g"
-        return f"{place}: {until.metric.replace('_', ' ')} {'-' if value is None else format(value, figure)} of {until.threshold:{figure}}"
+        form = ",.0f" if until.metric == "steps" else ".3g"
+        return f"{place}: {until.metric.replace('_', ' ')} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
 
-    def to_json(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return {"ends": [asdict(end) for end in self.ends], "first_step": self._first_step, "recent": list(self._recent)}
+    def state(self) -> CurriculumState:
+        return CurriculumState(ends=self.ends, first_step=self._first_step, recent=list(self._recent))
 
-    def restore(self, state: Entries) -> None:
-        """Take up what `to_json` gave.
+    def restore(self, state: CurriculumState) -> None:
+        """Take up what `state` gave.
 
         Raises:
             RunError: It does not fit the stages of the scenario.
         """
-        ends = state.objects("ends")
-        stages = self.stages[self._skipped :]
-        if len(ends) >= max(1, len(stages)):
-            raise state.misfit("ends", "a list of stages that are done")
-        self.ends = [StageEnd.read(end, stage.name) for end, stage in zip(ends, stages, strict=False)]
-        self._begin(state.count("first_step"))
-        self._recent.extend(state.numbers("recent"))
+        if len(state.ends) >= max(1, len(self.stages) - self._skipped):
+            raise RunError("the checkpoint counts more stages as done than the scenario has")
+        self.ends = list(state.ends)
+        self._begin(state.first_step)
+        self._recent.extend(state.recent)

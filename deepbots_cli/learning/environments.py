@@ -1,13 +1,17 @@
-"""Copies of one world, stepped in turn in one process.
+"""A vector environment over several worlds, stepped in turn in one process.
 
 A step of a light world costs tens of microseconds, less than handing it to another process would. Stable-Baselines3's
-DummyVecEnv copies every info deeply in every step; this one passes them on, and counts episodes on the way: over a cart-pole
-of plain Python a step costs 4.0 us instead of 7.0 with Stable-Baselines3's Monitor.
+DummyVecEnv copies every info deeply in every step; this one passes them on, and does the work of VecMonitor on the way: over a
+cart-pole of plain Python a step costs 4.0 us instead of 7.0.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -16,23 +20,57 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from deepbots_cli.learning.episodes import Episode, Tally
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator
 from deepbots_cli.program import Program
+from deepbots_cli.scenario import Scenario
 
 World = gym.Env[Any, Any]
+Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
+"""Of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
 
 
 class BuildWorld(Protocol):
-    """Makes one copy of the world of a compiled scenario; `render_mode` as in Gymnasium."""
+    """Makes the world of a compiled scenario; `render_mode` as in Gymnasium."""
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> World: ...
 
 
-class Copies(VecEnv):
-    """A vector environment over `worlds`; copy i starts from `seeds[i]` at the first reset and runs on from there.
+def compiled_of(scenario: Compiled | Scenario | str | Path) -> Compiled:
+    """The scenario as it is, or compiled if a `Scenario`, a path or the name of a shipped one is given."""
+    return api.compile(scenario) if isinstance(scenario, (str, Path, Scenario)) else scenario
 
-    `on_step` is called after the step of each copy, `on_episode` after each finished episode with the number of its world,
-    both in order. Then `renew` may give another world to go on in, and the seed to begin it with.
+
+def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
+    """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
+    return partial(api.build, engine=engine, allow_code=allow_code)
+
+
+@dataclass
+class History:
+    """The running episode of a world: how it began, and the actions since then.
+
+    PyBullet has no exact snapshot. A world is therefore brought back by beginning the episode again, from the same seed or the same
+    states of its random generators, and repeating its actions.
+    """
+
+    start: int | dict[str, Any]
+    actions: list[Any] = field(default_factory=list)
+
+
+class VectorEnvironment(VecEnv):
+    """A vector environment over `worlds`; world i starts from `seeds[i]` at the first reset and runs on from there.
+
+    It has a row for each agent: one per world, or one for each copy of a robot in a world with several. An episode ends for all
+    copies when it ends for one. For the others it is truncated, and `ended_by` is `another_copy`.
+
+    Args:
+        worlds: The worlds, which are closed with this.
+        seeds: The seed of each.
+        on_step: Called after the step of each row.
+        on_episode: Called after each episode of a row with the number of its world.
+        next_world: Called before a world begins another episode; may give another world to go on in, and its seed.
     """
 
     def __init__(
@@ -40,76 +78,135 @@ class Copies(VecEnv):
         worlds: Sequence[World],
         seeds: Sequence[int],
         *,
-        on_step: Callable[[], None],
-        on_episode: Callable[[int, Episode], None],
-        renew: Callable[[int], tuple[World, int] | None] = lambda copy: None,
+        on_step: Callable[[], None] = lambda: None,
+        on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
+        next_world: Callable[[int], tuple[World, int] | None] = lambda world: None,
     ) -> None:
         self.worlds = list(worlds)
         self.starts = list(seeds)
         self._on_step = on_step
         self._on_episode = on_episode
-        self._renew = renew
-        self._tallies = [Tally() for _ in worlds]
-        self._actions: npt.NDArray[Any] = np.zeros(0)
+        self._next_world = next_world
+        self._is_team = is_team(self.worlds[0])
         first = self._agents(self.worlds[0])
+        self._rows = len(first)
+        self._accumulators = [EpisodeAccumulator() for _ in range(self._rows * len(self.worlds))]
+        self._histories = [History(seed) for seed in seeds]
+        self._actions: npt.NDArray[Any] = np.zeros(0)
+        self.last_observations: VecEnvObs = np.zeros(0)
         space = first[0].observation_space
         self._keys = list(space.spaces) if isinstance(space, gym.spaces.Dict) else None
-        super().__init__(len(self.worlds) * len(first), space, first[0].action_space)
+        super().__init__(len(self._accumulators), space, first[0].action_space)
 
-    @staticmethod
-    def _agents(world: World) -> Sequence[World]:
-        """Those that the policy acts for in a world, a row each."""
-        return [world]
+    def _agents(self, world: World) -> Sequence[Any]:
+        """The agents of a world, one per row. A world with a single agent is its own agent, so that its wrappers act too."""
+        return list(world.get_wrapper_attr("agents").values()) if self._is_team else [world]
 
     def reset(self) -> VecEnvObs:
-        self._tallies = [Tally() for _ in self.worlds]
-        pairs = [world.reset(seed=seed) for world, seed in zip(self.worlds, self.starts, strict=True)]
-        self.reset_infos = [info for _, info in pairs]
-        return self._stack([observation for observation, _ in pairs])
+        self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
+        observations = []
+        for index, seed in enumerate(self.starts):
+            observations += self._begin(index, seed)
+        self.last_observations = self._stack(observations)
+        return self.last_observations
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, dones, infos = [], [], [], []
-        for index, world in enumerate(self.worlds):
-            observation, reward, terminated, truncated, info = world.step(self._actions[index])
-            reward = float(reward)
-            tally = self._tallies[index]
-            tally.add(reward, info)
-            self._on_step()
-            done = terminated or truncated
-            if done:
-                episode = tally.close(info)
-                self._on_episode(index, episode)
-                info = _last_info(info, observation, episode, timed_out=truncated and not terminated)
-                observation, self.reset_infos[index] = self._begin(index)
-            observations.append(observation)
-            rewards.append(reward)
-            dones.append(done)
-            infos.append(info)
-        return self._stack(observations), np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos
+        observations: list[Any] = []
+        rewards, dones, infos = [], [], []
+        for index in range(len(self.worlds)):
+            outcomes, done = self._act(index, self._actions_of(index))
+            seen = []
+            for row, (observation, reward, terminated, truncated, info) in enumerate(outcomes, index * self._rows):
+                reward = float(reward)
+                accumulator = self._accumulators[row]
+                accumulator.add(reward, info)
+                self._on_step()
+                if done:
+                    own = terminated or truncated
+                    episode = accumulator.close(info if own else {**info, "ended_by": "another_copy"})
+                    self._on_episode(index, episode)
+                    info = _last_info(info, observation, episode, timed_out=not terminated)
+                seen.append(observation)
+                rewards.append(reward)
+                dones.append(done)
+                infos.append(info)
+            observations += self._go_on(index) if done else seen
+        self.last_observations = self._stack(observations)
+        return self.last_observations, np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos
 
-    def _begin(self, index: int) -> tuple[Any, dict[str, Any]]:
-        """The next episode of a copy, in its world or in a new one."""
-        renewed = self._renew(index)
-        if renewed is None:
-            return self.worlds[index].reset()
+    def _actions_of(self, index: int) -> Any:
+        return self._actions[index * self._rows : (index + 1) * self._rows] if self._is_team else self._actions[index]
+
+    def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
+        """A step of a world: the outcome of each row, and whether the episode is over."""
+        self._histories[index].actions.append(action)
+        world = self.worlds[index]
+        observation, reward, terminated, truncated, info = world.step(action)
+        done = terminated or truncated
+        if not self._is_team:
+            return [(observation, float(reward), terminated, truncated, info)], done
+        return [(a.get_observations(), a.get_reward(), *a.is_done(), a.get_info()) for a in self._agents(world)], done
+
+    def _go_on(self, index: int) -> list[Any]:
+        """Begin the next episode of a world, or the first of the one that follows it."""
+        following = self._next_world(index)
+        if following is None:
+            return self._begin(index, None)
         self.worlds[index].close()
-        self.worlds[index], seed = renewed
-        return self.worlds[index].reset(seed=seed)
+        self.worlds[index], seed = following
+        return self._begin(index, seed)
+
+    def _begin(self, index: int, seed: int | None) -> list[Any]:
+        """Begin an episode; the observation of each row."""
+        world = self.worlds[index]
+        self._histories[index] = History(_random_state(world) if seed is None else seed)
+        observation, info = world.reset(seed=seed)
+        rows = slice(index * self._rows, (index + 1) * self._rows)
+        if not self._is_team:
+            self.reset_infos[rows] = [info]
+            return [observation]
+        self.reset_infos[rows] = [agent.get_info() for agent in self._agents(world)]
+        return [agent.get_observations() for agent in self._agents(world)]
 
     def _stack(self, observations: list[Any]) -> VecEnvObs:
         if self._keys is None:
             return np.array(observations)
         return {key: np.array([observation[key] for observation in observations]) for key in self._keys}
 
+    # Checkpoints
+
+    def histories(self) -> list[History]:
+        """The running episode of each world, enough to bring it back."""
+        return self._histories
+
+    def repeat(self, histories: Sequence[History]) -> VecEnvObs:
+        """Bring the worlds back to the moment at which `histories` were taken; the observations, which are the same if the physics is."""
+        observations: list[Any] = []
+        for index, history in enumerate(histories):
+            seed = history.start if isinstance(history.start, int) else None
+            if isinstance(history.start, dict):
+                _set_random_state(self.worlds[index], history.start)
+            seen = self._begin(index, seed)
+            for action in history.actions:
+                outcomes, _ = self._act(index, action)
+                for row, (_, reward, _, _, info) in enumerate(outcomes, index * self._rows):
+                    self._accumulators[row].add(float(reward), info)
+                seen = [outcome[0] for outcome in outcomes]
+            observations += seen
+        self.last_observations = self._stack(observations)
+        return self.last_observations
+
+    # The rest of SB3's interface
+
     def close(self) -> None:
         for world in self.worlds:
             world.close()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """The copies keep the seeds that they were made with."""
+        """The worlds keep the seeds that they were made with."""
         return self.starts
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
@@ -125,79 +222,35 @@ class Copies(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
         return [False for _ in self._chosen(indices)]
 
-    def _chosen(self, indices: VecEnvIndices) -> Iterable[World]:
+    def _chosen(self, indices: VecEnvIndices) -> Iterable[Any]:
         agents = [agent for world in self.worlds for agent in self._agents(world)]
         return [agents[index] for index in self._get_indices(indices)]
 
 
-class Teams(Copies):
-    """The same over worlds in which several copies of a robot act under one policy: a row for each, world after world.
-
-    An episode ends for all when it ends for one; for the others it was cut short, and the log says that another copy ended it.
-    """
-
-    @staticmethod
-    def _agents(world: World) -> Sequence[World]:
-        return list(world.get_wrapper_attr("agents").values())
-
-    def reset(self) -> VecEnvObs:
-        self._tallies = [Tally() for _ in range(self.num_envs)]
-        for world, seed in zip(self.worlds, self.starts, strict=True):
-            world.reset(seed=seed)
-        agents = [agent for world in self.worlds for agent in self._agents(world)]
-        self.reset_infos = [agent.get_wrapper_attr("get_info")() for agent in agents]
-        return self._stack([_seen(agent) for agent in agents])
-
-    def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, dones, infos = [], [], [], []
-        size = self.num_envs // len(self.worlds)
-        for index, world in enumerate(self.worlds):
-            first = index * size
-            _, _, terminated, truncated, _ = world.step(self._actions[first : first + size])
-            done = terminated or truncated
-            for row, agent in enumerate(self._agents(world), first):
-                reward, info = float(agent.get_wrapper_attr("get_reward")()), agent.get_wrapper_attr("get_info")()
-                self._tallies[row].add(reward, info)
-                self._on_step()
-                if done:
-                    info = self._ended(index, row, agent, info)
-                rewards.append(reward)
-                dones.append(done)
-                infos.append(info)
-            if done:
-                _, began = self._begin(index)
-                self.reset_infos[first : first + size] = [began] * size
-            observations += [_seen(agent) for agent in self._agents(self.worlds[index])]
-        return self._stack(observations), np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos
-
-    def _ended(self, world: int, row: int, agent: World, info: Mapping[str, Any]) -> dict[str, Any]:
-        terminated, truncated = agent.get_wrapper_attr("is_done")()
-        own = terminated or truncated
-        episode = self._tallies[row].close(info if own else {**info, "ended_by": "another_copy"})
-        self._on_episode(world, episode)
-        return _last_info(info, _seen(agent), episode, timed_out=not terminated)
-
-
-def copies_over(
-    worlds: Sequence[World],
-    seeds: Sequence[int],
-    *,
-    on_step: Callable[[], None] = lambda: None,
-    on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
-    renew: Callable[[int], tuple[World, int] | None] = lambda world: None,
-) -> Copies:
-    """The vector environment that suits the worlds."""
-    kind = Teams if is_team(worlds[0]) else Copies
-    return kind(worlds, seeds, on_step=on_step, on_episode=on_episode, renew=renew)
-
-
 def is_team(world: World) -> bool:
-    """Whether copies of a robot act in it, each for itself: then it holds other agents than itself."""
+    """Whether the agents of the world are copies of a robot, and not the world itself."""
     return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
 
 
-def _seen(agent: World) -> Any:
-    return agent.get_wrapper_attr("get_observations")()
+def fingerprint(observations: VecEnvObs) -> str:
+    """SHA-256 of observations, to the bit."""
+    parts = [observations[key] for key in sorted(observations)] if isinstance(observations, dict) else [observations]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+
+def _random_state(world: World) -> dict[str, Any]:
+    """The states of all random generators of a world, as JSON can hold them."""
+    if world.has_wrapper_attr("random_state"):
+        state: dict[str, Any] = world.get_wrapper_attr("random_state")()
+        return state
+    return dict(world.unwrapped.np_random.bit_generator.state)
+
+
+def _set_random_state(world: World, state: dict[str, Any]) -> None:
+    if world.has_wrapper_attr("set_random_state"):
+        world.get_wrapper_attr("set_random_state")(state)
+    else:
+        world.unwrapped.np_random.bit_generator.state = state
 
 
 def _last_info(info: Mapping[str, Any], observation: Any, episode: Episode, *, timed_out: bool) -> dict[str, Any]:

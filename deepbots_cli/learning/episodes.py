@@ -1,23 +1,25 @@
-"""What an episode leaves behind: a line in the log, its share in the statistics, and when the task was first solved."""
+"""What episodes leave behind: the log, moving means, when the task was first solved, and summaries with intervals of 95 %."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 import time
-from collections import deque
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from statistics import fmean, stdev
+from typing import Any
+
+from pydantic import BaseModel, NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.atomic import Entries
 from deepbots_cli.program.task import Solved
 
 WINDOW = 100
 """Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""
+
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,8 @@ class Episode:
     terms: Mapping[str, float] = field(default_factory=dict)
 
 
-class Tally:
-    """Adds up the episode that is under way."""
+class EpisodeAccumulator:
+    """Adds up the running episode."""
 
     def __init__(self) -> None:
         self._return = 0.0
@@ -43,7 +45,7 @@ class Tally:
         """Count one step.
 
         Raises:
-            DeepbotsError: If the reward is not finite; names the terms at fault.
+            DeepbotsError: The reward is not finite; names the terms at fault.
         """
         terms = info.get("reward_terms", {})
         if not math.isfinite(reward):
@@ -56,10 +58,49 @@ class Tally:
             sums[name] = sums.get(name, 0.0) + value
 
     def close(self, info: Mapping[str, Any]) -> Episode:
-        """The finished episode, given the info of its last step; the tally starts anew."""
+        """The finished episode, given the info of its last step; the next one begins."""
         episode = Episode(self._return, self._length, bool(info.get("is_success", False)), info.get("ended_by"), self._terms)
         self._return, self._length, self._terms = 0.0, 0, {}
         return episode
+
+
+class EpisodeLog:
+    """`monitor.csv`: a line per episode, in the format that Stable-Baselines3's `load_results` reads.
+
+    r, l, t (return, length, seconds since the start), then our columns. Appends to what is there.
+    """
+
+    COLUMNS = ("episode", "steps", "simulated_hours", "is_success", "ended_by", "stage")
+
+    def __init__(self, path: Path, scenario: str) -> None:
+        from stable_baselines3.common.monitor import ResultsWriter  # which imports torch
+
+        try:
+            header: dict[str, float | str] = {"t_start": time.time(), "env_id": scenario}
+            self._writer = ResultsWriter(str(path), header, self.COLUMNS, override_existing=not path.exists())
+        except OSError as error:
+            raise RunError(f"{path} cannot be written: {error.strerror}") from error
+        self._started = time.time()
+
+    def write(self, episode: Episode, statistics: Statistics, stage: str | None = None) -> None:
+        row: dict[str, Any] = {
+            "r": round(episode.total_return, 6),
+            "l": episode.length,
+            "t": round(time.time() - self._started, 3),
+            "episode": statistics.episodes,
+            "steps": statistics.steps,
+            "simulated_hours": round(statistics.simulated_hours, 6),
+            "is_success": int(episode.is_success),
+            "ended_by": episode.ended_by or "",
+            "stage": stage or "",
+        }
+        self._writer.write_row(row)
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+# Of a training
 
 
 @dataclass(frozen=True)
@@ -73,15 +114,19 @@ class SolvedAt:
     mean_return: float
     success_rate: float
 
-    @classmethod
-    def read(cls, state: Entries) -> Self:
-        """One from a checkpoint."""
-        episode, steps = state.count("episode"), state.count("steps")
-        return cls(episode, steps, *(state.number(key) for key in ("simulated_hours", "cpu_seconds", "mean_return", "success_rate")))
+
+class StatisticsState(BaseModel, strict=True):
+    """What a checkpoint keeps of the statistics."""
+
+    steps: NonNegativeInt
+    episodes: NonNegativeInt
+    cpu_seconds: float
+    solved_at: SolvedAt | None
+    recent: list[Episode]
 
 
 class Statistics:
-    """Counts and moving means of a training, in order of completion over all copies of the environment."""
+    """Counts and moving means of a training, in order of completion over all rows of the environment."""
 
     def __init__(self, period: float, solved: Solved | None) -> None:
         """`period` is the time that a step of the agent takes, in s."""
@@ -123,10 +168,14 @@ class Statistics:
         return sum(e.length for e in self.recent) / max(1, len(self.recent))
 
     def term_means(self) -> dict[str, float]:
-        """The mean per episode of every reward term, over the recent episodes that carry terms."""
-        carriers = [e for e in self.recent if e.terms]
-        names = {name: None for e in carriers for name in e.terms}
-        return {name: sum(e.terms.get(name, 0.0) for e in carriers) / len(carriers) for name in names}
+        """The mean per episode of every reward term, over the recent episodes."""
+        names = {name: None for e in self.recent for name in e.terms}
+        return {name: sum(e.terms.get(name, 0.0) for e in self.recent) / len(self.recent) for name in names}
+
+    def ended_by(self) -> dict[str, float]:
+        """The share of the recent episodes that each ending ended."""
+        counts = Counter(e.ended_by or "unknown" for e in self.recent)
+        return {name: count / len(self.recent) for name, count in sorted(counts.items())}
 
     def add(self, episode: Episode, *, present: bool = True) -> None:
         """Count an episode; one that is not of the present stage counts for the number only."""
@@ -140,77 +189,68 @@ class Statistics:
         if mean is not None and rate is not None and meets(self.solved, mean, rate):
             self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean, rate)
 
-    def restore(self, state: Entries) -> None:
-        """Take up what `to_json` gave.
+    def state(self) -> StatisticsState:
+        return StatisticsState(
+            steps=self.steps, episodes=self.episodes, cpu_seconds=self.cpu_seconds, solved_at=self.solved_at, recent=list(self.recent)
+        )
 
-        Raises:
-            RunError: If it does not fit.
-        """
-        self.steps = state.count("steps")
-        self.episodes = state.count("episodes")
-        self.cpu_seconds_before = state.number("cpu_seconds")
-        solved = state.optional_object("solved_at")
-        self.solved_at = None if solved is None else SolvedAt.read(solved)
-        for item in state.items("recent"):
-            match item:
-                case [int() | float() as total, int() as length, bool() as success]:
-                    self.recent.append(Episode(float(total), length, success, None))
-                case _:
-                    raise state.misfit("recent", "a list of episodes")
-
-    def to_json(self) -> dict[str, Any]:
-        """What a checkpoint keeps; the sums of reward terms are left out."""
-        return {
-            "steps": self.steps,
-            "episodes": self.episodes,
-            "cpu_seconds": self.cpu_seconds,
-            "solved_at": asdict(self.solved_at) if self.solved_at else None,
-            "recent": [[e.total_return, e.length, e.is_success] for e in self.recent],
-        }
+    def restore(self, state: StatisticsState) -> None:
+        self.steps, self.episodes, self.solved_at = state.steps, state.episodes, state.solved_at
+        self.cpu_seconds_before = state.cpu_seconds
+        self.recent.extend(state.recent)
 
 
 def meets(solved: Solved, mean_return: float, success_rate: float) -> bool:
-    """Whether figures over enough episodes count as solved: every figure that the scenario names is reached."""
+    """Whether means over enough episodes count as solved: every threshold that the scenario names is reached."""
     return (solved.mean_return is None or mean_return >= solved.mean_return) and (
         solved.success_rate is None or success_rate >= solved.success_rate
     )
 
 
-class EpisodeFile:
-    """`monitor.csv`: a line per episode, in the format that Stable-Baselines3's `load_results` reads.
+# Of an evaluation
 
-    r, l, t (return, length, seconds since the start), then our columns. Appends to what is there.
-    """
 
-    COLUMNS = ("r", "l", "t", "episode", "steps", "simulated_hours", "is_success", "ended_by", "stage")
+@dataclass(frozen=True)
+class Summary:
+    """Means of `episodes` episodes; `deviation` is the sample's; it and `return_interval` are None for a single episode."""
 
-    def __init__(self, path: Path, scenario: str) -> None:
-        fresh = not path.exists()
-        # One line per write: a killed process loses none.
-        try:
-            self._stream = path.open("a", encoding="utf-8", newline="", buffering=1)
-        except OSError as error:
-            raise RunError(f"{path} cannot be written: {error.strerror}") from error
-        self._writer = csv.writer(self._stream, lineterminator="\n")
-        self._started = time.time()
-        if fresh:
-            self._stream.write(f"#{json.dumps({'t_start': self._started, 'env_id': scenario})}\n")
-            self._writer.writerow(self.COLUMNS)
+    episodes: int
+    mean_return: float
+    deviation: float | None
+    return_interval: Interval | None
+    least_return: float
+    greatest_return: float
+    successes: int
+    success_rate: float
+    success_interval: Interval
+    mean_length: float
+    endings: Mapping[str, int]
+    term_means: Mapping[str, float]
 
-    def write(self, episode: Episode, statistics: Statistics, stage: str | None = None) -> None:
-        self._writer.writerow(
-            (
-                round(episode.total_return, 6),
-                episode.length,
-                round(time.time() - self._started, 3),
-                statistics.episodes,
-                statistics.steps,
-                round(statistics.simulated_hours, 6),
-                int(episode.is_success),
-                episode.ended_by or "",
-                stage or "",
-            )
+    @classmethod
+    def of(cls, done: Sequence[Episode]) -> Summary:
+        """The summary of at least one episode; endings come with the most frequent first."""
+        returns = [episode.total_return for episode in done]
+        successes = sum(episode.is_success for episode in done)
+        # scipy is imported here: verbs that only read runs work without it.
+        from deepbots_cli.learning.statistics import mean_interval, wilson
+
+        names = {name: None for episode in done for name in episode.terms}
+        return cls(
+            episodes=len(done),
+            mean_return=fmean(returns),
+            deviation=stdev(returns) if len(returns) > 1 else None,
+            return_interval=mean_interval(returns),
+            least_return=min(returns),
+            greatest_return=max(returns),
+            successes=successes,
+            success_rate=successes / len(done),
+            success_interval=wilson(successes, len(done)),
+            mean_length=fmean(episode.length for episode in done),
+            endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
+            term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
         )
 
-    def close(self) -> None:
-        self._stream.close()
+    def meets(self, solved: Solved | None) -> bool:
+        """Whether these means count as solved; False where the scenario does not say what does."""
+        return solved is not None and meets(solved, self.mean_return, self.success_rate)

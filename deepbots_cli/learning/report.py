@@ -1,18 +1,21 @@
-"""Results for people, as aligned text, and for machines, as plain dictionaries."""
+"""Results for people, as aligned text, and for machines, as plain dictionaries; and the progress of a training."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
+
+from pydantic import BaseModel
+
+from deepbots_cli.learning.episodes import Interval, SolvedAt, Summary
+from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.progress import ProgressBar
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.evaluation import EvaluationResult
-    from deepbots_cli.learning.intervals import Pair
-    from deepbots_cli.learning.summary import Summary
-    from deepbots_cli.learning.training import TrainingResult
 
 Row = tuple[str, str]
 
@@ -39,8 +42,11 @@ def training_text(result: TrainingResult) -> str:
         rows.append(
             ("solved", f"in episode {at.episode:,}, after {at.simulated_hours:.3f} simulated h and {at.cpu_seconds:.1f} s of CPU time")
         )
-    lines = [f"training {result.status}", *_aligned(rows)]
+    if result.initialized_from is not None:
+        rows.append(("initialized from", result.initialized_from))
+    lines = [f"training {result.status}", *_aligned(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:
+        lines.append(f"evaluate what was learned with: deepbots eval {quote(str(result.run))}")
         lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.run))}")
     return "\n".join(lines)
 
@@ -101,12 +107,14 @@ def case_rows(results: Sequence[EvaluationResult]) -> list[dict[str, object]]:
     return rows
 
 
-def _between(interval: Pair | None) -> str:
+def _between(interval: Interval | None) -> str:
     return "" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
 
 
 def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
     """The fields of a result, with paths as text."""
+    if isinstance(result, BaseModel):
+        return result.model_dump(mode="json")
     return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items()}
 
 
@@ -122,7 +130,81 @@ def _figure(value: float) -> str:
     return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
 
 
+def solved_text(at: SolvedAt | None) -> str:
+    return "not yet" if at is None else f"in episode {at.episode:,}"
+
+
 def _aligned(rows: Iterable[Row]) -> list[str]:
     rows = list(rows)
     width = max(len(label) for label, _ in rows)
     return [f"  {label:<{width}}  {value}" for label, value in rows]
+
+
+# The progress of a training
+
+
+@dataclass(frozen=True)
+class TrainingProgress:
+    """How far a training is.
+
+    The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario knows no
+    success. `stage` is for people to read.
+    """
+
+    steps: int
+    total_steps: int
+    episodes: int
+    mean_return: float | None
+    success_rate: float | None
+    stage: str = ""
+
+
+class Reporter:
+    """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This one reports nothing."""
+
+    def start(self, progress: TrainingProgress) -> None:
+        pass
+
+    def update(self, progress: TrainingProgress) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+
+class ProgressReporter(Reporter):
+    """A bar on a terminal, a line for every tenth of the way elsewhere."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream
+        self._bar: ProgressBar | None = None
+
+    def start(self, progress: TrainingProgress) -> None:
+        self._bar = ProgressBar(progress.total_steps, "steps", done=progress.steps, stream=self._stream)
+
+    def update(self, progress: TrainingProgress) -> None:
+        if self._bar is not None:
+            self._bar.update(progress.steps, progress_text(progress))
+
+    def stop(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+def reporter(wish: bool | Reporter) -> Reporter:
+    """The reporter meant by `progress=`: none, one of the caller's, or a display on standard error."""
+    if not isinstance(wish, bool):
+        return wish
+    return ProgressReporter() if wish else Reporter()
+
+
+def progress_text(progress: TrainingProgress) -> str:
+    """`return 182.4  success 40 %  94 episodes`; what matters most comes first, as a narrow terminal cuts the rest off."""
+    parts = []
+    if progress.mean_return is not None:
+        parts.append(f"return {progress.mean_return:.1f}")
+    if progress.success_rate is not None:
+        parts.append(f"success {progress.success_rate:.0%}")
+    if progress.stage:
+        parts.append(progress.stage)
+    return "  ".join([*parts, f"{progress.episodes:,} episodes"])

@@ -7,8 +7,9 @@
     ├── environment.py       the generated code, to read; it is never run from here
     ├── monitor.csv          a line per episode
     ├── tensorboard/
-    ├── models/              best.npz, last.npz
-    └── checkpoint.npz       what a resumed training goes on from
+    ├── models/policy/       best.zip, last.zip: models of Stable-Baselines3; step-000020000.zip with --keep-checkpoints
+    ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
+    └── checkpoints/         what a resumed training goes on from
 
 A directory is made once and never overwritten. All files are replaced whole, so a killed process leaves a usable run.
 """
@@ -16,24 +17,168 @@ A directory is made once and never overwritten. All files are replaced whole, so
 from __future__ import annotations
 
 import hashlib
+import json
+import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import deepbots_cli
 from deepbots_cli import api, interface
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning.atomic import write_text
-from deepbots_cli.learning.record import Record
+from deepbots_cli.files import atomic
+from deepbots_cli.learning.curriculum import StageEnd
+from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program
 
-ModelName = Literal["best", "last"]
+FORMAT = 3
+"""Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
-_MEMBERS = ("run.json", RESOLVED, FOLDER, "monitor.csv", "tensorboard", "models", "models/best.npz", "models/last.npz", "checkpoint.npz")
+NAME = "run.json"
+POLICY = "policy"
+"""The name of the one policy of a scenario."""
+ModelName = Literal["best", "last"]
+Status = Literal["running", "finished", "interrupted", "failed"]
+M = TypeVar("M", bound=BaseModel)
+
+_LIMIT = 4_000_000
+_DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
+_FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
+_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints")
+
+
+class Result(BaseModel):
+    """How a training ended, or how far it has come.
+
+    `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
+    Steps count over all rows of the environment; the means are over the recent episodes (None: none has ended).
+    `best_return` is the mean return of the best model in its evaluation (None: too few episodes for one); `evaluation_steps` are those
+    of all evaluations, from which nothing is learned and which are not among `steps`. `stage` is the one of the curriculum that it
+    ended in, `stages` are those before. `inexact` says why a resumed training differs from one that was never interrupted.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    status: Status
+    steps: int
+    total_timesteps: int
+    episodes: int
+    mean_return: float | None
+    success_rate: float | None
+    best_return: float | None
+    simulated_hours: float
+    evaluation_steps: int
+    solved_at: SolvedAt | None
+    cpu_seconds: float
+    wall_seconds: float
+    weights_digest: str
+    stage: str | None = None
+    stages: tuple[StageEnd, ...] = ()
+    inexact: tuple[str, ...] = ()
+
+    @property
+    def interrupted(self) -> bool:
+        return self.status == "interrupted"
+
+
+class TrainingResult(Result):
+    """The result of a training, its run directory, and what it took over from another run."""
+
+    run: Path
+    initialized_from: str | None = None
+
+
+class Record(BaseModel):
+    """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it went.
+
+    Digests are SHA-256 in hexadecimal. `interface` is what the policy and the world have agreed on, item by item
+    (`deepbots_cli.interface`). `first_stage` is the stage of the curriculum that the training began in, where it was not the first.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    format: int
+    deepbots: str
+    status: Status
+    scenario: str
+    source: str
+    digest: str
+    interface: Mapping[str, str]
+    inputs: Mapping[str, str]
+    engine: str
+    seed: int = Field(ge=0, lt=2**63)
+    seeds: Mapping[str, int]
+    total_timesteps: int = Field(ge=0, lt=2**63)
+    stop_when_solved: bool
+    first_stage: str | None
+    keep_checkpoints: int = Field(ge=0, lt=2**31)
+    initialized_from: str | None
+    command: tuple[str, ...]
+    versions: Mapping[str, str]
+    platform: str
+    started: str
+    updated: str
+    resumed_at: tuple[int, ...]
+    result: Result | None
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """The record of a run.
+
+        Raises:
+            RunError: The folder is no run, its record is damaged, or was written in a format that this deepbots does not know.
+        """
+        if not folder.is_dir():
+            raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}")
+        path = folder / NAME
+        if not path.is_file():
+            raise RunError(f"{folder} is not a run: it holds no {NAME}")
+        found = read_json(path, _Format, _LIMIT).format
+        if found != FORMAT:
+            raise RunError(f"{folder} is a run of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+        return read_json(path, cls, _LIMIT)
+
+
+class _Format(BaseModel, strict=True):
+    format: int = Field(ge=0, lt=2**31)
+
+
+def read_json(path: Path, model: type[M], limit: int) -> M:
+    """A file of at most `limit` bytes as a model.
+
+    Raises:
+        RunError: It is missing, no regular file, unreadable, too large, or does not fit the model; in one sentence.
+    """
+    if not path.is_file():
+        raise RunError(f"{path} is missing")
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(limit + 1)
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}") from error
+    if len(content) > limit:
+        raise RunError(f"{path} is larger than {limit} bytes, which no run of ours is")
+    try:
+        return model.model_validate_json(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        place = ".".join(str(part)[:40] for part in first["loc"])
+        reason = f"'{place}': {first['msg']}" if place else "it is not valid JSON" if first["type"] == "json_invalid" else first["msg"]
+        raise RunError(f"{path} is damaged: {' '.join(reason.split())[:200]}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    with atomic(path, RunError) as draft:
+        draft.write_bytes(text.encode())
 
 
 @dataclass
@@ -46,8 +191,8 @@ class Run:
     digest: str
 
     @property
-    def checkpoint(self) -> Path:
-        return self.path / "checkpoint.npz"
+    def checkpoints(self) -> Path:
+        return self.path / "checkpoints"
 
     @property
     def monitor(self) -> Path:
@@ -57,19 +202,32 @@ class Run:
     def tensorboard(self) -> Path:
         return self.path / "tensorboard"
 
-    def model(self, name: ModelName) -> Path:
-        return self.path / "models" / f"{name}.npz"
+    @property
+    def models(self) -> Path:
+        return self.path / "models" / POLICY
 
     @property
-    def stillborn(self) -> bool:
-        """Whether the training was ended before its first step, so that going on means beginning."""
-        kept = (self.checkpoint, self.model("best"), self.model("last"))
-        return self.record.status != "finished" and not any(path.exists() for path in kept)
+    def evaluations(self) -> Path:
+        return self.path / "evaluations"
+
+    def model(self, name: ModelName) -> Path:
+        return self.models / f"{name}.zip"
 
     def update(self, **changes: Any) -> None:
         """Change entries of the record, here and on disk."""
-        self.record = self.record.changed(**changes)
-        self.record.write(self.path)
+        self.record = self.record.model_copy(update={"updated": now(), **changes})
+        write_record(self.path, self.record)
+
+    def keep_evaluation(self, content: Mapping[str, Any]) -> Path | None:
+        """Write an evaluation under the next free number; None where the run may not be written to."""
+        try:
+            self.evaluations.mkdir(exist_ok=True)
+            numbers = [int(path.stem) for path in self.evaluations.glob("[0-9][0-9][0-9][0-9].json")]
+            path = self.evaluations / f"{max(numbers, default=0) + 1:04d}.json"
+            write_text(path, json.dumps({"evaluated": now(), **content}, indent=2, allow_nan=False) + "\n")
+        except (OSError, RunError):
+            return None
+        return path
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
@@ -78,7 +236,7 @@ class Run:
         if self.digest != self.record.digest:
             cause = "to this deepbots" if found else "since it was changed after the training"
             found.append(f"the scenario in {self.path} means something else {cause}; the policy still fits its interface")
-        stage = (self.record.result or {}).get("stage")
+        stage = self.record.result.stage if self.record.result else None
         if stage in stages[:-1]:
             found.append(f"the training ended in stage {stage}, number {stages.index(stage) + 1} of {len(stages)}")
         return found
@@ -86,11 +244,11 @@ class Run:
     @staticmethod
     def create(path: Path, record: Record, compiled: Compiled) -> Run:
         """Fill a new, empty directory (see `new_directory`), and open it, so that a run that could not be loaded is not trained either."""
-        for folder in ("models", "tensorboard"):
-            (path / folder).mkdir()
+        for folder in (f"models/{POLICY}", "tensorboard", "evaluations", "checkpoints"):
+            (path / folder).mkdir(parents=True)
         write_copies(path, compiled.resolved, compiled.inputs)
         write_text(path / "environment.py", compiled.code)
-        record.write(path)
+        write_record(path, record)
         return Run.open(path)
 
     @staticmethod
@@ -101,15 +259,8 @@ class Run:
             RunError: No run, damaged, of another format, or its policy does not fit its scenario; then says field by field why.
         """
         path = Path(path)
-        record = read_record(path)
-        # A run may come from someone else, and resuming writes: no file of it may stand for one elsewhere.
-        linked = next((name for name in _MEMBERS if (path / name).is_symlink()), None)
-        if linked:
-            raise RunError(f"{path / linked} is a symbolic link, which no run of ours holds")
-        # Opening a pipe waits for ever.
-        odd = next((name for name in _MEMBERS if not _is_plain(path / name)), None)
-        if odd:
-            raise RunError(f"{path / odd} is neither a file nor a directory, which no run of ours holds")
+        record = Record.read(path)
+        _check_plain(path)
         if not (path / RESOLVED).is_file():
             raise RunError(f"{path / RESOLVED} is missing")
         try:
@@ -124,19 +275,42 @@ class Run:
         return Run(path, record, compiled.program, compiled.digest)
 
 
-def read_record(path: Path) -> Record:
-    """The record of a run.
+def _check_plain(run: Path) -> None:
+    """Refuse links and pipes: a run may come from someone else, resuming writes, and opening a pipe waits for ever."""
+    members = [run / name for name in (*_FILES, *_FOLDERS)]
+    for folder in _FOLDERS:
+        members += (run / folder).rglob("*") if not (run / folder).is_symlink() else ()
+    for member in members:
+        if member.is_symlink():
+            raise RunError(f"{member} is a symbolic link, which no run of ours holds")
+        if member.exists() and not (member.is_file() or member.is_dir()):
+            raise RunError(f"{member} is neither a file nor a directory, which no run of ours holds")
+
+
+def write_record(folder: Path, record: Record) -> None:
+    write_text(folder / NAME, record.model_dump_json(indent=2) + "\n")
+
+
+@contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Within, nobody else trains in the run directory `folder`. The lock ends with the process, however that ends.
 
     Raises:
-        RunError: There is no such run, or its record is damaged.
+        UsageError: Another training is at work there, or the directory cannot be written to.
     """
-    if not path.is_dir():
-        raise RunError(f"{path} is not a run: {'it is a file' if path.exists() else 'there is no such directory'}")
-    return Record.read(path)
+    from filelock import FileLock, Timeout  # of the extra `train`
 
-
-def _is_plain(path: Path) -> bool:
-    return path.is_file() or path.is_dir() or not path.exists()
+    path = folder / ".lock"
+    if path.is_symlink():
+        raise RunError(f"{path} is a symbolic link, which no run of ours holds")
+    try:
+        lock = FileLock(path, timeout=0).acquire()
+    except Timeout:
+        raise UsageError(f"another training is at work in {folder}; wait for its end, or end it") from None
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be written: {(error.strerror or str(error)).lower()}") from error
+    with lock:
+        yield
 
 
 def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int) -> Path:
@@ -166,11 +340,27 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
         raise UsageError(f"the run directory {wanted or parent} cannot be made: {error.strerror}") from error
 
 
+def _number(name: str, stem: str) -> int:
+    tail = name.removeprefix(stem)
+    return int(tail) if name != tail and tail.isdecimal() and tail.isascii() and len(tail) < 10 else 0
+
+
 def input_digests(inputs: Mapping[str, bytes]) -> dict[str, str]:
     """SHA-256 of every input, by the path of its copy under `inputs/`."""
     return {name: hashlib.sha256(content).hexdigest() for name, content in inputs.items()}
 
 
-def _number(name: str, stem: str) -> int:
-    tail = name.removeprefix(stem)
-    return int(tail) if name != tail and tail.isdecimal() and tail.isascii() and len(tail) < 10 else 0
+def now() -> str:
+    """The time in UTC, to the second, as ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of what a training result depends on."""
+    found = {"python": platform.python_version()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import betaln, stdtrit
 
-Interval = tuple[float, float]
+from deepbots_cli.learning.episodes import Interval
 
 ALPHA = 0.05
 """The probability that an interval misses the true value, or that a test that stops early decides wrongly."""

@@ -3,81 +3,50 @@
 from __future__ import annotations
 
 import platform
+import shutil
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import deepbots_cli
-from deepbots_cli import api, interface
+from deepbots_cli import interface
 from deepbots_cli.api import Compiled
-from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning import algorithms, weights
-from deepbots_cli.learning.callbacks import Keeper, Rank, Watch, diverged
-from deepbots_cli.learning.curriculum import Curriculum, StageEnd
+from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning import algorithms, models
+from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, signals_handled
+from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
+from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
-from deepbots_cli.learning.environments import BuildWorld, Copies, World, copies_over
-from deepbots_cli.learning.episodes import Episode, EpisodeFile, SolvedAt, Statistics
-from deepbots_cli.learning.exclusive import sole_trainer
-from deepbots_cli.learning.interruption import listening
-from deepbots_cli.learning.progress import Reporter, reporter
-from deepbots_cli.learning.record import FORMAT, Record, Status, now, versions
-from deepbots_cli.learning.run import Run, input_digests, new_directory, read_record
-from deepbots_cli.learning.trials import AT_ONCE, Trials
+from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build
+from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
+from deepbots_cli.learning.report import Reporter, reporter
+from deepbots_cli.learning.run import (
+    FORMAT,
+    Record,
+    Result,
+    Run,
+    Status,
+    TrainingResult,
+    input_digests,
+    new_directory,
+    now,
+    run_lock,
+    versions,
+)
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
 
-_KEPT = (
-    "networks, optimiser, counts, recent episodes, and the replay buffer of off-policy algorithms; "
-    "a resumed training begins new episodes, from random streams of their own"
-)
-
-
-MOST_STEPS = 10**12
+MAX_STEPS = 10**12
 """A goal beyond any training; what is far larger could not be read back from the record of the run."""
-
-
-@dataclass(frozen=True)
-class TrainingResult:
-    """How a training ended.
-
-    `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
-    Steps count over all copies of the environment; the means are over the recent episodes (None: none has ended).
-    `best_return` is the mean return of the best model in its trial (None: too few episodes for one); `trial_steps` are those
-    of all trials, from which nothing is learned and which are not among `steps`. `stage` is the one of the curriculum that it
-    ended in, `stages` are those before.
-    """
-
-    run: Path
-    status: Status
-    steps: int
-    total_timesteps: int
-    episodes: int
-    mean_return: float | None
-    success_rate: float | None
-    best_return: float | None
-    simulated_hours: float
-    trial_steps: int
-    solved_at: SolvedAt | None
-    cpu_seconds: float
-    wall_seconds: float
-    weights_digest: str
-    stage: str | None = None
-    stages: tuple[StageEnd, ...] = ()
-
-    @property
-    def interrupted(self) -> bool:
-        return self.status == "interrupted"
 
 
 def train(
@@ -89,6 +58,8 @@ def train(
     total_timesteps: int | None = None,
     stop_when_solved: bool = True,
     stage: str | None = None,
+    keep_checkpoints: int = 0,
+    initialize_from: str | Path | None = None,
     progress: bool | Reporter = False,
     command: Sequence[str] = (),
     engine: str = "pybullet",
@@ -96,18 +67,20 @@ def train(
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
-    The first Ctrl-C or SIGTERM ends the training between two steps: the result says `interrupted`.
+    The first Ctrl-C or SIGTERM ends the training after the roll-out that is under way: the result says `interrupted`.
 
     Args:
         scenario: What `deepbots_cli.compile` returned, a `Scenario`, the path of a file, or the name of a shipped scenario.
         run: The directory to make; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
         runs: Where the default directory is made.
         seed: The root of every random stream, from 0. The same seed on the same machine gives the same weights.
-        total_timesteps: Steps over all copies of the environment; the scenario's figure by default. On-policy algorithms
+        total_timesteps: Steps over all rows of the environment; the scenario's number by default. On-policy algorithms
             finish the update that they are in.
-        stop_when_solved: Whether to end when the scenario's `solved` is met by the episodes of the training and then by a trial.
+        stop_when_solved: Whether to end when the scenario's `solved` is met by the episodes of the training and then by an evaluation.
         stage: The stage of the curriculum to begin in, by name; by default the first.
-        progress: Whether to tell how it goes on standard error, or who tells it.
+        keep_checkpoints: How many models to keep at equal distances of steps, beside the best and the last.
+        initialize_from: A run, the best policy of which this one begins with, tensor by tensor where names and shapes are the same.
+        progress: Whether to report progress on standard error, or who reports it.
         command: The command line, for the record.
         engine: The physics engine of the generated supervisor.
         build: Makes a world of the scenario in place of the generated supervisor.
@@ -121,9 +94,12 @@ def train(
     training = _training_of(compiled.program, total_timesteps)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
+    if not 0 <= keep_checkpoints <= 10_000:
+        raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
     build = build or default_build(engine, allow_code=compiled.allow_code)
-    curriculum = Curriculum(compiled.program, stage)
-    _rehearse(compiled.program, training, build)
+    Curriculum(compiled.program, stage)
+    source = None if initialize_from is None else Run.open(initialize_from)
+    taken_over = _validate_setup(compiled.program, training, build, source)
     path = new_directory(run, runs, compiled.program.name, seed)
     seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
     record = Record(
@@ -141,19 +117,21 @@ def train(
         total_timesteps=training.total_timesteps,
         stop_when_solved=stop_when_solved,
         first_stage=stage,
+        keep_checkpoints=keep_checkpoints,
+        initialized_from=taken_over,
         command=tuple(command),
         versions=versions(),
         platform=platform.platform(),
         started=now(),
         updated=now(),
         resumed_at=(),
-        kept=_KEPT,
         result=None,
     )
-    with sole_trainer(path):
+    with run_lock(path):
         new = Run.create(path, record, compiled)
-        statistics = Statistics(compiled.program.period, compiled.program.solved)
-        return _learn(new, training, Keeper(new, statistics, curriculum, Trials(build, seed)), build, reporter(progress))
+        if source is not None:
+            shutil.copyfile(source.model("best"), _initial(new))
+        return _learn(new, training, Checkpoints(new), build, reporter(progress))
 
 
 def resume(
@@ -165,16 +143,15 @@ def resume(
     allow_code: bool = False,
     build: BuildWorld | None = None,
 ) -> TrainingResult:
-    """Go on with a run from its last checkpoint, in the same directory; logs are appended to.
+    """Go on with a run from its last checkpoint, in the same directory.
 
-    Networks, optimiser, counts, recent episodes and (off-policy) the replay buffer are taken up; episodes begin anew from
-    random streams of their own, so the result differs from that of a training that was never interrupted. Episodes that a
-    killed process logged after its last checkpoint stay in `monitor.csv`, and their numbers come again.
+    On the same machine, with the same versions and the same goal, weights and logs become those of a training that was never
+    interrupted, to the bit; only times differ. Where this cannot be, the result says why (`inexact`).
 
     Args:
         run: The directory of the run.
         total_timesteps: The new goal, counted from the very start; the run's own by default.
-        stop_when_solved: As for `train`; the run's own by default. A run that was solved before goes on regardless.
+        stop_when_solved: As for `train`; the run's own by default. A run that ended because it was solved goes on regardless.
         progress: As for `train`.
         allow_code: Whether terms in Python run.
         build: As for `train`.
@@ -184,49 +161,39 @@ def resume(
         UsageError: The run has already reached its goal, or another training is at work in it.
     """
     path = Path(run)
-    read_record(path)  # a folder that is no run is told so, whoever is at work in it
-    with sole_trainer(path):
+    Record.read(path)  # a folder that is no run is told so, whoever is at work in it
+    with run_lock(path):
         # Only now: a training that has just ended in there has changed the record.
         known = Run.open(path)
-        build = build or default_build(known.record.engine, allow_code=allow_code)
-        return _go_on(known, total_timesteps, stop_when_solved, reporter(progress), build)
-
-
-def _go_on(known: Run, total_timesteps: int | None, stop_when_solved: bool | None, told: Reporter, build: BuildWorld) -> TrainingResult:
-    record = known.record
-    training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
-    statistics = Statistics(known.program.period, known.program.solved)
-    curriculum, best, tried = Curriculum(known.program, record.first_stage), None, 0
-    if not known.stillborn:
-        state = weights.read_state(known.checkpoint)
-        statistics.restore(state)
-        stages = state.optional_object("curriculum")
-        if stages is not None:
-            curriculum.restore(stages)
-        kept = state.optional_object("best")
-        best = None if kept is None else Rank(kept.flag("proven"), kept.flag("solves"), kept.number("mean_return"))
-        tried = state.count("trial_steps")
-    if statistics.steps >= training.total_timesteps:
-        raise UsageError(
-            f"{known.path} has trained {statistics.steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
+        record = known.record
+        training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
+        if latest(known) is None and (record.status == "finished" or _has_learned(known)):
+            raise RunError(f"{known.checkpoints} holds no checkpoint to go on from")
+        checkpoints = Checkpoints(known)
+        steps = checkpoints.state.statistics.steps if checkpoints.state else 0
+        if steps >= training.total_timesteps:
+            raise UsageError(
+                f"{known.path} has trained {steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
+            )
+        was_solved = record.status == "finished" and record.result is not None and record.result.solved_at is not None
+        known.update(
+            status="running",
+            resumed_at=(*record.resumed_at, steps),
+            total_timesteps=training.total_timesteps,
+            stop_when_solved=(record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not was_solved,
         )
-    known.update(
-        status="running",
-        resumed_at=(*record.resumed_at, statistics.steps),
-        total_timesteps=training.total_timesteps,
-        stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
-    )
-    return _learn(known, training, Keeper(known, statistics, curriculum, Trials(build, record.seed, tried), best), build, told)
+        build = build or default_build(record.engine, allow_code=allow_code)
+        return _learn(known, training, checkpoints, build, reporter(progress))
 
 
-def compiled_of(scenario: Compiled | Scenario | str | Path) -> Compiled:
-    """The scenario as it is, or compiled if a `Scenario`, a path or the name of a shipped one is given."""
-    return api.compile(scenario) if isinstance(scenario, (str, Path, Scenario)) else scenario
+def _initial(run: Run) -> Path:
+    """The model that the training begins with, where it is another's."""
+    return run.models / "initial.zip"
 
 
-def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
-    """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
-    return partial(api.build, engine=engine, allow_code=allow_code)
+def _has_learned(run: Run) -> bool:
+    last = run.model("last")
+    return last.exists() and models.steps_of(last) > 0
 
 
 def _training_of(program: Program, total_timesteps: int | None) -> Training:
@@ -236,95 +203,127 @@ def _training_of(program: Program, total_timesteps: int | None) -> Training:
         raise UsageError(f"{program.name} has no 'train' section, so there is nothing to train with")
     training = program.policy.training if total_timesteps is None else replace(program.policy.training, total_timesteps=total_timesteps)
     if training.total_timesteps < 1:
-        raise UsageError(f"a training of {training.total_timesteps} steps teaches nothing; ask for at least 1")
-    if training.total_timesteps > MOST_STEPS:
-        raise UsageError(f"a training of {training.total_timesteps} steps would never end; ask for at most {MOST_STEPS}")
+        raise UsageError(f"total_timesteps must be at least 1, and is {training.total_timesteps}")
+    if training.total_timesteps > MAX_STEPS:
+        raise UsageError(f"a training of {training.total_timesteps} steps would never end; ask for at most {MAX_STEPS}")
     algorithms.check(training)
     algorithms.check_memory(training.environments)
     return training
 
 
-def _rehearse(program: Program, training: Training, build: BuildWorld) -> None:
-    """Fail before there is a run directory, if a world cannot be built or the algorithm refuses its settings."""
+def _validate_setup(program: Program, training: Training, build: BuildWorld, source: Run | None) -> str | None:
+    """Fail before there is a run directory, if a world cannot be built, the algorithm refuses its settings, or no initial tensor fits.
+
+    Returns what is taken over from `source`, in words.
+    """
     for stage in program.curriculum:
         build(stage.program).close()
     with closing(build(program)) as world:
-        copies = copies_over([world] * training.environments, [0] * training.environments)
-        algorithms.create(training, copies, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(program))
+        env = VectorEnvironment([world] * training.environments, [0] * training.environments)
+        model = algorithms.create(training, env, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(program))
+        if source is None:
+            return None
+        found = models.initialize(source.model("best"), model)
+        afresh = ", ".join(f"{name} ({reason})" for name, reason in found.others.items())
+        changed = "; ".join(interface.differences(source.program, program))
+        return (
+            f"{source.path}: {len(found.taken)} of {len(found.taken) + len(found.others)} tensors"
+            f"{f', afresh: {afresh}' if afresh else ''}{f'; the interface differs: {changed}' if changed else ''}"
+        )
 
 
-def _learn(run: Run, training: Training, keeper: Keeper, build: BuildWorld, told: Reporter) -> TrainingResult:
-    """One process's share in a run, from the statistics that `keeper` holds to the goal."""
-    # One thread: networks of this size only lose by handing work around.
-    torch.set_num_threads(1)
+def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildWorld, told: Reporter) -> TrainingResult:
+    """One process's share in a run, from its last checkpoint to the goal."""
     began = time.perf_counter()
-    statistics, curriculum = keeper.statistics, keeper.curriculum
+    statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program, run.record.first_stage)
+    if checkpoints.state is not None:
+        statistics.restore(checkpoints.state.statistics)
+        curriculum.restore(checkpoints.state.curriculum)
     statistics.final = curriculum.is_last
+    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed), told, training.total_timesteps)
+    checkpoints.attach(callback)
     status: Status = "failed"
+    digest = ""
     try:
         with ExitStack() as stack:
-            stack.callback(keeper.trials.close)
-            copies = _copies(stack, run, training, build, keeper)
-            model = _model(run, training, copies, statistics)
-            interruption = stack.enter_context(listening())
-            watch = Watch(run, keeper, told, interruption, training.total_timesteps)
-            told.start(watch.standing())
+            stack.enter_context(algorithms.torch_settings())
+            stack.callback(callback.evaluator.close)
+            env = _environment(stack, run, training, build, callback, checkpoints)
+            model: Any = algorithms.create(
+                training,
+                env,
+                seed=derive(run.record.seed, "policy"),
+                total_timesteps=training.total_timesteps,
+                longest_episode=longest_episode(run.program),
+                mixin=Resumable,
+            )
+            model.checkpoints = checkpoints
+            if run.record.initialized_from is not None:
+                models.initialize(_initial(run), model)
+            stack.enter_context(signals_handled(callback.interruption))
+            told.start(callback.progress())
             stack.callback(told.stop)
-            status = _drive(model, watch, run)
-            keeper.keep_best(model, interruption, AT_ONCE)
-            keeper.keep_last(model)
-            told.update(watch.standing())
+            try:
+                status = _drive(model, callback, checkpoints)
+                told.update(callback.progress())
+            finally:
+                digest = models.digest(model)
     except KeyboardInterrupt:
         # Before the first step, or while models were written: files are whole, so there is something to go on from.
         status = "interrupted"
+    except OSError as error:
+        raise RunError(f"{run.path} cannot be written: {(error.strerror or str(error)).lower()}; the last checkpoint is kept") from error
     finally:
-        result = TrainingResult(
-            run=run.path,
+        result = Result(
             status=status,
             steps=statistics.steps,
             total_timesteps=training.total_timesteps,
             episodes=statistics.episodes,
             mean_return=statistics.mean_return,
             success_rate=statistics.success_rate,
-            best_return=keeper.best.mean_return if keeper.best else None,
+            best_return=callback.best.mean_return if callback.best else None,
             simulated_hours=statistics.simulated_hours,
-            trial_steps=keeper.trials.steps,
+            evaluation_steps=callback.evaluator.steps,
             solved_at=statistics.solved_at,
             cpu_seconds=statistics.cpu_seconds,
             wall_seconds=time.perf_counter() - began,
-            weights_digest=keeper.digest,
+            weights_digest=digest,
             stage=curriculum.name,
             stages=tuple(curriculum.ends),
+            inexact=tuple(checkpoints.inexact),
         )
-        run.update(status=status, result={key: value for key, value in asdict(result).items() if key != "run"})
-    return result
+        run.update(status=status, result=result)
+    return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, **vars(result))
 
 
-def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, keeper: Keeper) -> Copies:
-    """The copies of the world, which report to the statistics and the episode file; all closed with `stack`."""
-    statistics, curriculum = keeper.statistics, keeper.curriculum
-    file = EpisodeFile(run.monitor, run.program.name)
-    stack.callback(file.close)
-    stages = [curriculum.index] * training.environments
-    branch: tuple[str | int, ...] = ("resumed", statistics.steps) if statistics.steps else ()
+def _environment(
+    stack: ExitStack, run: Run, training: Training, build: BuildWorld, callback: TrainingCallback, checkpoints: Checkpoints
+) -> VecEnv:
+    """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
+    statistics, curriculum = callback.statistics, callback.curriculum
+    log = EpisodeLog(run.monitor, run.program.name)
+    stack.callback(log.close)
+    stages = checkpoints.stages
+    if not stages:
+        stages.extend([curriculum.index] * training.environments)
 
     def count_step() -> None:
         statistics.steps += 1
 
-    def count_episode(copy: int, episode: Episode) -> None:
-        present = stages[copy] == curriculum.index
-        stage = curriculum.stages[stages[copy]].name if curriculum.stages else None
+    def count_episode(index: int, episode: Episode) -> None:
+        present = stages[index] == curriculum.index
+        stage = curriculum.stages[stages[index]].name if curriculum.stages else None
         statistics.add(episode, present=present)
-        file.write(episode, statistics, stage)
+        log.write(episode, statistics, stage)
         if present and curriculum.add(episode, statistics.steps, statistics.episodes):
-            keeper.begin_stage()
+            callback.begin_stage()
 
-    def renew(copy: int) -> tuple[World, int] | None:
-        if stages[copy] == curriculum.index:
+    def next_world(index: int) -> tuple[World, int] | None:
+        if stages[index] == curriculum.index:
             return None
-        stages[copy] = curriculum.index
-        worlds[copy] = build(curriculum.scenario)
-        return worlds[copy], derive(run.record.seed, "environment", copy, *branch, "stage", curriculum.index)
+        stages[index] = curriculum.index
+        worlds[index] = build(curriculum.scenario)
+        return worlds[index], derive(run.record.seed, "environment", index, "stage", curriculum.index)
 
     def close() -> None:
         for world in worlds:
@@ -332,42 +331,34 @@ def _copies(stack: ExitStack, run: Run, training: Training, build: BuildWorld, k
 
     worlds: list[World] = []
     stack.callback(close)
-    for _ in range(training.environments):
-        worlds.append(build(curriculum.scenario))
-    seeds = [derive(run.record.seed, "environment", i, *branch) for i in range(training.environments)]
-    return copies_over(worlds, seeds, on_step=count_step, on_episode=count_episode, renew=renew)
+    for stage in stages:
+        worlds.append(build(curriculum.scenario_of(stage)))
+    seeds = [derive(run.record.seed, "environment", i) for i in range(len(stages))]
+    env = VectorEnvironment(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
+    if training.normalize is None:
+        return env
+    gamma: Any = next((h.value for h in training.hyperparameters if h.name == "gamma"), 0.99)
+    return VecNormalize(env, norm_obs=False, gamma=gamma)
 
 
-def _model(run: Run, training: Training, copies: Copies, statistics: Statistics) -> BaseAlgorithm:
-    """A fresh model, or that of the checkpoint when there is something to go on from."""
-    seed = run.record.seed
-    model = algorithms.create(
-        training,
-        copies,
-        seed=derive(seed, "policy"),
-        total_timesteps=training.total_timesteps,
-        longest_episode=longest_episode(run.program),
-    )
-    if statistics.steps:
-        weights.put(model, weights.read(run.checkpoint, model))
-        model.num_timesteps = statistics.steps
-        model.set_random_seed(derive(seed, "policy", "resumed", statistics.steps))
+def _drive(model: Any, callback: TrainingCallback, checkpoints: Checkpoints) -> Status:
+    """Learn until the goal, a solved task or an interruption."""
+    run, statistics = callback.run, callback.statistics
     model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
-    return model
-
-
-def _drive(model: BaseAlgorithm, watch: Watch, run: Run) -> Status:
+    masks: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
     try:
-        masks: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
-        model.learn(watch.total - model.num_timesteps, callback=watch, reset_num_timesteps=False, **masks)
-    except KeyboardInterrupt:
-        return "interrupted"
-    except ValueError as error:
+        model.learn(callback.total, callback=callback, **masks)
+        if callback.interruption.requested and statistics.steps < callback.total:
+            return "interrupted"
+        callback.evaluate(AT_ONCE)
+        if statistics.steps >= callback.total:
+            checkpoints.finish(model)
+        else:  # in the middle of a roll-out, since the task is solved
+            models.save(run.model("last"), model)
+    except ValueError:
         # torch's distributions refuse parameters that are no numbers before we look at the weights.
-        name = weights.not_finite(weights.networks(model))
-        if name is None:
-            raise
-        raise diverged(name, run, watch.statistics.steps) from error
+        check_finite(model, run, statistics.steps)
+        raise
     finally:
         model.logger.close()
-    return "interrupted" if watch.interruption.requested and watch.statistics.steps < watch.total else "finished"
+    return "finished"

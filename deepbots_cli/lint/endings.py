@@ -72,7 +72,7 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
     intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
     if not never and not intangible and isinstance(meaning := analysis.meaning(node), Op) and meaning.op == "and":
-        yield "its parts never hold together"
+        yield "its parts are never true at the same time"
 
 
 def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:

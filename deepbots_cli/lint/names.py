@@ -138,10 +138,10 @@ def equality_of_measures(context: Context) -> Iterator[Finding]:
             if pair is not None:
                 text = context.text(value.owner)
                 measure, constant, written = (text.text[part.start : part.end] for part in (*pair, node))
-                outcome, sign = ("holds by chance alone", "<") if node.operator == "equal" else ("holds at the slightest change", ">")
+                outcome, sign = ("is true only by chance", "<") if node.operator == "equal" else ("holds at the slightest change", ">")
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
-                help = f"ask how near it is, as `abs({difference}) {sign} ...` does"
+                help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
                 yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help=help)
 
 

@@ -84,7 +84,7 @@ def replace_range(context: Context, number: RangedNumber, wide: Interval, dimens
 
 
 def privileged_observation(context: Context) -> Iterator[Finding]:
-    """DB609: the policy sees a signal or a parameter that `augment` does not grant.
+    """DB609: the policy sees a signal or a parameter that is not listed under `augment`.
 
     Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. A grant
     declares that this is intended. Values that robots send, their age, the actions of the agent and the time need no grant.
@@ -106,7 +106,7 @@ def privileged_observation(context: Context) -> Iterator[Finding]:
             origin = context.namespace.origin(head)
             helps = "move it to `augment`" if origin is Origin.SIGNAL else f"grant it: `augment: [{head}]`"
             what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
-            headline = f"the observation holds `{observed.value.name}`, {what} that `augment` does not grant"
+            headline = f"the observation holds `{observed.value.name}`, {what} that is not listed under `augment`"
             yield Finding("DB609", observed.value.span, headline, help=helps)
 
 

@@ -140,7 +140,7 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, val
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
         return None
     weight, density = with_unit(kind.mass, MASS), kind.mass / size
-    water = f"as much water weighs {with_unit(_WATER * size, MASS)}"
+    water = f"the same volume of water weighs {with_unit(_WATER * size, MASS)}"
     if not _LIGHTEST <= density <= _HEAVIEST:
         beyond = "more than any metal" if density > _HEAVIEST else "less than a tenth of air"
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"

@@ -357,6 +357,13 @@ class Training:
     network: Network = Network()
     action_noise: ActionNoise | None = None
     replay: Hindsight | None = None
+    normalize: Literal["reward"] | None = None
+    device: Literal["auto", "cpu", "cuda"] = "cpu"
+
+    def projection(self) -> dict[str, object]:
+        """As it counts for the digest, which keys that were added later change only where they are given."""
+        later = {"normalize": None, "device": "cpu"}
+        return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
 
 # Policy

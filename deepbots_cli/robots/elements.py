@@ -182,10 +182,10 @@ class Element:
             return words
         odd = next((word for word, number in zip(words, plain, strict=True) if word != number), None)
         if odd is not None:
-            headline = f"{quoted(odd)} is not a number; {odd.rstrip(',.')} is read, as PyBullet does"
+            headline = f"{quoted(odd)} is not a number; {odd.rstrip(',.')} is read, as in PyBullet"
             self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain)}"')
         if size == 3 and len(plain) == 4:
-            headline = f"'{name}' needs 3 numbers, not 4; the first 3 are read, as PyBullet does"
+            headline = f"'{name}' needs 3 numbers, not 4; the first 3 are read, as in PyBullet"
             self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
             return plain[:3]
         return plain

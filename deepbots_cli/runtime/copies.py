@@ -11,7 +11,7 @@ generator that waits there, with its local variables, until every copy has acted
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, cast
@@ -167,6 +167,16 @@ class CopiesSupervisor(Supervisor):
             agent._begin()
         if self._engines[0].settling:
             self.engine.step(self._engines[0].settling)
+
+    def random_state(self) -> dict[str, Any]:
+        begun = self._streams_of_agents is self.streams
+        return {**super().random_state(), "agents": [agent.random_state() for agent in self.agents.values()] if begun else []}
+
+    def set_random_state(self, state: Mapping[str, Any]) -> None:
+        super().set_random_state(state)
+        for (name, agent), inner in zip(self.agents.items(), state["agents"], strict=False):
+            agent.streams = Streams.restored(inner, name)
+            self._streams_of_agents = self.streams
 
     def _start(self) -> None:
         for agent in self.agents.values():

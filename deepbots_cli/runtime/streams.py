@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -50,6 +50,18 @@ class Streams:
             seed = np.random.SeedSequence(_words(f"{self.root}/{own}{name}"))
             generator = self._generators[name] = np.random.Generator(np.random.PCG64(seed))
         return generator
+
+    def state(self) -> dict[str, Any]:
+        """The root and the state of each generator, as JSON can hold them."""
+        return {"root": self.root, "generators": {name: made.bit_generator.state for name, made in self._generators.items()}}
+
+    @classmethod
+    def restored(cls, state: Mapping[str, Any], copy: str = "") -> Self:
+        """Streams that go on from what `state` gave."""
+        streams = cls(state["root"], copy)
+        for name, inner in state["generators"].items():
+            streams[name].bit_generator.state = inner
+        return streams
 
     def uniform(self, name: str, low: float, high: float) -> float:
         return float(self[name].uniform(low, high))

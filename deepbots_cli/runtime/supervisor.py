@@ -214,6 +214,17 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         terminated, truncated = self.is_done()
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
+    def random_state(self) -> dict[str, Any]:
+        """The states of all random streams, as JSON can hold them.
+
+        An episode that begins from them and takes the same actions is the same.
+        """
+        return self.streams.state()
+
+    def set_random_state(self, state: Mapping[str, Any]) -> None:
+        """Take up what `random_state` gave; the next reset begins from it."""
+        self.streams = Streams.restored(state)
+
     def render(self) -> Any:
         """A picture of the world (uint8, height x width x 3), or None without a render mode."""
         if self.render_mode is None:
@@ -468,7 +479,8 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
-        return EvaluationError(f"step {self.step_count}: no value for `{frames[-1].line}`: {error}")
+        statement = (frames[-1].line or "").partition("  # ")[0]  # without the text of the scenario, which the comment repeats
+        return EvaluationError(f"step {self.step_count}: no value for `{statement}`: {error}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.rebuild is None:

@@ -67,6 +67,10 @@ class Training(Section):
     """Copies of the environment that are trained in at once."""
     policy: Policy = Field(default_factory=Policy)
     """The network of the policy."""
+    normalize: Literal["reward"] | None = None
+    """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show rewards as they are."""
+    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    """Where networks are trained: `cuda` on a GPU, `auto` on a GPU if there is one. Small networks train faster on the CPU."""
 
     @classmethod
     def hyperparameter_names(cls) -> tuple[str, ...]:
@@ -289,7 +293,6 @@ AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
 
 ELSEWHERE: Mapping[str, str] = {
     "seed": "give it when you train: `--seed 1`",
-    "device": "small networks train on the processor; there is nothing to choose",
     "verbose": "give it when you train: `--quiet`",
     "tensorboard_log": "every run writes its TensorBoard log into its own directory",
     "policy_kwargs": "write `policy: {hidden: [64, 64], activation: tanh}`",

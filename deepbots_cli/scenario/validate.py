@@ -31,7 +31,9 @@ _SHOWN = 40
 _EXEMPLARY = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
-_OWN_SECTION = "it is a section of its own, which begins at the left edge: take away the blanks in front of it and of its lines"
+_OWN_SECTION = (
+    "it is a section of its own, which begins at the left edge: remove the indentation of its key and of the lines that belong to it"
+)
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,

@@ -100,6 +100,8 @@ def _train(training: Training) -> str:
         section["action_noise"] = {"type": noise.type, "sigma": _figure(noise.sigma)}
     if training.replay is not None:
         section["replay"] = "her"
+    if training.normalize is not None:
+        section["normalize"] = training.normalize
     return json.dumps(section)
 
 

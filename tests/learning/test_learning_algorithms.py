@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ import pytest
 import stand_in
 
 from deepbots_cli.errors import MissingExtraError, UsageError, installing
-from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, resume, train, weights
-from deepbots_cli.learning.noise import noise
+from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, models, resume, train, training
+from deepbots_cli.learning.algorithms import DecayingNoise
+from deepbots_cli.learning.checkpoints import Resumable
+from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Training
@@ -39,7 +42,7 @@ def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
 @pytest.mark.parametrize("theta", [0.15, 1.0])
 def test_drifting_noise_has_the_deviation_and_the_memory_that_it_is_given(theta: float) -> None:
     np.random.seed(1)
-    drawn = noise(ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.5), theta), (20_000,), lambda: 1.0)
+    drawn = DecayingNoise(ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.5), theta), (20_000,), lambda: 1.0)
     first, second = drawn(), drawn()
     for sample in (first, second):
         assert sample.std() == pytest.approx(0.5, rel=0.03)
@@ -52,7 +55,7 @@ def test_drifting_noise_has_the_deviation_and_the_memory_that_it_is_given(theta:
 def test_noise_goes_from_its_first_deviation_to_its_last(kind: Any) -> None:
     np.random.seed(2)
     left = [1.0]
-    drawn = noise(ActionNoise(kind, Schedule(0.5, 0.1)), (20_000,), lambda: left[0])
+    drawn = DecayingNoise(ActionNoise(kind, Schedule(0.5, 0.1)), (20_000,), lambda: left[0])
     for share, deviation in ((1.0, 0.5), (0.5, 0.3), (0.0, 0.1)):
         left[0] = share
         assert drawn().std() == pytest.approx(deviation, rel=0.03)
@@ -61,12 +64,11 @@ def test_noise_goes_from_its_first_deviation_to_its_last(kind: Any) -> None:
 @pytest.mark.parametrize("algorithm", few(["TD3", "DDPG", "SAC", "TQC"], ["TD3"]))
 def test_noise_fades_while_the_training_goes_on(tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[float] = []
-    plain = algorithms.noise
 
     def watched(kind: Any, size: Any, remaining: Any) -> Any:
-        return plain(kind, size, lambda: seen.append(remaining()) or remaining())
+        return DecayingNoise(kind, size, lambda: seen.append(remaining()) or remaining())
 
-    monkeypatch.setattr(algorithms, "noise", watched)
+    monkeypatch.setattr(algorithms, "DecayingNoise", watched)
     training = Training(algorithm, 300, 2, hyper(learning_starts=50), SMALL, ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.1)))
     learned(stand_in.build, tmp_path, training, continuous=True)
     assert seen[0] > 0.8
@@ -126,24 +128,30 @@ def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) 
     assert evaluate(reached.run, episodes=20, model="last", build=Reach).successes >= 15
 
 
-def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(reached: TrainingResult) -> None:
-    program = stand_in.scenario(training=REACH, **GOAL)
-    worlds = copies_of(program)
-    model = algorithms.create(REACH, worlds, seed=0, total_timesteps=1_500)
-    weights.put(model, weights.read(reached.run / "checkpoint.npz", model))
-    replay = model.replay_buffer
-    assert replay.size() == 500  # 1 000 for two copies, and the ring has gone round
-    # All episodes have ten steps; the oldest has lost some, the newest may not have ended.
-    assert set(np.unique(replay.ep_length[10:490])) == {10}
-    assert (replay.ep_start[10:490] % 10 == replay.ep_start[10] % 10).all()
+def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(
+    reached: TrainingResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replays = []
+
+    class Seen(Resumable):
+        def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+            result = super()._setup_learn(*args, **kwargs)
+            replays.append(deepcopy({key: value for key, value in vars(self.replay_buffer).items() if key != "env"}))
+            return result
+
+    monkeypatch.setattr(training, "Resumable", Seen)
     result = resume(reached.run, total_timesteps=1_600, build=Reach)
+    (replay,) = replays
+    assert replay["full"]
+    assert replay["buffer_size"] == 500  # 1 000 for two copies, and the ring has gone round
+    # All episodes have ten steps; the oldest has lost some, the newest may not have ended.
+    assert set(np.unique(replay["ep_length"][10:490])) == {10}
+    assert (replay["ep_start"][10:490] % 10 == replay["ep_start"][10] % 10).all()
     assert result.steps >= 1_600
 
 
 def copies_of(program: Program, world: Any = Reach) -> Any:
-    from deepbots_cli.learning.environments import Copies
-
-    return Copies([world(program), world(program)], [0, 1], on_step=lambda: None, on_episode=lambda copy, episode: None)
+    return VectorEnvironment([world(program), world(program)], [0, 1])
 
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
@@ -225,10 +233,10 @@ def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: 
 
 
 def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: TrainingResult) -> None:
-    training = Run.open(remembered.run).program.policy.training
-    assert training is not None
-    model = algorithms.create(training, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
-    weights.put(model, weights.read(remembered.run / "checkpoint.npz", model))
+    settings = Run.open(remembered.run).program.policy.training
+    assert settings is not None
+    model = algorithms.create(settings, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
+    models.load(remembered.run / "models" / "policy" / "last.zip", model)
     assert model.policy.lstm_actor.hidden_size == 16
     assert resume(remembered.run, total_timesteps=5_300, build=Remember).steps >= 5_300
 

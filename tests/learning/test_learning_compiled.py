@@ -51,7 +51,7 @@ train: {algorithm: MaskablePPO, total_timesteps: 200, environments: 2}
     "stages": """
 curriculum:
   - {name: near, set: {track: 0.2 m}, until: 100 steps}
-  - {name: late, set: {messages.timing: paper}, until: mean_return >= 5 over 2 episodes}
+  - {name: late, set: {messages.timing: delayed}, until: mean_return >= 5 over 2 episodes}
   - {name: usual}
 evaluation:
   cases:

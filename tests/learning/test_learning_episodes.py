@@ -7,45 +7,10 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import Episode, EpisodeFile, Statistics, Tally
-from deepbots_cli.learning.intervals import mean_interval, student, wilson
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, EpisodeLog, Statistics
 from deepbots_cli.program.task import Solved
-
-
-@given(trials=st.integers(1, 5_000), share=st.floats(0, 1))
-def test_the_wilson_bounds_are_where_the_score_test_just_rejects(trials: int, share: float) -> None:
-    successes = round(share * trials)
-    observed, z = successes / trials, 1.959963984540054
-    low, high = wilson(successes, trials)
-    assert 0 <= low <= observed <= high <= 1
-    for bound in (low, high):
-        assert (observed - bound) ** 2 == pytest.approx(z * z * bound * (1 - bound) / trials, rel=1e-6, abs=1e-12)
-
-
-def test_the_wilson_interval_agrees_with_published_values() -> None:
-    # 81 of 263 and 1 of 29: R. G. Newcombe, Statistics in Medicine 17 (1998), table I, method 3.
-    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
-    assert wilson(1, 29) == pytest.approx((0.0061, 0.1718), abs=5e-5)
-
-
-def test_a_perfect_score_in_few_trials_is_not_certainty() -> None:
-    low, high = wilson(20, 20)
-    assert high == pytest.approx(1)
-    assert low == pytest.approx(20 / (20 + 1.96**2), abs=1e-3)
-
-
-@pytest.mark.parametrize(("freedom", "quantile"), [(1, 12.7062), (2, 4.3027), (3, 3.1824), (5, 2.5706), (10, 2.2281), (99, 1.9842)])
-def test_students_quantile_agrees_with_the_tables(freedom: int, quantile: float) -> None:
-    assert student(0.975, freedom) == pytest.approx(quantile, rel=1.3e-3)
-
-
-def test_the_interval_of_a_mean_needs_two_values_and_shrinks_to_nothing_for_equal_ones() -> None:
-    assert mean_interval([3.0]) is None
-    assert mean_interval([3.0, 3.0, 3.0]) == (3.0, 3.0)
 
 
 def test_solved_is_noted_the_first_time_that_enough_consecutive_episodes_reach_it() -> None:
@@ -73,7 +38,7 @@ def test_both_figures_of_solved_must_be_reached() -> None:
 
 
 def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:
-    tally = Tally()
+    tally = EpisodeAccumulator()
     for _ in range(3):
         tally.add(1.5, {"reward_terms": {"alive": 2.0, "cost": -0.5}})
     episode = tally.close({"is_success": True, "ended_by": "goal"})
@@ -84,13 +49,13 @@ def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:
 
 def test_a_reward_that_is_no_number_is_refused_with_the_term_at_fault() -> None:
     with pytest.raises(DeepbotsError, match=r"step 1 .*\(cost\)"):
-        Tally().add(math.nan, {"reward_terms": {"alive": 1.0, "cost": math.nan}})
+        EpisodeAccumulator().add(math.nan, {"reward_terms": {"alive": 1.0, "cost": math.nan}})
 
 
 def test_the_episode_file_is_appended_to_and_keeps_one_header(tmp_path: Path) -> None:
     path, statistics = tmp_path / "monitor.csv", Statistics(0.1, None)
     for _ in range(2):
-        file = EpisodeFile(path, "Pole, long")
+        file = EpisodeLog(path, "Pole, long")
         statistics.add(Episode(1.0, 5, False, 'an "odd", name'))
         file.write(Episode(1.0, 5, False, 'an "odd", name'), statistics)
         file.close()

@@ -15,10 +15,9 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
-from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.episodes import Episode, Summary
 from deepbots_cli.learning.evaluation import judge
 from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
-from deepbots_cli.learning.summary import Summary
 from deepbots_cli.program.task import Solved
 
 
@@ -155,9 +154,9 @@ def test_senseless_figures_are_refused(trained: TrainingResult, episodes: int, s
 
 
 def test_an_evaluation_under_another_timing_says_so(trained: TrainingResult) -> None:
-    later = stand_in.altered(stand_in.compiled(), timing="paper")
+    later = stand_in.altered(stand_in.compiled(), timing="delayed")
     result = evaluate(trained.run, episodes=3, scenario=later, build=stand_in.build)
-    assert "trained with timing immediate, evaluated with paper" in evaluation_text(result)
+    assert "trained with timing immediate, evaluated with delayed" in evaluation_text(result)
     assert evaluate(trained.run, episodes=3, build=stand_in.build).notes == ()
 
 

@@ -19,6 +19,7 @@ from deepbots_cli import api, canonical
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
+from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run, new_directory
 
 
@@ -29,9 +30,8 @@ def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -
         "resolved.yaml",
         "environment.py",
         "monitor.csv",
-        "checkpoint.npz",
-        "models/best.npz",
-        "models/last.npz",
+        "models/policy/best.zip",
+        "models/policy/last.zip",
         "inputs/tests/learning/stand_in.yaml",
         "inputs/robots/urdf/cartpole.urdf",
     } <= files
@@ -67,7 +67,7 @@ def test_what_is_no_run_is_named_in_one_sentence(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("version", [0, 1, 99])
+@pytest.mark.parametrize("version", [0, 2, 99])
 def test_a_run_of_another_format_is_refused(run_copy: Path, version: int) -> None:
     edit(run_copy, format=version)
     with pytest.raises(RunError, match=f"format {version}"):
@@ -196,6 +196,29 @@ def test_a_symbolic_link_in_a_run_is_not_followed(run_copy: Path, tmp_path: Path
     assert victim.read_text() == "precious"
 
 
+def test_a_lock_that_is_a_link_is_not_followed(run_copy: Path, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    (run_copy / ".lock").unlink(missing_ok=True)
+    os.symlink(victim, run_copy / ".lock")
+    with pytest.raises(RunError, match="symbolic link"):
+        resume(run_copy, total_timesteps=100_000, build=stand_in.build)
+    assert victim.read_text() == "precious"
+
+
+def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    result = to_json(evaluate(run, episodes=2, build=stand_in.build))
+    first, second = run.keep_evaluation(result), run.keep_evaluation(result)
+    assert first is not None
+    assert second is not None
+    assert [first.name, second.name] == ["0001.json", "0002.json"]
+    assert len(json.loads(first.read_text())["outcomes"]) == 2
+    shutil.rmtree(run.evaluations)
+    run.evaluations.write_text("no folder")
+    assert run.keep_evaluation(result) is None
+
+
 def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path: Path) -> None:
     project = tmp_path / "project"
     project.mkdir()
@@ -219,7 +242,7 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     assert "does not compile" in refusal(tmp_path / "moved")
 
 
-@pytest.mark.parametrize("name", ["monitor.csv", "models/last.npz", "resolved.yaml"])
+@pytest.mark.parametrize("name", ["monitor.csv", "models/policy/last.zip", "resolved.yaml"])
 def test_a_pipe_in_a_run_is_not_waited_for(run_copy: Path, name: str) -> None:
     (run_copy / name).unlink()
     os.mkfifo(run_copy / name)

@@ -12,7 +12,7 @@ import pytest
 import stand_in
 
 from deepbots_cli.learning import evaluate, resume, train
-from deepbots_cli.learning.environments import copies_over
+from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Network, Training
@@ -74,7 +74,7 @@ class Team(gym.Env[Any, Any]):
 def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     program = stand_in.scenario()
     episodes: list[tuple[int, Episode]] = []
-    copies = copies_over([Team(program), Team(program)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
+    copies = VectorEnvironment([Team(program), Team(program)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
     alone = [Team(program), Team(program)]
     first = np.concatenate([team.reset(seed=seed)[0] for team, seed in zip(alone, (1, 2), strict=True)])
     assert copies.num_envs == 6

@@ -15,16 +15,14 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
-from deepbots_cli.learning import TrainingResult, algorithms, evaluate, resume, train
-from deepbots_cli.learning.exclusive import sole_trainer
-from deepbots_cli.learning.progress import Display, Standing
-from deepbots_cli.learning.report import to_json, training_text
+from deepbots_cli.learning import TrainingResult, algorithms, checkpoints, evaluate, resume, train
+from deepbots_cli.learning.report import ProgressReporter, TrainingProgress, to_json, training_text
+from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
 from tests.few import few
@@ -52,10 +50,10 @@ class Telling:
         self.action = action
         self.stopped = False
 
-    def start(self, standing: Standing) -> None:
+    def start(self, standing: TrainingProgress) -> None:
         pass
 
-    def update(self, standing: Standing) -> None:
+    def update(self, standing: TrainingProgress) -> None:
         self.after -= 1
         if self.after == 0:
             self.action()
@@ -145,13 +143,19 @@ def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: Train
 
     with pytest.raises(DeepbotsError, match="no world"):
         resume(run_copy, total_timesteps=100_000, build=stop)
-    told = Telling(1, lambda: os.kill(os.getpid(), signal.SIGINT))
+
+    class Impatient(Telling):
+        def start(self, progress: TrainingProgress) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    told = Impatient(0, None)
     result = resume(run_copy, total_timesteps=100_000, progress=told, build=stand_in.build)
     assert result.interrupted
     assert result.weights_digest == trained.weights_digest
-    with np.load(run_copy / "checkpoint.npz") as after, np.load(trained.run / "checkpoint.npz") as before:
-        assert any("optimizer" in name for name in before.files)
-        assert all(np.array_equal(before[name], after[name]) for name in before.files if name.startswith("policy"))
+    kept, before = (run / "models" / "policy" / "last.zip" for run in (run_copy, trained.run))
+    with zipfile.ZipFile(kept) as mine, zipfile.ZipFile(before) as theirs:
+        assert any("optimizer" in name for name in theirs.namelist())
+        assert all(mine.read(name) == theirs.read(name) for name in theirs.namelist() if name.endswith(".pth"))
 
 
 @pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], ["SIGINT"], lambda number: number.name))
@@ -176,7 +180,7 @@ def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Pa
 
     result = short(tmp_path, total=50_000, progress=Telling(5, interrupt), build=stand_in.build)
     assert result.interrupted
-    assert (result.run / "models" / "last.npz").exists()
+    assert (result.run / "models" / "policy" / "last.zip").exists()
 
 
 def test_a_killed_process_leaves_a_run_that_can_be_evaluated_and_resumed(tmp_path: Path) -> None:
@@ -237,8 +241,9 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
     training = Training("DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu"))
     result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=150, build=stand_in.build)
-    with np.load(result.run / "checkpoint.npz") as checkpoint:
-        assert checkpoint["replay/rewards"].shape[0] == again.steps
+    last = checkpoints.latest(Run.open(again.run))
+    assert last is not None
+    assert checkpoints.read_state(last).segments[-1][1] == again.steps
 
 
 @pytest.mark.parametrize(
@@ -288,7 +293,7 @@ def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
 
 def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -> None:
     stream = io.StringIO()
-    short(tmp_path, total=2_000, progress=Display(stream), build=stand_in.build)
+    short(tmp_path, total=2_000, progress=ProgressReporter(stream), build=stand_in.build)
     lines = stream.getvalue().splitlines()
     assert 5 <= len(lines) <= 11
     assert all("steps/s" in line and "return" in line for line in lines)
@@ -359,7 +364,8 @@ def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_pat
 
 
 def test_a_finished_run_without_its_checkpoint_is_damaged_and_not_begun_again(run_copy: Path) -> None:
-    for name in ("checkpoint.npz", "models/best.npz", "models/last.npz"):
+    shutil.rmtree(run_copy / "checkpoints")
+    for name in ("models/policy/best.zip", "models/policy/last.zip"):
         (run_copy / name).unlink()
     with pytest.raises(RunError, match="checkpoint"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
@@ -372,10 +378,10 @@ def test_a_run_whose_figures_could_not_be_read_back_is_refused_before_it_is_made
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="directories cannot be locked")
 def test_a_run_that_is_being_trained_is_not_resumed_by_a_second_process(run_copy: Path) -> None:
+    (run_copy / ".lock").touch()
     before = {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()}
-    with sole_trainer(run_copy), pytest.raises(UsageError, match="another training is at work in"):
+    with run_lock(run_copy), pytest.raises(UsageError, match="another training is at work in"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
     assert {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()} == before
     assert resume(run_copy, total_timesteps=2_100, stop_when_solved=False, build=stand_in.build).steps >= 2_100
@@ -384,12 +390,12 @@ def test_a_run_that_is_being_trained_is_not_resumed_by_a_second_process(run_copy
 def test_a_replay_buffer_with_actions_that_do_not_exist_is_refused(tmp_path: Path) -> None:
     settings = Training("DQN", 300, environments=1, hyperparameters=hyper(learning_starts=50, buffer_size=500))
     done = train(stand_in.compiled(training=settings), runs=tmp_path, build=stand_in.build)
-    checkpoint = done.run / "checkpoint.npz"
-    with zipfile.ZipFile(checkpoint) as archive:
+    (segment,) = (done.run / "checkpoints" / "replay").iterdir()
+    with zipfile.ZipFile(segment) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
-    content["replay/actions.npy"] = content["replay/actions.npy"][:-8] + (99).to_bytes(8, "little")
-    with zipfile.ZipFile(checkpoint, "w") as archive:
+    content["actions.npy"] = content["actions.npy"][:-8] + (99).to_bytes(8, "little")
+    with zipfile.ZipFile(segment, "w") as archive:
         for name, data in content.items():
             archive.writestr(name, data)
-    with pytest.raises(RunError, match="'replay/actions' holds actions that the scenario does not have"):
+    with pytest.raises(RunError, match="holds actions that the scenario does not have"):
         resume(done.run, total_timesteps=600, build=stand_in.build)

@@ -24,11 +24,22 @@ def test_wilson_has_the_values_of_the_published_example():
         assert stats.wilson(successes, episodes) == pytest.approx((low, high), abs=5e-5)
 
 
+@given(trials=st.integers(1, 5_000), share=st.floats(0, 1))
+def test_the_wilson_bounds_are_where_the_score_test_just_rejects(trials: int, share: float) -> None:
+    successes = round(share * trials)
+    observed, z = successes / trials, 1.959963984540054
+    low, high = stats.wilson(successes, trials)
+    assert 0 <= low <= observed <= high <= 1
+    for bound in (low, high):
+        assert (observed - bound) ** 2 == pytest.approx(z * z * bound * (1 - bound) / trials, rel=1e-6, abs=1e-12)
+
+
 def test_an_interval_of_a_mean_is_students():
     # t at 0.975 with 4 degrees of freedom is 2.776445.
     low, high = stats.mean_interval([1.0, 2.0, 3.0, 4.0, 5.0])
     assert (low, high) == pytest.approx((3 - 2.776445 * math.sqrt(2.5 / 5), 3 + 2.776445 * math.sqrt(2.5 / 5)), abs=1e-5)
     assert stats.mean_interval([1.0]) is None
+    assert stats.mean_interval([3.0, 3.0, 3.0]) == (3.0, 3.0)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ ACTUATOR_MISTAKES = [
     ("robots.spinner.actuators.axle.joint=axel", "DB302", "axel"),
     ("robots.spinner.actuators.axle.max_torque=2 N*m", "DB304", "a limit of"),
     ("robots.spinner.apply.axle=voltage * 5 N", "DB503", "the target of `axle`"),
-    ("action.voltage=-100 .. 100", "DB312", "`axle` is asked for"),
+    ("action.voltage=-100 .. 100", "DB312", "`axle` receives commands of"),
 ]
 
 

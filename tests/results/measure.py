@@ -15,11 +15,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import weights
-from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.episodes import Statistics
-from deepbots_cli.learning.exclusive import sole_trainer
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.checkpoints import latest, read_state
+from deepbots_cli.learning.run import Run, run_lock
 from tests.results import asked, curves, records
 from tests.results.asked import Asked
 from tests.results.commands import Commands
@@ -148,7 +145,7 @@ class SeedChain:
         told = False
         while self.folder.is_dir():
             try:
-                with sole_trainer(self.folder):
+                with run_lock(self.folder):
                     return
             except UsageError:
                 if not told:
@@ -166,11 +163,10 @@ class SeedChain:
 
     def _is_done(self, run: Run | None) -> bool:
         """Whether nothing is left to train. (One that is killed in its last moments does not know so itself.)"""
-        if run is None or run.stillborn:
+        last = None if run is None else latest(run)
+        if run is None or last is None:
             return False
-        state = weights.read_state(run.checkpoint)
-        solved = run.record.stop_when_solved and state.data.get("solved_at") is not None
-        return run.record.status == "finished" or solved or state.count("steps") >= run.record.total_timesteps
+        return run.record.status == "finished" or read_state(last).statistics.steps >= run.record.total_timesteps
 
     def _train(self, run: Run | None, commands: Commands) -> None:
         ledger = self._ledger
@@ -195,27 +191,24 @@ class SeedChain:
     def _collected(self) -> dict[str, Any]:
         """The entry of a training that is done, from its run directory."""
         run = Run.open(self.folder)
-        state = weights.read_state(run.checkpoint)
-        statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program)
-        statistics.restore(state)
-        stages = state.optional_object("curriculum")
-        if stages is not None:
-            curriculum.restore(stages)
+        result = run.record.result
+        if result is None:
+            raise RunError(f"{run.path} was killed when it was done; go on with it")
         curve = curves.points(curves.episodes(run.monitor))
         last = run.program.curriculum[-1].name if run.program.curriculum else ""
         processes = [float(line) for line in self._ledger.read_text(encoding="utf-8").split()]
-        ends = [asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)} for end in curriculum.ends]
+        ends = [asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)} for end in result.stages]
         return {
             **vars(self.asked),
             **records.circumstances(),
-            "steps": statistics.steps,
-            "episodes": statistics.episodes,
-            "simulated_hours": round(statistics.simulated_hours, 4),
+            "steps": result.steps,
+            "episodes": result.episodes,
+            "simulated_hours": round(result.simulated_hours, 4),
             # A process that was killed outright is not in the ledger; its training counted up to its last checkpoint.
-            "cpu_seconds": round(max(sum(processes), statistics.cpu_seconds_before), 1),
+            "cpu_seconds": round(max(sum(processes), result.cpu_seconds), 1),
             "times_resumed": len(run.record.resumed_at),
-            "solved_at": None if statistics.solved_at is None else asdict(statistics.solved_at),
-            "stage": curriculum.name,
+            "solved_at": None if result.solved_at is None else asdict(result.solved_at),
+            "stage": result.stage,
             "stages": ends,
             "crossings": {wanted.key: curves.crossing(curve, wanted, last) for wanted in self._crossings()},
             "curve": curves.thinned(curve),

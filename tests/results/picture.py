@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from deepbots_cli.learning.atomic import write_text
+from deepbots_cli.learning.run import write_text
 from tests.results.experiment import Bar, Experiment, Mark
 from tests.results.figures import Crossed, Solved
 from tests.results.standing import Standing

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import deepbots_cli
-from deepbots_cli.learning.atomic import write_text
-from deepbots_cli.learning.record import versions
+from deepbots_cli.learning.run import versions, write_text
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from deepbots_cli.learning.atomic import write_text
+from deepbots_cli.learning.run import write_text
 from tests.results import picture, records
 from tests.results.catalogue import reasons
 from tests.results.experiment import Experiment

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from deepbots_cli.learning.intervals import wilson
+from deepbots_cli.learning.statistics import wilson
 from tests.results import asked
 from tests.results.experiment import Training
 from tests.results.standing import Standing

@@ -46,7 +46,7 @@ def measured(places: Places, commands: Commands) -> None:
 
 
 def stop_when_there_is_a_checkpoint(commands: Commands, places: Places) -> None:
-    while not list(places.runs.glob("rail/*/checkpoint.npz")):
+    while not list(places.runs.glob("rail/*/checkpoints/0*")):
         time.sleep(0.05)
     commands.stop()
 

@@ -20,7 +20,7 @@ VERBS: Mapping[str, str] = {
     "upgrade": "Upgrade a scenario file to the current version of the language.",
     "eject": "Write a scenario as a Python project that you can edit.",
     "list": "List the scenarios that come with deepbots, and your runs.",
-    "bench": "Measure the time of an environment step beside the physics alone.",
+    "bench": "Compare the time of an environment step with the time of the physics alone.",
     "schema": "Print the JSON Schema of scenario files, for editors.",
     "doctor": "Check the installation.",
 }

@@ -47,7 +47,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Measure the time of an environment step beside the physics alone.
+    """Compare the time of an environment step with the time of the physics alone.
 
     Both sides run the same episodes in the same engine with the same substeps; resets are not timed. The ratio is the cost of messages,
     observation, reward and endings on top of the physics.

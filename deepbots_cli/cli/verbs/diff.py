@@ -64,8 +64,8 @@ def command(
 ) -> None:
     """Compare the meaning of two scenarios.
 
-    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. Of a run directory it
-    takes the scenario of the training. --set overrides values of the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run directory
+    it uses the scenario of the training. --set overrides values of the second scenario.
 
     The exit code is 0 without differences or with cosmetic ones only, 1 with other differences, and 2 if a scenario cannot be compiled.
 
@@ -178,7 +178,7 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (r"reset/(\w+)", r"reset.\1", Group.world),
     (r"(solved)", r"\1", Group.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
-    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay)", r"train.\1", Group.training),
+    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Group.training),
     (_POLICY + r"training/network/(\w+)", r"train.policy.\1", Group.training),
     (_POLICY + r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
     (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Group.training),

@@ -56,7 +56,7 @@ def command(
     min_success: Annotated[
         float | None,
         typer.Option(
-            "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower, such as 0.8 or 80%."
+            "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower than RATE, such as 0.8 or 80%."
         ),
     ] = None,
     as_json: Json = False,
@@ -66,10 +66,10 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved and --min-success test the result in the scenario, or in the case that --case names.
+    --require-solved and --min-success apply to the result in the scenario, or in the case given by --case.
 
-    --set overrides values of the scenario of the run, or of the scenario that --scenario names. Its observation, action and messages must
-    be equal to those of the training; its world may differ. --engine shows how a policy does in the physics of another engine.
+    --set overrides values of the scenario of the run, or of the scenario that --scenario names. The observation, action and messages of
+    this scenario must be equal to those of the training; its world may differ. --engine runs the episodes in another engine.
 
     \b
       deepbots eval runs/cartpole-0-1
@@ -102,6 +102,7 @@ def command(
     with terminal.progress(always=False) as show_episode:
         result = evaluate(known, case=case, video_to=video, on_episode=show_episode, **chosen)
         cases = evaluate_cases(known, on_episode=show_episode, **chosen) if case is None else ()
+    known.keep_evaluation({**with_cases(result, cases), "set": sets or []})
     if as_json:
         terminal.show_json({**with_cases(result, cases), "set": sets or []})
     else:

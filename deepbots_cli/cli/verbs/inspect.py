@@ -59,8 +59,8 @@ def command(
     """Show the values of a scenario, a run or a robot file as tables.
 
     The tables of a scenario show spaces, messages, reward, timing and hyperparameters in SI units. The table of timing shows the physics
-    step from which an action acts, and the age of each observation. The table of poses needs the simulator. A run shows its scenario and
-    the progress of its training. A robot file shows its links, joints and findings.
+    step in which an action takes effect, and the age of each observation. The table of poses needs the simulator. A run shows its
+    scenario and the progress of its training. A robot file shows its links, joints and findings.
 
     \b
       deepbots inspect cartpole

@@ -69,7 +69,9 @@ def command(
             "--ignore", metavar="CODES", help="Do not report these findings; between --select and --ignore, the longer prefix wins."
         ),
     ] = None,
-    fail_on: Annotated[FailOn | None, typer.Option("--fail-on", help="Severity from which the exit code is 1; error by default.")] = None,
+    fail_on: Annotated[
+        FailOn | None, typer.Option("--fail-on", help="Lowest severity for which the exit code is 1; error by default.")
+    ] = None,
     exit_zero: Annotated[bool, typer.Option("--exit-zero", help="Same as --fail-on never.")] = False,
     preview: Annotated[
         bool | None,
@@ -83,7 +85,7 @@ def command(
     diff: Annotated[bool, typer.Option("--diff", help="Show the changes of --fix, and write nothing.")] = False,
     stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="File name for standard input.")] = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", metavar="N", parser=whole(), help="Number of processes; useful from tens of files on.")
+        int, typer.Option("--jobs", "-j", metavar="N", parser=whole(), help="Number of processes; useful for tens of files or more.")
     ] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,

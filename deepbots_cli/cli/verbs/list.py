@@ -12,7 +12,8 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Scalar, load, shipped
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.record import NAME, Record, number, solved
+from deepbots_cli.learning.report import solved_text
+from deepbots_cli.learning.run import NAME, Record
 
 
 def command(
@@ -70,14 +71,14 @@ def _run(path: Path) -> Row:
             "mean_return": None,
             "solved": str(error),
         }
-    result = record.result or {}
+    result = record.result
     return {
         "run": path.name,
         "scenario": record.scenario,
         "digest": record.digest,
         "status": record.status,
-        "steps": number(result.get("steps")),
-        "mean_return": number(result.get("mean_return")),
-        "solved": solved(result.get("solved_at")),
+        "steps": result and result.steps,
+        "mean_return": result and result.mean_return,
+        "solved": solved_text(result.solved_at if result else None),
         "trained": record.updated,
     }

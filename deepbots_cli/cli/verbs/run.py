@@ -18,8 +18,7 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, 
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
-from deepbots_cli.learning.episodes import Episode, Tally
-from deepbots_cli.learning.summary import Summary
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ def command(
       deepbots run pit_escape --script rocking --episodes 100
       deepbots run find_ball_random --stage crowded
 
-    Commas separate actions, and colons the numbers of one action: --actions 0.5:0.5,0.5:-0.5
+    Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
@@ -163,15 +162,15 @@ def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, max_
     left = max_steps
     for number in range(count):
         environment.reset(seed=seed if number == 0 else None)
-        tally, ended = Tally(), False
+        accumulator, ended = EpisodeAccumulator(), False
         while not ended:
             _, reward, terminated, truncated, info = environment.step(policy())
-            tally.add(reward, info)
+            accumulator.add(reward, info)
             left = None if left is None else left - 1
             ended = terminated or truncated or left == 0
             if left == 0 and not (terminated or truncated):
                 info = info | {"ended_by": "--steps"}
-        yield tally.close(info)
+        yield accumulator.close(info)
         if left == 0:
             return
 

@@ -41,7 +41,7 @@ def command(
       deepbots schema -o deepbots.schema.json
       deepbots schema --for mine.yaml -o mine.schema.json
 
-    Next: write as the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
+    Next: make this the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
     """
     if output == Path("-"):
         output = None

@@ -16,6 +16,7 @@ from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.run import Run
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
@@ -46,6 +47,15 @@ def command(
     stage: Annotated[
         str | None, typer.Option("--stage", metavar="NAME", help="Begin with this stage of the curriculum; by default with the first.")
     ] = None,
+    keep_checkpoints: Annotated[
+        int | None,
+        typer.Option(
+            "--keep-checkpoints", metavar="N", parser=whole(0, 10_000), help="Keep N models at equal distances of timesteps; 0 by default."
+        ),
+    ] = None,
+    initialize_from: Annotated[
+        Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the best policy of this run, where it fits.")
+    ] = None,
     engine: Annotated[
         str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; pybullet by default.")
     ] = None,
@@ -56,7 +66,8 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    Training stops when the scenario counts as solved, or at the total number of timesteps. Ctrl-C stops it earlier and keeps the policy.
+    Training stops when the scenario counts as solved, or at the total number of timesteps. Ctrl-C stops it after the current roll-out and
+    keeps the policy.
     The run directory holds the inputs, the models and the results. A run never overwrites another one.
 
     \b
@@ -65,15 +76,18 @@ def command(
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train --resume runs/cartpole-0-1 --timesteps 200k
+      deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
-    Timesteps are counted over all parallel environments. A resumed run keeps its networks, optimizer and counts, and starts with new
-    episodes; --timesteps is its new total, which includes the timesteps before.
+    Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
+    without interruption; --timesteps is its new total, which includes the timesteps before. --initialize-from takes the tensors of the
+    policy that have the same name and shape, and initializes the others as usual.
 
     Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
     """
     told = not quiet
     if resume is not None:
-        if scenario is not None or sets or seed is not None or run is not None or stage or engine is not None or allow_paths:
+        made_with = (scenario, sets, seed, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps its scenario and options; --resume accepts only --timesteps, --full, --quiet, --allow-code and --json"
             )
@@ -94,6 +108,8 @@ def command(
             total_timesteps=timesteps,
             stop_when_solved=not full,
             stage=stage,
+            keep_checkpoints=keep_checkpoints or 0,
+            initialize_from=initialize_from,
             progress=told,
             command=["deepbots", *sys.argv[1:]],
             engine=engine or "pybullet",
@@ -114,6 +130,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)
+    Run.open(result.run).keep_evaluation(with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return

@@ -1,0 +1,251 @@
+"""Models as Stable-Baselines3's `.zip` files, which plain Stable-Baselines3 loads without deepbots.
+
+Nothing is unpickled when one is read here: the algorithm is built from the run's scenario, and only tensors of the names, shapes and
+types that it has are taken from the file, by `torch.load(weights_only=True)`. No member may be compressed, so a file from a
+stranger cannot take more memory than its size, which is limited by that of the model.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import is_json_serializable, save_to_zip_file
+
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.files import atomic
+
+Tensors = Mapping[str, Mapping[str, Any]]
+"""What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""
+
+_VARIABLES = "pytorch_variables"
+_OVERHEAD = 8_000_000
+_MAX_MEMBERS = 32
+# What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to Stable-Baselines3, Gymnasium and torch.
+_PICKLED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
+# Needs an environment to be loaded.
+_HINDSIGHT = ("replay_buffer_class", "replay_buffer_kwargs")
+
+
+def save(path: Path, model: BaseAlgorithm) -> None:
+    """Write a model that plain Stable-Baselines3 loads; schedules, noise and buffers are left out.
+
+    Raises:
+        RunError: The file cannot be written.
+    """
+    left_out = {*model._excluded_save_params(), *_HINDSIGHT, *(name.partition(".")[0] for name in _parts(model))}
+    data = {
+        name: value for name, value in vars(model).items() if name not in left_out and (name in _PICKLED or is_json_serializable(value))
+    }
+    # A schedule is a function of ours; training on elsewhere begins with the present rate.
+    data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
+    with atomic(path, RunError) as draft, draft.open("wb") as stream:
+        save_to_zip_file(stream, data, model.get_parameters(), dict(_variables(model)))
+        stream.flush()
+        os.fsync(stream.fileno())  # for a power cut
+
+
+def load(path: Path, model: BaseAlgorithm) -> None:
+    """Set the tensors of a model, its optimisers and its variables.
+
+    Raises:
+        RunError: The file is missing, damaged, no model of ours, or has other tensors than the model.
+    """
+    tensors = read(path, model)
+    for name in _parts(model):
+        part, state = attrgetter(name)(model), tensors[name]
+        if isinstance(part, torch.optim.Optimizer):
+            part.load_state_dict({**part.state_dict(), "state": state["state"]})
+        else:
+            part.load_state_dict(state)
+    for name, variable in _variables(model):
+        variable.data.copy_(tensors[_VARIABLES][name])
+
+
+@dataclass(frozen=True)
+class Initialization:
+    """The tensors of a policy that were taken over from another model; `others` says why the rest begins afresh."""
+
+    taken: tuple[str, ...]
+    others: Mapping[str, str]
+
+
+def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
+    """Take over each tensor of the policy that has the same name and shape in the file; optimisers begin afresh.
+
+    Raises:
+        RunError: The file is missing, damaged, or no model.
+        UsageError: Nothing in it fits.
+    """
+    theirs, ours = _read(path, path.stat().st_size if path.is_file() else 0)["policy"], model.policy.state_dict()
+    others: dict[str, str] = {}
+    for name, tensor in ours.items():
+        other = theirs.get(name)
+        if not isinstance(other, torch.Tensor):
+            others[name] = "the other model does not have it"
+        elif other.shape != tensor.shape:
+            others[name] = f"{tuple(tensor.shape)} here, {tuple(other.shape)} there"
+        elif not torch.isfinite(other).all():
+            others[name] = "not finite there"
+    taken = tuple(name for name in ours if name not in others)
+    if not taken:
+        raise UsageError(f"no tensor of {path} fits the policy of this scenario")
+    model.policy.load_state_dict({name: theirs[name] if name in taken else tensor for name, tensor in ours.items()})
+    return Initialization(taken, others)
+
+
+def read(path: Path, model: BaseAlgorithm) -> Tensors:
+    """The tensors of a file that was written for a model like this one.
+
+    Raises:
+        RunError: As for `load`.
+    """
+    size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
+    tensors = _read(path, 4 * size + _OVERHEAD)
+    found, wanted = set(tensors), {*_parts(model), _VARIABLES}
+    if found != wanted:
+        _refuse(path, ", ".join(sorted(wanted - found)), ", ".join(sorted(found - wanted)))
+    for name in _parts(model):
+        part = attrgetter(name)(model)
+        if isinstance(part, torch.optim.Optimizer):
+            _check_optimizer(path, name, part, tensors[name])
+        else:
+            _check_tensors(path, name, part.state_dict(), tensors[name])
+    _check_tensors(path, _VARIABLES, dict(_variables(model)), tensors[_VARIABLES])
+    return tensors
+
+
+def steps_of(path: Path) -> int:
+    """After how many steps a model was saved.
+
+    Raises:
+        RunError: The file is missing, damaged, or no model.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open("data") as member:
+            return int(json.loads(member.read(_OVERHEAD))["num_timesteps"])
+    except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RecursionError) as error:
+        raise RunError(f"{path} is damaged, or no model of ours") from error
+
+
+def digest(model: BaseAlgorithm) -> str:
+    """SHA-256 over names, shapes and bytes of the policy's tensors; equal exactly for equal networks."""
+    total = hashlib.sha256()
+    for name, tensor in sorted(model.policy.state_dict().items()):
+        array = tensor.detach().cpu().numpy()
+        total.update(f"policy/{name} {array.dtype.str} {array.shape}\n".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()
+
+
+def not_finite(model: BaseAlgorithm) -> str | None:
+    """The name of the first tensor of the policy that holds an infinity or no number."""
+    return next((name for name, tensor in model.policy.state_dict().items() if not torch.isfinite(tensor).all()), None)
+
+
+def _parts(model: BaseAlgorithm) -> list[str]:
+    return list(model._get_torch_save_params()[0])
+
+
+def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
+    for name in model._get_torch_save_params()[1]:
+        yield name, attrgetter(name)(model)
+
+
+def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
+    """The state dictionaries of a model file, by part."""
+    if not path.is_file():
+        raise RunError(f"{path} is missing")
+    if path.stat().st_size > limit:
+        raise RunError(f"{path} is larger than the scenario's policy can be")
+    tensors = {}
+    try:
+        with _opened(path, path.stat().st_size) as archive:
+            for name in archive.namelist():
+                if name.endswith(".pth"):
+                    content = archive.read(name)
+                    _opened(io.BytesIO(content), len(content)).close()
+                    tensors[name.removesuffix(".pth")] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except RunError:
+        raise
+    except Exception as error:  # the readers of damaged files raise a dozen kinds
+        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else "cut short"
+        raise RunError(f"{path} is damaged, or no model of ours ({reason})") from error
+    if "policy" not in tensors or not all(isinstance(value, dict) for value in tensors.values()):
+        raise RunError(f"{path} is damaged, or no model of ours (it lacks 'policy')")
+    return tensors
+
+
+def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
+    """An archive whose members take no more room than the file itself."""
+    archive = zipfile.ZipFile(source)
+    members = archive.infolist()
+    if any(item.compress_type != zipfile.ZIP_STORED or item.compress_size != item.file_size for item in members):
+        raise ValueError("it is compressed, which no model of ours is")
+    if sum(item.file_size for item in members) > size:
+        raise ValueError("its members overlap")
+    if isinstance(source, Path) and len(members) > _MAX_MEMBERS:
+        raise ValueError(f"it has {len(members)} members")
+    return archive
+
+
+def _check_tensors(path: Path, where: str, ours: Mapping[str, torch.Tensor], theirs: Mapping[Any, Any]) -> None:
+    if set(ours) != set(theirs):
+        missing, strange = sorted(set(ours) - set(theirs)), sorted(str(name) for name in set(theirs) - set(ours))
+        _refuse(path, f"{where}/{missing[0]}" if missing else "", f"{where}/{strange[0]}" if strange else "")
+    for name, tensor in ours.items():
+        _check_tensor(path, f"{where}/{name}", tensor.dtype, tuple(tensor.shape), theirs[name])
+
+
+def _check_optimizer(path: Path, where: str, optimizer: torch.optim.Optimizer, theirs: Mapping[str, Any]) -> None:
+    """Moments of the right names and shapes for parameters that exist; what `param_groups` says is not taken over."""
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    moments, state = _moments(optimizer), theirs.get("state")
+    if not isinstance(state, dict):
+        raise RunError(f"{path} lacks '{where}/state'")
+    for index, memory in state.items():
+        if type(index) is not int or not 0 <= index < len(parameters) or not isinstance(memory, dict):
+            _refuse(path, "", f"{where}/{index}")
+        missing, strange = [m for m in moments if m not in memory], [m for m in memory if m not in moments]
+        if missing or strange:
+            _refuse(path, f"{where}/{index}/{missing[0]}" if missing else "", f"{where}/{index}/{strange[0]}" if strange else "")
+        for moment, value in memory.items():
+            shape = () if moment == "step" else tuple(parameters[index].shape)
+            _check_tensor(path, f"{where}/{index}/{moment}", torch.float32, shape, value)
+            if moment == "step" and value < 0:
+                raise RunError(f"{path}: '{where}/{index}/step' counts below zero")
+
+
+def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, ...], found: Any) -> None:
+    if not isinstance(found, torch.Tensor):
+        raise RunError(f"{path}: '{name}' is no tensor")
+    if found.dtype != dtype or tuple(found.shape) != shape or found.layout != torch.strided:
+        theirs = f"{str(found.dtype).removeprefix('torch.')} of shape {tuple(found.shape)}"
+        raise RunError(f"{path}: '{name}' is {theirs}, the scenario's policy needs {str(dtype).removeprefix('torch.')} of shape {shape}")
+    if not torch.isfinite(found).all():
+        raise RunError(f"{path}: '{name}' holds a number that is not finite")
+
+
+def _refuse(path: Path, missing: str, strange: str) -> None:
+    what = f"lacks '{missing}'" if missing else f"holds '{strange[:80]}', which the scenario's policy has no place for"
+    raise RunError(f"{path} {what}")
+
+
+def _moments(optimizer: torch.optim.Optimizer) -> list[str]:
+    """What an optimiser remembers of each parameter, found out with a parameter of no concern."""
+    probe = torch.nn.Parameter(torch.zeros(1))
+    probe.grad = torch.zeros(1)
+    build: Any = type(optimizer)
+    likewise = build([{**optimizer.param_groups[0], "params": [probe]}])
+    likewise.step()
+    return list(likewise.state[probe])

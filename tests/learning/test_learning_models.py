@@ -1,0 +1,219 @@
+"""Model files: those of Stable-Baselines3, of which only tensors that fit are read."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+import pickle
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import stand_in
+import torch
+
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.learning.evaluation import load
+from deepbots_cli.learning.run import Run
+from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
+from tests.few import few
+
+BEST = Path("models", "policy", "best.zip")
+WEIGHT = "action_net.weight"
+
+
+class Bomb:
+    """Leaves a trace when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.trace,))
+
+
+def members(path: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def rewrite(path: Path, content: Mapping[str, bytes], compression: int = zipfile.ZIP_STORED) -> None:
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+
+
+def saved(value: Any) -> bytes:
+    stream = io.BytesIO()
+    torch.save(value, stream)
+    return stream.getvalue()
+
+
+def changed(path: Path, part: str, change: Callable[[dict[str, Any]], None]) -> None:
+    """Change the state dictionary of a part of a model."""
+    state = torch.load(io.BytesIO(members(path)[f"{part}.pth"]), weights_only=True)
+    change(state)
+    rewrite(path, members(path) | {f"{part}.pth": saved(state)})
+
+
+def refused(run: Path, reason: str) -> None:
+    with pytest.raises(RunError, match=reason) as caught:
+        evaluate(run, episodes=1, build=stand_in.build)
+    assert "\n" not in str(caught.value)
+
+
+def refusal(run: Path) -> str:
+    """Why a run's best model is refused; nothing if it can be evaluated."""
+    try:
+        evaluate(run, episodes=1, build=stand_in.build)
+    except RunError as error:
+        return str(error)
+    return ""
+
+
+PLAIN = """
+import sys
+sys.modules["deepbots_cli"] = None
+import json, numpy as np, stable_baselines3
+algorithm, path, observations = sys.argv[1:]
+model = getattr(stable_baselines3, algorithm).load(path, device="cpu")
+print(json.dumps(model.predict(np.load(observations), deterministic=True)[0].tolist()))
+"""
+
+
+@pytest.mark.parametrize("algorithm", few(["PPO", "DDPG", "TD3", "SAC", "A2C", "DQN"], ["PPO", "TD3"]))
+def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, algorithm: str) -> None:
+    settings = {} if algorithm in ("PPO", "A2C") else {"learning_starts": 50}
+    hyperparameters = (*(Hyperparameter(*pair) for pair in settings.items()), Hyperparameter("learning_rate", Schedule(1e-3, 1e-4)))
+    training = Training(algorithm, 150, 2, hyperparameters, Network((8,), "relu"))
+    run = train(stand_in.compiled(training=training, continuous=algorithm != "DQN"), run=tmp_path / "run", build=stand_in.build).run
+    observations = np.random.default_rng(0).uniform(-1, 1, (1000, 4)).astype(np.float32)
+    np.save(tmp_path / "observations.npy", observations)
+    path = run / "models" / "policy" / "best.zip"
+    command = [sys.executable, "-c", PLAIN, algorithm, str(path), str(tmp_path / "observations.npy")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+    assert done.returncode == 0, done.stderr
+    theirs = json.loads(done.stdout)
+    model = load(Run.open(run), "best", stand_in.build(Run.open(run).program))
+    assert np.array_equal(np.array(theirs, np.float32), model.predict(observations, deterministic=True)[0].astype(np.float32))
+
+
+def test_a_pickle_in_place_of_a_model_is_refused_and_never_run(run_copy: Path, tmp_path: Path) -> None:
+    trace, path = tmp_path / "trace", run_copy / BEST
+    path.write_bytes(pickle.dumps(Bomb(trace)))
+    refused(run_copy, "damaged")
+    torch.save({"weights": Bomb(trace)}, path)
+    refused(run_copy, "lacks|damaged")
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize("member", ["policy.pth", "data"])
+def test_a_pickle_inside_a_model_is_never_run(run_copy: Path, tmp_path: Path, member: str) -> None:
+    trace, path = tmp_path / "trace", run_copy / BEST
+    pickled = base64.b64encode(pickle.dumps(Bomb(trace))).decode()
+    data = json.dumps(json.loads(members(path)["data"]) | {"policy_class": {":type:": "", ":serialized:": pickled}}).encode()
+    rewrite(path, members(path) | {member: data if member == "data" else saved({"action_net.weight": Bomb(trace)})})
+    assert bool(refusal(run_copy)) == (member == "policy.pth")
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize(
+    ("tensor", "reason"),
+    [
+        (torch.zeros(3, 64), "shape"),
+        (torch.zeros(2, 64, dtype=torch.float64), "float64"),
+        (torch.full((2, 64), math.nan), "not finite"),
+        (torch.full((2, 64), math.inf), "not finite"),
+        (torch.zeros(1).expand(2, 10**12), "shape"),
+        ("text", "no tensor"),
+    ],
+)
+def test_a_tensor_that_does_not_fit_is_refused(run_copy: Path, tensor: Any, reason: str) -> None:
+    changed(run_copy / BEST, "policy", lambda state: state.update({WEIGHT: tensor}))
+    refused(run_copy, reason)
+
+
+def test_missing_and_strange_tensors_are_named(run_copy: Path) -> None:
+    path, whole = run_copy / BEST, members(run_copy / BEST)
+    changed(path, "policy", lambda state: state.pop(WEIGHT))
+    refused(run_copy, "lacks 'policy/action_net.weight'")
+    rewrite(path, whole)
+    changed(path, "policy", lambda state: state.update(backdoor=torch.zeros(1)))
+    refused(run_copy, "policy/backdoor")
+    rewrite(path, whole | {"backdoor.pth": saved({"x": torch.zeros(1)})})
+    refused(run_copy, "holds 'backdoor'")
+
+
+def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path) -> None:
+    path, whole = run_copy / BEST, members(run_copy / BEST)
+    rewrite(path, whole | {"policy.pth": bytes(50_000_000)}, zipfile.ZIP_DEFLATED)
+    refused(run_copy, "compressed")
+    (tmp_path / "inner").write_bytes(saved({WEIGHT: torch.zeros(10_000_000)}))
+    rewrite(tmp_path / "inner", members(tmp_path / "inner"), zipfile.ZIP_DEFLATED)
+    rewrite(path, whole | {"policy.pth": (tmp_path / "inner").read_bytes()})
+    refused(run_copy, "compressed")
+    rewrite(path, whole | {f"{index}.pth": b"" for index in range(100)})
+    refused(run_copy, "members")
+
+
+def test_a_truncated_or_shuffled_file_is_refused_or_read(run_copy: Path) -> None:
+    path = run_copy / BEST
+    content = path.read_bytes()
+    generator = np.random.default_rng(0)
+    for _ in range(60):
+        spoiled = bytearray(content[: generator.integers(len(content))] if generator.random() < 0.5 else content)
+        for position in generator.integers(len(spoiled), size=3) if spoiled else ():
+            spoiled[position] = generator.integers(256)
+        path.write_bytes(bytes(spoiled))
+        assert "\n" not in refusal(run_copy)
+
+
+@pytest.mark.parametrize("name", ["state.json", "arrays.npz", "model.zip"])
+def test_a_damaged_checkpoint_is_refused_and_the_models_stay(run_copy: Path, name: str) -> None:
+    (damaged,) = (run_copy / "checkpoints").glob(f"0*/{name}")
+    damaged.write_bytes(b"PK\x03\x04 no archive")
+    with pytest.raises(RunError, match="damaged"):
+        resume(run_copy, total_timesteps=100_000, build=stand_in.build)
+    assert evaluate(run_copy, episodes=1, build=stand_in.build).episodes == 1
+
+
+def test_an_array_that_promises_more_than_it_holds_costs_no_memory(run_copy: Path) -> None:
+    (path,) = (run_copy / "checkpoints").glob("0*/arrays.npz")
+    whole = members(path)
+    name = "_last_obs.npy"
+    rewrite(path, whole | {name: whole[name].replace(b"(4, 4), }" + b" " * 9, b"(4, 99999999999), }"[:18])})
+    with pytest.raises(RunError, match="damaged"):
+        resume(run_copy, total_timesteps=100_000, build=stand_in.build)
+
+
+def test_a_checkpoint_of_another_network_is_refused(run_copy: Path) -> None:
+    resolved = run_copy / "resolved.yaml"
+    text = resolved.read_text()
+    resolved.write_text(re.sub(r"hidden:\n(\s+- \d+\n)+", "hidden: [8]\n", text))
+    assert resolved.read_text() != text
+    with pytest.raises(RunError, match=r"shape|lacks|holds"):
+        resume(run_copy, total_timesteps=100_000, build=stand_in.build)
+
+
+@pytest.mark.parametrize("moment", ["step", "exp_avg", "exp_avg_sq"])
+def test_a_checkpoint_whose_optimiser_lacks_a_tensor_is_refused(run_copy: Path, moment: str) -> None:
+    (path,) = (run_copy / "checkpoints").glob("0*/model.zip")
+    changed(path, "policy.optimizer", lambda state: state["state"][2].pop(moment))
+    with pytest.raises(RunError, match=f"lacks 'policy.optimizer/2/{moment}'"):
+        resume(run_copy, total_timesteps=3_000, build=stand_in.build)
+
+
+def test_an_optimiser_that_counts_below_zero_is_refused(run_copy: Path) -> None:
+    (path,) = (run_copy / "checkpoints").glob("0*/model.zip")
+    changed(path, "policy.optimizer", lambda state: state["state"][0].update(step=torch.tensor(-1.0)))
+    with pytest.raises(RunError, match=r"'policy\.optimizer/0/step' counts below zero"):
+        resume(run_copy, total_timesteps=3_000, build=stand_in.build)

@@ -1,0 +1,335 @@
+"""A training that is killed at any moment, and resumed, becomes the same as one that was never interrupted, to the bit."""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import stand_in
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from deepbots_cli import api
+from deepbots_cli.document import shipped
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import checkpoints, evaluate, resume, train
+from deepbots_cli.learning.environments import History, VectorEnvironment, fingerprint
+from deepbots_cli.learning.report import TrainingProgress, training_text
+from deepbots_cli.learning.run import Run
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
+from tests.few import few
+
+SMALL = Network((16,))
+TIMES = {"cpu_seconds", "wall_seconds", "simulated_hours", "solved_at"}
+
+
+def hyper(**settings: Any) -> tuple[Hyperparameter, ...]:
+    return tuple(Hyperparameter(name, value) for name, value in settings.items())
+
+
+def outcome(folder: Path) -> dict[str, Any]:
+    """Everything that a training has made, without times."""
+    run = Run.open(folder)
+    assert run.record.result is not None
+    events = EventAccumulator(str(run.tensorboard), size_guidance={"scalars": 0})
+    events.Reload()
+    last = checkpoints.latest(run)
+    with run.monitor.open(newline="") as file:
+        next(file)
+        rows = [{name: value for name, value in row.items() if name != "t"} for row in csv.DictReader(file)]
+    return {
+        "result": {name: value for name, value in run.record.result if name not in TIMES},
+        "solved": run.record.result.solved_at and run.record.result.solved_at.steps,
+        "monitor": rows,
+        "scalars": {
+            tag: [(event.step, event.value) for event in events.Scalars(tag)]
+            for tag in events.Tags()["scalars"]
+            if not tag.startswith("time/")
+        },
+        "evaluations": (run.evaluations / "training.jsonl").read_text() if (run.evaluations / "training.jsonl").exists() else "",
+        "models": {path.name: models_in(path) for path in run.models.glob("*.zip")},
+        "checkpoint": None if last is None else last.name,
+    }
+
+
+def models_in(path: Path) -> dict[str, Any]:
+    """The tensors of a model, to the bit."""
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    _, tensors, variables = load_from_zip_file(path, load_data=False, device="cpu")
+    return {"tensors": plain(tensors), "variables": plain(variables)}
+
+
+def plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [plain(inner) for inner in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(["stand_in", "deepbots_cli.learning.training"])
+
+
+def work(name: str, run: Path) -> None:
+    """Begin a training, or go on with it; checkpoints come after 20 ms, and how often they are taken changes nothing in the result."""
+    checkpoints.SECONDS, checkpoints.COST = 0.02, 2
+    if (run / "run.json").exists():
+        if Run.open(run).record.status != "finished":
+            resume(run, build=build_of(name))
+    else:
+        shutil.rmtree(run, ignore_errors=True)  # killed while it was made
+        train(compiled_of(name), run=run, build=build_of(name))
+
+
+def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.SIGKILL) -> int:
+    """Work in a process of its own, and kill it; how that ended."""
+    process = FORKS.Process(target=work, args=(name, run))
+    process.start()
+    process.join(kill_after)
+    if process.is_alive():
+        os.kill(process.pid or 0, number)
+    process.join(60)
+    assert process.exitcode is not None
+    return process.exitcode
+
+
+def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = signal.SIGKILL) -> None:
+    """Train twice, once with kills at random moments."""
+    whole, parts, generator = folder / "whole", folder / f"parts-{seed}", random.Random(seed)
+    began = time.perf_counter()
+    if not whole.exists():
+        assert in_a_process(name, whole, 120.0) == 0
+        (folder / "seconds").write_text(str(time.perf_counter() - began))
+    took, code = float((folder / "seconds").read_text()), 1
+    for _ in range(kills):
+        code = in_a_process(name, parts, generator.uniform(0.1, 1.2) * took / 2, number)
+        if code == 0 and number == signal.SIGKILL:
+            break
+        assert code == -number or number == signal.SIGINT
+        if (parts / "run.json").exists():
+            Run.open(parts)
+    if code != 0 or ((parts / "run.json").exists() and Run.open(parts).record.status != "finished"):
+        assert in_a_process(name, parts, 120.0) == 0
+    expected, found = outcome(whole), outcome(parts)
+    for part in expected:
+        assert found[part] == expected[part], part
+
+
+OFF_POLICY = {"learning_starts": 100}
+CASES: dict[str, dict[str, Any]] = {
+    "PPO": {"training": Training("PPO", 3_000, 3, hyper(n_steps=32, batch_size=32, learning_rate=Schedule(3e-3, 0.0)))},
+    "TD3": {
+        "training": Training(
+            "TD3",
+            700,
+            2,
+            hyper(**OFF_POLICY, buffer_size=500),
+            SMALL,
+            ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.1)),
+            normalize="reward",
+        ),
+        "continuous": True,
+    },
+    "DDPG": {"training": Training("DDPG", 700, 1, hyper(**OFF_POLICY), SMALL), "continuous": True},
+    "SAC": {"training": Training("SAC", 500, 2, hyper(**OFF_POLICY, use_sde=True), SMALL), "continuous": True},
+    "DQN": {"training": Training("DQN", 1_000, 2, hyper(**OFF_POLICY, buffer_size=300), SMALL)},
+    "A2C": {"training": Training("A2C", 1_500, 2, normalize="reward")},
+    "RecurrentPPO": {"training": Training("RecurrentPPO", 800, 2, hyper(lstm=8, n_steps=32, batch_size=32), SMALL)},
+    "MaskablePPO": {"training": Training("MaskablePPO", 2_000, 2, hyper(n_steps=32, batch_size=32), SMALL)},
+    "TQC": {"training": Training("TQC", 300, 1, hyper(**OFF_POLICY), SMALL), "continuous": True},
+    "HER": {
+        "training": Training("SAC", 700, 2, hyper(learning_starts=200, buffer_size=500), SMALL, None, Hindsight()),
+        "continuous": True,
+        "max_steps": 30,
+        "more": "goal: {achieved: x, desired: 0.1 m, within: 2 cm, range: -0.4 .. 0.4 m}\n",
+    },
+    "curriculum": {
+        "training": Training("PPO", 2_000, 3, hyper(n_steps=32, batch_size=32)),
+        "more": "curriculum:\n"
+        "  - {name: a, set: {truncation.max_steps: 5}, until: mean_return >= 4.5 over 20 episodes}\n"
+        "  - {name: b, set: {truncation.max_steps: 20}, until: 500 steps}\n"
+        "  - {name: c}\n",
+    },
+}
+
+
+def compiled_of(name: str) -> api.Compiled:
+    return stand_in.compiled(**{"solved": Solved(30, mean_return=190.0)} | CASES[name])
+
+
+def build_of(name: str) -> Any:
+    return Reach if name == "HER" else stand_in.build
+
+
+class Reach(stand_in.CartPole):
+    """The cart-pole, for a policy with goals."""
+
+    def __init__(self, program: Program, render_mode: str | None = None) -> None:
+        super().__init__(program, render_mode)
+        goal = gym.spaces.Box(-1, 1, (1,), np.float32)
+        self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "achieved_goal": goal, "desired_goal": goal})
+
+    def _observation(self) -> Any:
+        achieved, desired = np.array([self.x / 0.4], np.float32), np.array([0.25], np.float32)
+        return {"observation": super()._observation(), "achieved_goal": achieved, "desired_goal": desired}
+
+    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
+        return -(np.abs(achieved - desired)[..., 0] > 0.05).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", few(list(CASES), ["PPO", "TD3"]))
+def test_a_training_that_is_killed_becomes_the_same_as_one_that_is_not(tmp_path: Path, name: str) -> None:
+    survives(name, tmp_path, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "trainings"), [("PPO", 20), ("TD3", 5), ("SAC", 5), ("DDPG", 5)])
+def test_so_do_many(tmp_path: Path, name: str, trainings: int) -> None:
+    for seed in range(trainings):
+        survives(name, tmp_path, 3, seed)
+
+
+@pytest.mark.slow
+def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> None:
+    generator, run, kills, with_checkpoint = random.Random(0), tmp_path / "run", 0, 0
+    began = time.perf_counter()
+    assert in_a_process("PPO", tmp_path / "whole", 120.0) == 0
+    took = time.perf_counter() - began
+    while kills < 200:
+        code = in_a_process("PPO", run, generator.uniform(0.0, took))
+        kills += code == -signal.SIGKILL
+        if (run / "run.json").exists():
+            known = Run.open(run)
+            if (last := checkpoints.latest(known)) is not None:
+                checkpoints.read_state(last)
+                assert all(path.is_file() for path in (known.model("best"), known.model("last")))
+                with_checkpoint += 1
+        if code == 0:
+            shutil.rmtree(run)
+    assert with_checkpoint > 50
+
+
+def test_a_training_that_was_interrupted_becomes_the_same_too(tmp_path: Path) -> None:
+    survives("curriculum", tmp_path, 2, number=signal.SIGINT)
+
+
+def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(tmp_path: Path) -> None:
+    changes = ["train.total_timesteps=600", "train.environments=2", "train.n_steps=32", "train.batch_size=32"]
+
+    class Stop:
+        """Asks for the end of the training when it is half done."""
+
+        def start(self, progress: TrainingProgress) -> None: ...
+        def stop(self) -> None: ...
+        def update(self, progress: TrainingProgress) -> None:
+            if 200 < progress.steps < 300:
+                os.kill(os.getpid(), signal.SIGINT)
+
+    compiled = api.compile("find_ball_random", sets=changes)
+    train(compiled, run=tmp_path / "whole")
+    assert train(compiled, run=tmp_path / "parts", progress=Stop()).interrupted
+    assert resume(tmp_path / "parts").inexact == ()
+    expected, found = outcome(tmp_path / "whole"), outcome(tmp_path / "parts")
+    assert {part for part in expected if found[part] != expected[part]} <= {"checkpoint"}
+
+
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ["find_and_avoid"]))
+def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
+    """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
+    compiled = api.compile(name, allow_code=True)
+    with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [7])) as env:
+        env.reset()
+        env.action_space.seed(1)
+        ended, steps = 0, 0
+        while steps < 12 or (not ended and steps < 3_000):
+            actions = np.array([env.action_space.sample() for _ in range(env.num_envs)])
+            dones = env.step(actions)[2]
+            ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
+        (history,) = env.histories()
+        seen = fingerprint(env.last_observations)
+    kept = History(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
+    with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
+        env.reset()
+        assert fingerprint(env.repeat([kept])) == seen
+
+
+def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tmp_path: Path) -> None:
+    class Moody(stand_in.CartPole):
+        """No two episodes begin alike."""
+
+        def reset(self, **settings: Any) -> Any:
+            _, info = super().reset(**settings)
+            self.angle += random.uniform(0.0, 1e-3)
+            return self._observation(), info
+
+    run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=400, build=Moody).run
+    result = resume(run, total_timesteps=800, build=Moody)
+    assert "begun anew" in result.inexact[0]
+    assert f"note: {result.inexact[0]}" in training_text(result)
+
+
+def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None:
+    training = Training("DQN", 400, 2, hyper(learning_starts=50), SMALL)  # whose buffer holds as many steps as the goal
+    run = train(stand_in.compiled(training=training), run=tmp_path / "run", build=stand_in.build).run
+    assert resume(run, total_timesteps=1_000, build=stand_in.build).steps == 1_000
+    assert resume(run, total_timesteps=1_200, build=stand_in.build).steps == 1_200
+
+
+def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path) -> None:
+    run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=1_000, keep_checkpoints=4, build=stand_in.build).run
+    kept = sorted(path.name for path in (run / "models" / "policy").glob("step-*.zip"))
+    assert len(kept) == 4
+    assert kept[0] == "step-000000288.zip"  # the first roll-out of 96 steps that ends after 250
+
+
+def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_over(tmp_path: Path) -> None:
+    first = train(compiled_of("PPO"), run=tmp_path / "first", total_timesteps=500, build=stand_in.build)
+    same = train(compiled_of("PPO"), run=tmp_path / "same", total_timesteps=96, initialize_from=first.run, build=stand_in.build)
+    assert same.initialized_from == f"{first.run}: 12 of 12 tensors"
+    assert "initialized from" in training_text(same)
+    wider = stand_in.compiled(training=Training("PPO", 96, 3, hyper(n_steps=32, batch_size=32), Network((64, 32))))
+    taken = train(wider, run=tmp_path / "wider", initialize_from=first.run, build=stand_in.build).initialized_from
+    assert taken is not None
+    assert "afresh: " in taken
+    strange = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Network((7,))))
+    with pytest.raises(UsageError, match="no tensor"):
+        train(strange, run=tmp_path / "other", initialize_from=first.run, build=stand_in.build)
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Path) -> None:
+    run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    before = checkpoints.latest(Run.open(run))
+    (run / "checkpoints" / "new").write_text("in the way")
+    (run / "models" / "policy" / "last.zip").unlink()
+    (run / "models" / "policy" / "last.zip").mkdir()
+    with pytest.raises(RunError, match=r"cannot be written.*the last checkpoint is kept"):
+        resume(run, total_timesteps=1_000, build=stand_in.build)
+    assert checkpoints.latest(Run.open(run)) == before
+    assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
+
+
+def test_the_threads_of_torch_are_those_of_the_caller_afterwards(tmp_path: Path) -> None:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=96, build=stand_in.build).run
+        evaluate(run, episodes=1, build=stand_in.build)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
